@@ -1,0 +1,1 @@
+//! Frames, reports, traces, checkpoints, pictures. (placeholder)

@@ -1,0 +1,135 @@
+//! Events of a rank: what it computed, transferred and waited for, when, and how many bytes and flops that took.
+//! `output::trace` writes them; the interconnect laboratory re-times them. Recording never changes what is computed.
+
+use std::time::Instant;
+
+use bytemuck::{Pod, Zeroable};
+
+/// What a slice of a rank's time was spent on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Activity {
+    /// A kernel or host computation.
+    Compute = 0,
+    /// Reading (or publishing) a sub-vector or halo of a transfer stage.
+    Transfer = 1,
+    /// Blocked on another rank.
+    Wait = 2,
+}
+
+/// Names of events. The number travels, the name is looked up when the trace is written.
+macro_rules! event_names {
+    ($($variant:ident = $text:literal),* $(,)?) => {
+        /// What an event was about.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u32)]
+        pub enum EventName { $($variant),* }
+        impl EventName {
+            const ALL: &'static [EventName] = &[$(EventName::$variant),*];
+            /// Text shown in the trace.
+            pub fn text(self) -> &'static str { match self { $(EventName::$variant => $text),* } }
+            /// The event with this number, if there is one.
+            pub fn from_number(n: u32) -> Option<EventName> { Self::ALL.get(n as usize).copied() }
+        }
+    };
+}
+event_names! {
+    Step = "step",
+    ExchangeState = "exchange state",
+    Elements = "element records",
+    IndexFill = "index fill",
+    ValueFill = "value fill",
+    RightHandSide = "right-hand side",
+    Precondition = "preconditioner",
+    Publish = "publish sub-vector",
+    Receive = "receive sub-vector",
+    SpmvLocal = "SpMV local rows",
+    SpmvRemote = "SpMV rows with halo",
+    SpmvBlock = "SpMV block A_ij",
+    VectorUpdate = "vector update",
+    AllReduce = "all-reduce",
+    Advance = "advance state",
+    ProximityQuery = "proximity query",
+    ContinuousQuery = "continuous collision query",
+    ImpactZones = "impact zones",
+}
+
+/// One event; plain data, so that it can cross processes as bytes.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub struct Event {
+    /// [`EventName`] as number.
+    pub name: u32,
+    /// [`Activity`] as number.
+    pub activity: u32,
+    /// Step in which it happened.
+    pub step: u32,
+    /// Transfer stage counting from 1, or 0.
+    pub stage: u32,
+    /// Rank that the bytes came from, or the own rank.
+    pub source: u32,
+    /// Sub-vector index, or the own rank.
+    pub vector: u32,
+    /// Nanoseconds since the recorder's epoch.
+    pub start_ns: u64,
+    /// Nanoseconds since the recorder's epoch.
+    pub end_ns: u64,
+    /// Bytes read and written by a kernel, or moved by a transfer.
+    pub bytes: u64,
+    /// Floating point operations of a kernel.
+    pub flops: u64,
+}
+
+/// Collects the events of one rank. Disabled recorders cost one branch per event.
+pub struct Recorder {
+    epoch: Instant,
+    /// Nanoseconds between the Unix epoch and `epoch`: lets tracks of several processes share one time axis.
+    pub epoch_unix_ns: u64,
+    enabled: bool,
+    step: u32,
+    events: Vec<Event>,
+}
+
+impl Recorder {
+    /// A recorder that starts disabled.
+    pub fn new() -> Recorder {
+        let unix = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+        Recorder { epoch: Instant::now(), epoch_unix_ns: unix.as_nanos() as u64, enabled: false, step: 0, events: Vec::new() }
+    }
+
+    /// Begins a step; its events are kept if `enabled`.
+    pub fn begin_step(&mut self, step: u32, enabled: bool) {
+        self.step = step;
+        self.enabled = enabled;
+    }
+
+    /// Nanoseconds since the recorder's epoch: the start to hand to [`Recorder::end`].
+    pub fn now(&self) -> u64 {
+        self.epoch.elapsed().as_nanos() as u64
+    }
+
+    /// Records an event of the own rank that began at `start_ns` and ends now.
+    pub fn end(&mut self, name: EventName, activity: Activity, start_ns: u64, bytes: u64, flops: u64) {
+        self.end_transfer(name, activity, start_ns, (0, 0, 0), bytes, flops);
+    }
+
+    /// As [`Recorder::end`], with (stage, source, vector) of a transfer.
+    pub fn end_transfer(&mut self, name: EventName, activity: Activity, start_ns: u64, route: (u32, u32, u32), bytes: u64, flops: u64) {
+        if self.enabled {
+            let (stage, source, vector) = route;
+            let end_ns = self.now();
+            self.events.push(Event { name: name as u32, activity: activity as u32, step: self.step, stage, source, vector, start_ns, end_ns, bytes, flops });
+        }
+    }
+
+    /// Hands the recorded events over and forgets them.
+    pub fn take(&mut self) -> Vec<Event> {
+        std::mem::take(&mut self.events)
+    }
+}
+
+impl Default for Recorder {
+    fn default() -> Self {
+        Recorder::new()
+    }
+}

@@ -1,0 +1,50 @@
+//! Transport between the ranks of a run: what a step needs from the interconnect, and nothing else.
+//!
+//! Every rank makes the same sequence of calls on its transport (a collective program); messages of one source arrive in
+//! the order in which they were published. Each concept's implementations are siblings in this folder.
+
+use thiserror::Error;
+
+/// Why a transport call failed. All of them end the run of this rank.
+#[derive(Debug, Error)]
+pub enum TransportError {
+    /// No message within the deadline.
+    #[error("rank {rank} waited {waited_s:.1} s for rank {source_rank} ({what})")]
+    TimedOut { rank: usize, source_rank: usize, what: &'static str, waited_s: f64 },
+    /// The run was told to stop while waiting (a peer died or the user asked for it).
+    #[error("rank {rank} was told to stop while waiting for rank {source_rank} ({what})")]
+    Aborted { rank: usize, source_rank: usize, what: &'static str },
+    /// A message arrived that the program did not expect here.
+    #[error("rank {rank} expected message {expected} of rank {source_rank} and got {got}")]
+    OutOfOrder { rank: usize, source_rank: usize, expected: u64, got: u64 },
+    /// The mechanism below failed.
+    #[error("transport of rank {rank}: {message}")]
+    Mechanism { rank: usize, message: String },
+}
+
+/// Most values that one rank may contribute to [`Transport::all_gather`].
+pub const ALL_GATHER_MAX: usize = 96;
+
+/// One rank's connection to all others.
+pub trait Transport {
+    /// Own rank.
+    fn rank(&self) -> usize;
+    /// Number of ranks.
+    fn ranks(&self) -> usize;
+    /// Makes `len` values readable by every other rank. `fill` writes them in place (the buffer holds unspecified values).
+    /// Returns as soon as the message is handed over; blocks only while a slow reader holds all buffers.
+    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError>;
+    /// Waits for the next message of `source` and shows it to `read` in place. Every published message must be
+    /// received by every other rank exactly once, also when it holds nothing of interest.
+    fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError>;
+    /// True if a message of `source` can be received without waiting.
+    fn ready(&mut self, source: usize) -> bool;
+    /// Gathers up to [`ALL_GATHER_MAX`] values of every rank: `out[r]` = what rank r contributed (the own rank too).
+    /// One latency; this is what an all-reduce is built on (`solver::reduction` adds in a fixed order).
+    fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError>;
+    /// Returns after every rank has called it.
+    fn barrier(&mut self) -> Result<(), TransportError> {
+        let mut out = Vec::new();
+        self.all_gather(&[], &mut out)
+    }
+}
