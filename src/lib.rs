@@ -15,6 +15,7 @@ pub mod forces;
 pub mod assembly;
 pub mod solver;
 pub mod integrator;
+pub mod model;
 pub mod collision;
 pub mod impact_zone;
 pub mod step;

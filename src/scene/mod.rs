@@ -56,14 +56,14 @@ pub struct Pin {
 }
 
 /// A rigid (or scaling) motion by keyframes, linear between them (rotation: slerp), constant outside.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Motion {
     /// Keyframes in ascending time.
     pub keyframes: Vec<Keyframe>,
 }
 
 /// One keyframe: x -> rotation * (scale * x) + translation, rotation about `pivot_m`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Keyframe {
     pub time_s: f64,
     pub translation_m: crate::math::DVec3,
@@ -73,7 +73,7 @@ pub struct Keyframe {
 }
 
 /// Numbers of a run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Settings {
     /// Length of a step, seconds.
     pub step_s: f64,

@@ -39,6 +39,8 @@ pub trait Transport {
     fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError>;
     /// True if a message of `source` can be received without waiting.
     fn ready(&mut self, source: usize) -> bool;
+    /// Waits until a message of `source` can be received; lets a trace tell waiting from reading.
+    fn wait(&mut self, source: usize) -> Result<(), TransportError>;
     /// Gathers up to [`ALL_GATHER_MAX`] values of every rank: `out[r]` = what rank r contributed (the own rank too).
     /// One latency; this is what an all-reduce is built on (`solver::reduction` adds in a fixed order).
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError>;
