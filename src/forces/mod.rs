@@ -10,6 +10,9 @@ mod element;
 pub mod stretch;
 mod stretch_cpu;
 
+#[cfg(test)]
+mod tests;
+
 pub use bend_cpu::{bend_energy, dihedral_angle};
 pub use element::{
     CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS,

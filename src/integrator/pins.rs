@@ -102,5 +102,5 @@ fn is_held(pin: &RankPin, time_s: f64, step_s: f64) -> bool {
 
 fn moved(pin: &RankPin, motions: &[Motion], time_s: f64) -> DVec3 {
     let start = DVec3::from_array(pin.start_m.map(f64::from));
-    pin.motion.map_or(start, |m| motions[m as usize].apply(time_s, start))
+    pin.motion.map_or(start, |m| motions[m as usize].transform_at(time_s).transform_point3(start))
 }

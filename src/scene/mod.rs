@@ -1,5 +1,7 @@
 //! Scene file -> validated [`Scene`]: sheets and meshes, fabrics, pins, wind, solver settings. No simulation state.
 
+mod motion;
+
 use crate::math::Vec3;
 use crate::mesh::TriangleMesh;
 
