@@ -204,6 +204,16 @@ impl Transport for InProcessTransport {
         source.messages.len() as u64 + source.first > sequence
     }
 
+    fn wait(&mut self, source: usize) -> Result<(), TransportError> {
+        let Some(&sequence) = self.received.get(source).filter(|_| source != self.rank) else {
+            return Err(self.fail(format!("cannot wait for rank {source} of {} ranks", self.ranks)));
+        };
+        self.wait_for(source, "its next message", |state| {
+            let source = &state.sources[source];
+            (source.messages.len() as u64 + source.first > sequence).then_some(())
+        })
+    }
+
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
         if own.len() > ALL_GATHER_MAX {
             return Err(self.fail(format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len())));

@@ -261,6 +261,19 @@ impl Transport for IceoryxTransport {
         }
     }
 
+    fn wait(&mut self, source: usize) -> Result<(), TransportError> {
+        if self.links.peers.get(source).is_none_or(Option::is_none) {
+            return Err(self.fail(format!("cannot wait for rank {source} of {} ranks", self.ranks())));
+        }
+        let rank = self.rank;
+        self.wait_for(source, "its next message", |links| {
+            let Some(peer) = &links.peers[source] else { return Ok(None) };
+            let waiting = peer.subscriber.has_samples();
+            let waiting = waiting.map_err(|error| TransportError::Mechanism { rank, message: format!("receive: {error:?}") })?;
+            Ok(waiting.then_some(()))
+        })
+    }
+
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
         if own.len() > ALL_GATHER_MAX {
             return Err(self.fail(format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len())));
