@@ -48,11 +48,16 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
         file.persist(path).map_err(|e| e.error)?;
         Ok(())
     };
-    attempt().map_err(|source| {
-        // The random name of the temporary file that tempfile adds says nothing to a user.
-        let source = source.raw_os_error().map_or(source, io::Error::from_raw_os_error);
-        WriteError { path: path.to_path_buf(), source }
-    })
+    attempt().map_err(|source| WriteError { path: path.to_path_buf(), source: without_temporary_name(source) })
+}
+
+/// The system's own error: tempfile adds the random name of its file, which says nothing to a user.
+pub(super) fn without_temporary_name(error: io::Error) -> io::Error {
+    let text = error.to_string();
+    match text.split_once(" at path \"") {
+        Some((plain, _)) => io::Error::new(error.kind(), plain),
+        None => error,
+    }
 }
 
 /// Removes what a killed process left half-written in `folder`. Problems are ignored: the files harm nobody.

@@ -71,7 +71,7 @@ impl RunDirectory {
     /// Prepares `path` for a run: makes the folders, locks them against a second run, and clears leftovers.
     pub fn create(path: &Path, existing: Existing) -> Result<RunDirectory, DirectoryError> {
         let own = || path.to_path_buf();
-        let unwritable = |source| DirectoryError::Unwritable { path: own(), source };
+        let unwritable = |e| DirectoryError::Unwritable { path: own(), source: atomic::without_temporary_name(e) };
         if path.exists() && !path.is_dir() {
             return Err(DirectoryError::NotAFolder(own()));
         }

@@ -11,9 +11,11 @@ mod machine;
 mod manifest;
 pub mod obj;
 pub mod pc2;
+pub mod plot;
 pub mod ply;
 mod read;
 mod report;
+mod trace;
 
 pub use atomic::{WriteError, write_atomically};
 pub use checkpoint::Checkpoint;
@@ -26,3 +28,4 @@ pub use read::{FrameMesh, FrameSource, FramesError, ReadError};
 pub use report::{
     FrameRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, StageSeconds, Status, StepRecord,
 };
+pub use trace::{RankEvents, TraceWriter};

@@ -93,9 +93,9 @@ pub struct ReportHeader {
     /// Where it ran.
     pub machine: Machine,
     /// Seconds since 1970.
-    pub started_unix_s: f64,
+    pub started_unix_s: u64,
     /// Seconds since 1970, once it has ended.
-    pub ended_unix_s: Option<f64>,
+    pub ended_unix_s: Option<u64>,
     /// How it stands.
     pub status: Status,
     /// Where it was taken up again.
@@ -131,7 +131,7 @@ pub struct Resumption {
     /// Ranks from here on.
     pub workers: usize,
     /// Seconds since 1970.
-    pub unix_s: f64,
+    pub unix_s: u64,
 }
 
 /// A written frame.
@@ -296,7 +296,7 @@ impl ReportWriter {
         let resumption = Resumption { step, frame, workers: header.workers, unix_s: header.started_unix_s };
         header.resumed = old.resumed;
         header.resumed.push(resumption);
-        if old.started_unix_s > 0.0 {
+        if old.started_unix_s > 0 {
             header.started_unix_s = old.started_unix_s;
         }
         let report = Report { header, frames, steps };
@@ -334,6 +334,6 @@ impl ReportWriter {
     }
 }
 
-fn unix_s() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+fn unix_s() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
 }
