@@ -11,6 +11,7 @@ mod machine;
 mod manifest;
 pub mod obj;
 pub mod pc2;
+pub mod picture;
 pub mod plot;
 pub mod ply;
 mod read;

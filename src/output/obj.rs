@@ -94,15 +94,14 @@ fn flush_full(out: &mut dyn Write, buffer: &mut Vec<u8>) -> io::Result<()> {
     Ok(())
 }
 
-/// A space and the number. Writing to a Vec cannot fail.
+/// A space and the number. JSON's numbers are OBJ's numbers too, and serde_json writes them faster than std.
 fn push_f32(buffer: &mut Vec<u8>, x: f32) {
-    let size = x.abs();
-    let _ = if x == 0.0 || (1e-5..1e16).contains(&size) {
-        write!(buffer, " {x}")
-    } else {
-        // Display would write up to 45 zeros.
-        write!(buffer, " {x:e}")
-    };
+    buffer.push(b' ');
+    // Writing to a Vec cannot fail.
+    let _ = serde_json::to_writer(&mut *buffer, &x);
+    if buffer.ends_with(b".0") {
+        buffer.truncate(buffer.len() - 2);
+    }
 }
 
 /// The index, counted from 1, in decimal (std's formatting costs three times as much, and frames hold millions).
