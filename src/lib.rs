@@ -21,6 +21,7 @@ pub mod impact_zone;
 pub mod step;
 pub mod output;
 pub mod time_parallel;
+pub mod protocol;
 pub mod worker;
 pub mod coordinator;
 pub mod cli;
