@@ -1,5 +1,5 @@
-//! The rules of a valid topology, one function each; a fault names the part that breaks one. Only the reader of the file
-//! knows in which line that part stands.
+//! The rules of a valid topology, one function each; a fault names the part that breaks one. Only the reader of the
+//! file knows in which line that part stands.
 
 use std::collections::{HashMap, HashSet};
 
