@@ -3,18 +3,27 @@
 //! Every rank makes the same sequence of calls on its transport (a collective program); messages of one source arrive in
 //! the order in which they were published. Each concept's implementations are siblings in this folder.
 
+mod faulty;
+mod frames;
 mod iceoryx;
 mod in_process;
+mod message;
 mod process;
+mod recording;
 mod run_name;
 mod shared_memory;
 mod wait;
 
-pub use iceoryx::{IceoryxOptions, IceoryxTransport};
+pub use faulty::{Fault, FaultyTransport};
+pub use iceoryx::{
+    ControlCoordinator, ControlError, ControlWorker, Heartbeat, HeartbeatHandle, IceoryxOptions, IceoryxTransport,
+};
 pub use in_process::InProcessTransport;
+pub use message::{MessageError, decode, encode, items_of};
 pub use process::{ProcessWatch, start_ticks};
+pub use recording::{Action, Record, RecordingTransport};
 pub use run_name::{FoundRun, Member, RunError, RunMember, RunName, SHARED_MEMORY_FOLDER, list_runs};
-pub use shared_memory::{SharedMemoryError, shared_memory_space};
+pub use shared_memory::{SharedMemoryError, check_shared_memory, required_shared_memory_bytes, shared_memory_space};
 pub use wait::{HOOK_INTERVAL, WaitHook};
 
 use thiserror::Error;

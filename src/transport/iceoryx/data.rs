@@ -359,8 +359,7 @@ fn values_builder(node: &Node<Ipc>, source: usize, ranks: usize) -> Result<Value
 type OwnValues = (publish_subscribe::PortFactory<Ipc, Values, Header>, Publisher<Ipc, Values, Header>);
 
 fn create_values(node: &Node<Ipc>, rank: usize, ranks: usize, max_len: usize) -> Result<OwnValues, String> {
-    let alignment = Alignment::new(shared_memory::MESSAGE_ALIGNMENT).ok_or("alignment")?;
-    let service = values_builder(node, rank, ranks)?.payload_alignment(alignment).create().map_err(text("messages"))?;
+    let service = values_builder(node, rank, ranks)?.create().map_err(text("messages"))?;
     let publisher = service
         .publisher_builder()
         .initial_max_slice_len(max_len.max(1))
