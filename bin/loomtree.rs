@@ -1,1 +1,47 @@
-fn main(){}
+//! The front door: parses the command line, calls the library, maps errors to exit codes.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use loomtree::cli::{self, CliError};
+use loomtree::coordinator::Launch;
+
+/// Distributed simulator for very large cloth: one worker process per (simulated) GPU.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Simulate a scene on N workers
+    Run(cli::run::RunArgs),
+    /// Show the work queues for a topology
+    Schedule(cli::schedule::ScheduleArgs),
+    /// Draw the frames of a run as PNG
+    Render(cli::render::RenderArgs),
+    /// Show adapters, cores, shared memory and what dead runs have left
+    Doctor(cli::doctor::DoctorArgs),
+    /// A worker process; started by `loomtree run`
+    #[command(hide = true)]
+    Worker(cli::worker::WorkerArgs),
+}
+
+fn main() -> ExitCode {
+    cli::start_log();
+    let result = match Arguments::parse().command {
+        Command::Run(args) => cli::run::run(args, Launch::Spawn),
+        Command::Schedule(args) => cli::schedule::run(args),
+        Command::Render(args) => cli::render::run(args),
+        Command::Doctor(args) => cli::doctor::run(args, &[], triangles_of),
+        Command::Worker(args) => cli::worker::run(args),
+    };
+    cli::exit_code(result)
+}
+
+fn triangles_of(path: &std::path::Path) -> Result<usize, CliError> {
+    let scene = loomtree::scene::load(path, &Default::default()).map_err(CliError::bad_input)?;
+    Ok(scene.mesh.triangles.len())
+}

@@ -214,10 +214,12 @@ impl Simulation {
         // 3. Assembly elements.
         self.element_records();
         clock.lap(&mut seconds.elements);
+        transport.alive()?;
 
         // 4. Matrix, right-hand side, preconditioner of the own rows.
         self.fill_matrix();
         clock.lap(&mut seconds.value_fill);
+        transport.alive()?;
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.vectors.x.fill_zero(&self.executor);

@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure};
-use crate::transport::message::{MessageError, decode, encode};
-use crate::transport::{ControlCoordinator, ControlError, RunError, RunMember, RunName};
+use crate::transport::{ControlCoordinator, ControlError, MessageError, RunError, RunMember, RunName, decode, encode};
 
 /// How long workers get to leave by themselves before they are killed.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -154,8 +153,10 @@ impl Crew {
                 let (message, arrays) = decode::<ToCoordinator>(&bytes).map_err(|source| CrewError::Message { rank, source })?;
                 match message {
                     ToCoordinator::Failed(why) => failure = worse(failure, CrewError::Failed { rank, failure: why }),
-                    other if take(rank, other, &arrays) => taken.push(rank),
-                    _ => return Err(CrewError::OutOfTurn { rank }),
+                    other => match take(rank, other, &arrays) {
+                        true => taken.push(rank),
+                        false => return Err(CrewError::OutOfTurn { rank }),
+                    },
                 }
             }
             missing.retain(|rank| !taken.contains(rank));

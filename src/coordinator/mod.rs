@@ -24,7 +24,7 @@ use crate::output::{Checkpoint, Status};
 use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, StepStats};
 use crate::telemetry::Event;
-use crate::transport::{required_shared_memory_bytes, shared_memory_space};
+use crate::transport::{check_shared_memory, shared_memory_space};
 
 /// Setting up may take a worker much longer than any later sign of life.
 const SETUP_LIMIT: Duration = Duration::from_secs(300);
@@ -81,7 +81,7 @@ struct State {
 
 /// Runs a plan to its end.
 pub fn run(mut plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
-    check_shared_memory(&plan)?;
+    check_space(&plan)?;
     let failed = |error: CrewError| RunError::Failed(error.to_string());
     let (mut recorder, resumed) = Recorder::open(&plan, options, places).map_err(|error| match error {
         RecordError::BadInput(text) => RunError::BadInput(text),
@@ -120,10 +120,10 @@ pub fn run(mut plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: 
 }
 
 /// Says before the start if the transfers cannot fit into shared memory.
-fn check_shared_memory(plan: &RunPlan) -> Result<(), RunError> {
+fn check_space(plan: &RunPlan) -> Result<(), RunError> {
     let ranks = plan.partition.ranks();
     let (_, free) = shared_memory_space().map_err(|error| RunError::Failed(error.to_string()))?;
-    crate::transport::check_shared_memory(required_shared_memory_bytes(ranks, message_values(plan)), free).map_err(|error| RunError::BadInput(error.to_string()))
+    check_shared_memory(ranks, message_values(plan), free).map_err(|error| RunError::BadInput(error.to_string()))
 }
 
 /// Longest message between ranks: positions and velocities of a whole row block.

@@ -20,6 +20,16 @@ impl Executor {
         Executor::Cpu(CpuExecutor::new(threads))
     }
 
+    pub fn gpu(_adapter: Option<usize>, _rank: usize) -> Result<Executor, String> {
+        Err("no GPU executor yet".into())
+    }
+    pub fn auto(_adapter: Option<usize>, _rank: usize, threads: usize) -> Result<Executor, String> {
+        Ok(Executor::cpu(threads))
+    }
+    pub fn device_name(&self) -> String {
+        "cpu".into()
+    }
+
     /// Name for reports.
     pub fn name(&self) -> &'static str {
         match self {

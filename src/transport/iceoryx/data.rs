@@ -274,6 +274,11 @@ impl Transport for IceoryxTransport {
         })
     }
 
+    fn alive(&mut self) -> Result<(), TransportError> {
+        let rank = self.rank;
+        self.patience.breathe().map_err(|stopped| stopped_error(rank, rank, "its own work", stopped))
+    }
+
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
         if own.len() > ALL_GATHER_MAX {
             return Err(self.fail(format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len())));
@@ -372,8 +377,7 @@ fn values_builder(node: &Node<Ipc>, source: usize, ranks: usize) -> Result<Value
 type OwnValues = (publish_subscribe::PortFactory<Ipc, Values, Header>, Publisher<Ipc, Values, Header>);
 
 fn create_values(node: &Node<Ipc>, rank: usize, ranks: usize, max_len: usize) -> Result<OwnValues, String> {
-    let alignment = Alignment::new(shared_memory::MESSAGE_ALIGNMENT).ok_or("alignment")?;
-    let service = values_builder(node, rank, ranks)?.payload_alignment(alignment).create().map_err(text("messages"))?;
+    let service = values_builder(node, rank, ranks)?.create().map_err(text("messages"))?;
     let publisher = service
         .publisher_builder()
         .initial_max_slice_len(max_len.max(1))

@@ -15,7 +15,7 @@ pub(super) type Ipc = ipc::Service;
 pub(super) const DEPTH: usize = 2;
 
 /// Buffers of a publisher: those that readers may hold or still have to read, and the one being written.
-pub(super) const BUFFERS: usize = DEPTH + 1;
+pub(in crate::transport) const BUFFERS: usize = DEPTH + 1;
 
 /// Pause between two attempts to open what another process is about to create.
 const OPEN_PAUSE: Duration = Duration::from_millis(1);
