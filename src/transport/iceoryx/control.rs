@@ -202,17 +202,10 @@ impl ControlCoordinator {
 
     /// True once a worker that has connected has ended, for whatever reason. A hung one has not; see
     /// [`ControlCoordinator::silence`].
-    pub fn has_ended(&mut self, rank: usize) -> Result<bool, ControlError> {
-        let pid = self.heartbeat(rank).pid as u32;
-        let link = self.link(rank)?;
-        if pid == 0 {
-            return Ok(false);
-        }
-        if link.watch.is_none() {
-            let watch = ProcessWatch::new(pid).map_err(|error| format!("cannot watch process {pid}: {error}"))?;
-            link.watch = Some(watch);
-        }
-        Ok(link.watch.as_ref().is_some_and(ProcessWatch::has_ended))
+    pub fn has_ended(&mut self, rank: usize) -> bool {
+        let Some(link) = self.links.get_mut(rank) else { return false };
+        let pid = link.heartbeat.get().pid as u32;
+        pid != 0 && link.watch.get_or_insert_with(|| ProcessWatch::new(pid)).has_ended()
     }
 }
 
