@@ -1,5 +1,5 @@
 //! `loomtree doctor`: what this machine offers, what a run of a given size needs of it, and what dead runs have left.
-//! It estimates memory (see [`need_of`]); only shared memory is known exactly enough to refuse.
+//! It estimates memory from a goal per vertex; only shared memory is known exactly enough to refuse.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,12 @@
 //! Transport between the ranks of a run: what a step needs from the interconnect, and nothing else.
 //!
 //! Every rank makes the same sequence of calls on its transport (a collective program); messages of one source arrive in
-//! the order in which they were published. Each concept's implementations are siblings in this folder.
+//! the order in which they were published. At any point of that sequence at most two messages of a source may be published
+//! and not yet received by everybody: then nobody ever waits in a circle. Implementations: processes ([`IceoryxTransport`]),
+//! threads ([`InProcessTransport`]), and two wrappers for tests.
+//!
+//! Beside it: the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`], [`encode`])
+//! and what a run takes of the machine and leaves behind ([`RunName`]). Linux only.
 
 mod faulty;
 mod frames;

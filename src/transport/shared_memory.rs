@@ -43,19 +43,40 @@ const MESSAGE_HEAD: u64 = 128;
 /// Per rank the buffers of its messages and of both control streams; around them small files, one for every pair of
 /// ranks and about two dozen for every rank, whose sizes grow with the number of ranks.
 pub fn required_shared_memory_bytes(ranks: usize, max_len: usize) -> u64 {
-    let (ranks, buffers) = (ranks as u64, BUFFERS as u64);
-    // Saturating: an absurd size is refused like any other that does not fit.
-    let segment = |message: u64| (message.saturating_add(MESSAGE_HEAD) / PAGE + 2).saturating_mul(buffers * PAGE);
-    let values = segment((max_len as u64).saturating_mul(size_of::<f32>() as u64));
-    let control = 2 * segment(FRAME_MAX as u64);
-    let small_files = PAGE * (2 * ranks * ranks + 24 * ranks + 16);
-    ranks.saturating_mul(values.saturating_add(control)).saturating_add(small_files)
+    let control = 2 * segment_bytes(FRAME_MAX as u64);
+    let per_rank = rank_bytes(ranks, max_len).saturating_add(control);
+    per_rank.saturating_mul(ranks as u64).saturating_add(16 * PAGE)
+}
+
+/// A publisher's buffers for messages of up to `message` bytes. Saturating: an absurd size is refused like any other
+/// that does not fit.
+fn segment_bytes(message: u64) -> u64 {
+    (message.saturating_add(MESSAGE_HEAD) / PAGE + 2).saturating_mul(BUFFERS as u64 * PAGE)
+}
+
+/// What one rank's end of the data transport takes.
+fn rank_bytes(ranks: usize, max_len: usize) -> u64 {
+    let values = segment_bytes((max_len as u64).saturating_mul(size_of::<f32>() as u64));
+    values.saturating_add(PAGE * (2 * ranks as u64 + 24))
+}
+
+/// Says whether the free shared memory suffices for one rank's end of the data transport.
+pub(super) fn check_free_for_rank(ranks: usize, max_len: usize) -> Result<(), SharedMemoryError> {
+    check(rank_bytes(ranks, max_len), shared_memory_space()?.1)
+}
+
+/// Says whether the free shared memory suffices for the control channel of a run.
+pub(super) fn check_free_for_control(ranks: usize) -> Result<(), SharedMemoryError> {
+    check(ranks as u64 * 2 * segment_bytes(FRAME_MAX as u64) + 16 * PAGE, shared_memory_space()?.1)
+}
+
+fn check(required: u64, available: u64) -> Result<(), SharedMemoryError> {
+    if required > available { Err(SharedMemoryError::TooSmall { required, available }) } else { Ok(()) }
 }
 
 /// Says whether `available` bytes of shared memory suffice for such a run; see [`shared_memory_space`].
 pub fn check_shared_memory(ranks: usize, max_len: usize, available: u64) -> Result<(), SharedMemoryError> {
-    let required = required_shared_memory_bytes(ranks, max_len);
-    if required > available { Err(SharedMemoryError::TooSmall { required, available }) } else { Ok(()) }
+    check(required_shared_memory_bytes(ranks, max_len), available)
 }
 
 /// Size and free bytes of the machine's shared memory.

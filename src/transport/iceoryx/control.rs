@@ -15,7 +15,7 @@ use iceoryx2::service::port_factory::{blackboard, event};
 use thiserror::Error;
 
 use super::frame_ports::{FrameReceiver, FrameSender, FrameService, create_stream};
-use super::node::{Ipc, create_node, service_name, text};
+use super::node::{Ipc, create_node, create_wake, service_name, text};
 use crate::transport::process::ProcessWatch;
 use crate::transport::{RANKS_MAX, RunName, shared_memory};
 
@@ -115,6 +115,7 @@ impl ControlCoordinator {
         if ranks > RANKS_MAX {
             return Err(format!("{ranks} ranks, at most {RANKS_MAX} are possible").into());
         }
+        shared_memory::check_free_for_control(ranks).map_err(|error| error.to_string())?;
         let node = create_node(run, "coordinator")?;
         let (own_name, wake_name) = Names::of_coordinator()?;
         let mut creator = node.service_builder(&own_name).blackboard_creator::<u64>();
@@ -202,17 +203,10 @@ impl ControlCoordinator {
 
     /// True once a worker that has connected has ended, for whatever reason. A hung one has not; see
     /// [`ControlCoordinator::silence`].
-    pub fn has_ended(&mut self, rank: usize) -> Result<bool, ControlError> {
-        let pid = self.heartbeat(rank).pid as u32;
-        let link = self.link(rank)?;
-        if pid == 0 {
-            return Ok(false);
-        }
-        if link.watch.is_none() {
-            let watch = ProcessWatch::new(pid).map_err(|error| format!("cannot watch process {pid}: {error}"))?;
-            link.watch = Some(watch);
-        }
-        Ok(link.watch.as_ref().is_some_and(ProcessWatch::has_ended))
+    pub fn has_ended(&mut self, rank: usize) -> bool {
+        let Some(link) = self.links.get_mut(rank) else { return false };
+        let pid = link.heartbeat.get().pid as u32;
+        pid != 0 && link.watch.get_or_insert_with(|| ProcessWatch::new(pid)).has_ended()
     }
 }
 
@@ -252,16 +246,4 @@ impl Link {
         }
         Ok(())
     }
-}
-
-/// A wake-up service with one listener.
-fn create_wake(node: &Node<Ipc>, name: &ServiceName, notifiers: usize) -> Result<event::PortFactory<Ipc>, String> {
-    node.service_builder(name)
-        .event()
-        .max_listeners(1)
-        .max_notifiers(notifiers.max(1))
-        .max_nodes(notifiers + 1)
-        .event_id_max_value(0)
-        .create()
-        .map_err(text("wake-up service"))
 }

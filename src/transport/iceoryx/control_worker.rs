@@ -108,8 +108,7 @@ impl ControlWorker {
         let receiver = FrameReceiver::new(&down)?;
         shared_memory::reserve(run).map_err(|error| error.to_string())?;
 
-        let pid = *pid.get() as u32;
-        let coordinator = ProcessWatch::new(pid).map_err(|error| format!("cannot watch process {pid}: {error}"))?;
+        let coordinator = ProcessWatch::new(*pid.get() as u32);
         let first = Heartbeat { pid: u64::from(std::process::id()), ..Heartbeat::default() };
         let heartbeat = HeartbeatHandle { shared: Rc::new((heartbeat, Cell::new(first))) };
         heartbeat.beat();

@@ -18,6 +18,7 @@ mod control_worker;
 mod data;
 mod frame_ports;
 mod node;
+mod ports;
 
 pub use control::{ControlCoordinator, ControlError, Heartbeat};
 pub use control_worker::{ControlWorker, HeartbeatHandle};
