@@ -190,7 +190,7 @@ impl Crew {
             let pid = heartbeat.pid as u32;
             let place = if heartbeat.step == 0 { "while setting up".to_string() } else { format!("in step {}", heartbeat.step) };
             let child_ended = self.children.get_mut(rank).is_some_and(|child| matches!(child.try_wait(), Ok(Some(_))));
-            if child_ended || self.control.has_ended(rank)? {
+            if child_ended || self.control.has_ended(rank) {
                 let pid = self.children.get(rank).map_or(pid, Child::id);
                 // Its last words may be on the way.
                 if let Some(bytes) = self.control.try_receive(rank)?
@@ -228,7 +228,7 @@ impl Crew {
         if !self.all_gone() {
             for rank in 0..self.ranks() {
                 let pid = self.control.heartbeat(rank).pid as i32;
-                let gone = self.control.has_ended(rank).unwrap_or(true);
+                let gone = self.control.has_ended(rank);
                 if let (false, Some(pid)) = (gone, rustix::process::Pid::from_raw(pid)) {
                     let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
                 }
@@ -246,7 +246,7 @@ impl Crew {
     fn all_gone(&mut self) -> bool {
         let children = self.children.iter_mut().all(|child| !matches!(child.try_wait(), Ok(None)));
         let ranks = self.ranks();
-        children && (0..ranks).all(|rank| self.control.heartbeat(rank).pid == 0 || self.control.has_ended(rank).unwrap_or(true))
+        children && (0..ranks).all(|rank| self.control.heartbeat(rank).pid == 0 || self.control.has_ended(rank))
     }
 }
 
