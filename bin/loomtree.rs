@@ -20,10 +20,14 @@ enum Command {
     Run(cli::run::RunArgs),
     /// Show the work queues for a topology
     Schedule(cli::schedule::ScheduleArgs),
+    /// Check a scene or a mesh
+    Check(cli::check::CheckArgs),
     /// Draw the frames of a run as PNG
     Render(cli::render::RenderArgs),
     /// Show adapters, cores, shared memory and what dead runs have left
     Doctor(cli::doctor::DoctorArgs),
+    /// Measure this program on this machine
+    Bench(cli::bench::BenchArgs),
     /// A worker process; started by `loomtree run`
     #[command(hide = true)]
     Worker(cli::worker::WorkerArgs),
@@ -34,8 +38,10 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(args) => cli::run::run(args, Launch::Spawn),
         Command::Schedule(args) => cli::schedule::run(args),
+        Command::Check(args) => cli::check::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &[], triangles_of),
+        Command::Bench(args) => cli::bench::run(args),
         Command::Worker(args) => cli::worker::run(args),
     };
     cli::exit_code(result)

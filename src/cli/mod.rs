@@ -1,5 +1,7 @@
 //! Command line: one file per command; `bin/` only calls in here.
 
+pub mod bench;
+pub mod check;
 pub mod doctor;
 pub mod render;
 pub mod run;

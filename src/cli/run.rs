@@ -139,7 +139,8 @@ impl RunArgs {
     }
 }
 
-fn defaults() -> RunOptions {
+/// What a run does unless told otherwise.
+pub fn defaults() -> RunOptions {
     RunOptions {
         workers: 1,
         topology: None,

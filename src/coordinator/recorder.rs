@@ -128,6 +128,7 @@ impl Recorder {
             bytes_moved: spmv_bytes + ranks.iter().map(|rank| rank.state_bytes).sum::<u64>(),
             bytes_per_spmv: spmv_bytes / first.products.max(1) as u64,
             memory_bytes_per_rank: ranks.iter().map(|rank| rank.memory_bytes).collect(),
+            resident_bytes_per_rank: ranks.iter().map(|rank| rank.resident_bytes).collect(),
             ..StepRecord::default()
         };
         if !first.converged {

@@ -41,12 +41,13 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
             })?;
             match name.as_str() {
                 "vertex" => {
-                    let position = record.position().map_err(|what| ParseFault::whole(format!("vertex {i} {what}")))?;
+                    let position =
+                        record.position().map_err(|what| ParseFault::whole(format!("vertex {} {what}", i + 1)))?;
                     surface.positions.push(position);
                     vertex_uv.extend(record.uv());
                 }
                 "face" => {
-                    let fan = record.fan().map_err(|what| ParseFault::whole(format!("face {i} {what}")))?;
+                    let fan = record.fan().map_err(|what| ParseFault::whole(format!("face {} {what}", i + 1)))?;
                     corners_mapped &= record.texcoord.len() == 2 * record.indices.len();
                     for corners in fan {
                         surface.triangles.push(corners.map(|c| record.indices[c] as u32));
@@ -311,11 +312,11 @@ mod tests {
         let short = fault("0 0 0\n1 0\n0 0 0\n0 0 0\n3 0 1 2");
         assert_eq!((short.line, short.what.as_str()), (Some(11), "vertex 2 of 4: the line has too few values"));
         assert_eq!(fault(&format!("{vertices}3 0 1 4")).what, "vertex index 4, but only 4 vertices are defined");
-        assert_eq!(fault(&format!("{vertices}2 0 1")).what, "face 0 has 2 corners where at least 3 are needed");
-        assert_eq!(fault(&format!("{vertices}3 0 1 -1")).what, "face 0 has the vertex index -1");
+        assert_eq!(fault(&format!("{vertices}2 0 1")).what, "face 1 has 2 corners where at least 3 are needed");
+        assert_eq!(fault(&format!("{vertices}3 0 1 -1")).what, "face 1 has the vertex index -1");
         assert_eq!(
             fault(&format!("0 0 nan\n{}3 0 1 2", &vertices[6..])).what,
-            "vertex 0 has a coordinate that is not a finite number"
+            "vertex 1 has a coordinate that is not a finite number"
         );
         let cut = binary("binary_little_endian", u32::to_le_bytes, 3).unwrap_err();
         assert_eq!(cut.what, "face 1 of 1: the file ends here; is it cut off?");
