@@ -1,1 +1,21 @@
-//! (placeholder)
+//! Forces of the cloth as compact element records: the kernels here turn positions and velocities into records from which
+//! `assembly` fills forces and matrix blocks. Nothing is summed over elements here.
+//!
+//! Signs: a record describes a positive semidefinite stiffness K (the negative force Jacobian, projected), so that the
+//! system matrix is M + (dt^2 + dt*damping) K + dt D with D from the air drag [Li et al. 2020, Eq. 3].
+
+pub mod bend;
+mod bend_cpu;
+mod element;
+pub mod stretch;
+mod stretch_cpu;
+
+#[cfg(test)]
+mod tests;
+
+pub use bend_cpu::{bend_energy, dihedral_angle};
+pub use element::{
+    CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS,
+    TriangleElement, hinge_element, triangle_element,
+};
+pub use stretch_cpu::{stretch_energy, stretch_stiffness};

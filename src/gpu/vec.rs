@@ -118,6 +118,13 @@ impl<T: Pod> DeviceVec<T> {
         }
     }
 
+    /// Sets every item to zero; ordered with the kernels submitted before and after.
+    pub fn fill_zero(&mut self, _executor: &Executor) {
+        match &mut self.storage {
+            Storage::Cpu(own) => own.fill(T::zeroed()),
+        }
+    }
+
     /// The items, for CPU twins. Panics on a device array: a wrapper that gets here has matched on the wrong executor.
     pub fn as_slice(&self) -> &[T] {
         match &self.storage {

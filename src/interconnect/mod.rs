@@ -1,4 +1,25 @@
 //! Interconnect: topology file -> switch tree, work queues, schedules. Pure: no devices, no processes.
+//!
+//! Rank r of a run sits on GPU r of the topology. Every time computed here is modelled from the topology file; nothing
+//! in this folder measures anything. Each concept has one file:
+//! - [`Topology`]: switches, GPUs and links (`topology.rs`, its file form in `topology_file.rs`, paths in `routing.rs`);
+//! - [`fat_tree`], [`ring`], [`direct`], [`plan`]: work queues (`queues.rs`);
+//! - [`check_schedule`], [`root_crossings`]: what every schedule must hold (`check.rs`);
+//! - [`modelled_cost`]: stage times under link contention (`cost.rs`).
+
+mod check;
+mod cost;
+mod queues;
+mod routing;
+mod topology;
+mod topology_file;
+
+pub use check::{ScheduleFault, check_schedule, root_crossings};
+pub use cost::{ScheduleCost, modelled_cost};
+pub use queues::{Plan, ScheduleError, ScheduleKind, candidates, direct, fat_tree, plan, ring};
+pub use routing::Hop;
+pub use topology::{DeviceModel, Duplex, Link, MAX_GPUS, Topology};
+pub use topology_file::TopologyError;
 
 /// One entry of a work queue: in its stage the queue's rank receives sub-vector `vector` from rank `source`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -16,4 +37,11 @@ pub struct Schedule {
     pub gpus: usize,
     /// One queue per rank, each with one node per stage (`gpus - 1` of them).
     pub queues: Vec<Vec<QueueNode>>,
+}
+
+impl Schedule {
+    /// Number of transfer stages: one less than ranks, none for a single rank.
+    pub fn stages(&self) -> usize {
+        self.gpus.saturating_sub(1)
+    }
 }

@@ -1,1 +1,32 @@
-//! Frames, reports, traces, checkpoints, pictures. (placeholder)
+//! What a run leaves behind: frames, report, recipe, trace, checkpoints; and what is made from them: pictures, plots.
+//!
+//! Files appear whole or not at all (`atomic`). Nothing in here decides what is simulated.
+
+mod atomic;
+pub mod checkpoint;
+mod directory;
+mod frames;
+mod hash;
+mod machine;
+mod manifest;
+pub mod obj;
+pub mod pc2;
+pub mod picture;
+pub mod plot;
+pub mod ply;
+mod read;
+mod report;
+mod trace;
+
+pub use atomic::{WriteError, write_atomically};
+pub use checkpoint::Checkpoint;
+pub use directory::{DirectoryError, Existing, RunDirectory};
+pub use frames::{FormatError, FrameError, FrameFormat, FrameWriter, parse_formats};
+pub use hash::{scene_fingerprint, state_hash};
+pub use machine::Machine;
+pub use manifest::{Input, ManifestError, RunManifest};
+pub use read::{FrameMesh, FrameSource, FramesError, ReadError};
+pub use report::{
+    FrameRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, StageSeconds, Status, StepRecord,
+};
+pub use trace::{RankEvents, TraceWriter};

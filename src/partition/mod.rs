@@ -1,1 +1,126 @@
-//! (placeholder)
+//! Who owns which rows: chunks of rows, row blocks of ranks, and the halo each rank reads from the others.
+//!
+//! The chunks depend on the number of rows only, never on the number of ranks: dot products are summed per chunk and
+//! then over a fixed tree, so that they have the same bits for every rank count (`solver::reduction`).
+
+mod halo;
+
+pub use halo::{HaloPlan, HaloSource, halo_plans};
+
+use std::ops::Range;
+
+/// Upper bound on the number of chunks. Large enough that 16 ranks get equal shares within 4 percent, small enough that
+/// the partial sums of a dot product fit into a few cache lines.
+pub const CHUNKS_MAX: usize = 480;
+
+/// Rows of the global order, cut into chunks; every rank owns a contiguous range of chunks, hence of rows (its row
+/// block [Li et al. 2020, Eq. 4]).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct RowPartition {
+    rows: usize,
+    chunk_rows: usize,
+    ranks: usize,
+}
+
+impl RowPartition {
+    /// Splits `rows` rows over `ranks` ranks. Panics unless `1 <= ranks <= rows` (callers check user input first).
+    pub fn new(rows: usize, ranks: usize) -> RowPartition {
+        assert!(ranks >= 1 && ranks <= rows, "{ranks} ranks cannot share {rows} rows");
+        let mut chunk_rows = rows.div_ceil(CHUNKS_MAX).max(1);
+        // Tiny systems: more ranks than chunks would leave ranks without rows.
+        while rows.div_ceil(chunk_rows) < ranks {
+            chunk_rows -= 1;
+        }
+        RowPartition { rows, chunk_rows, ranks }
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Number of ranks.
+    pub fn ranks(&self) -> usize {
+        self.ranks
+    }
+
+    /// Rows per chunk (the last chunk may be shorter).
+    pub fn chunk_rows(&self) -> usize {
+        self.chunk_rows
+    }
+
+    /// Number of chunks.
+    pub fn chunks(&self) -> usize {
+        self.rows.div_ceil(self.chunk_rows)
+    }
+
+    /// Chunks of rank `rank`.
+    pub fn chunks_of(&self, rank: usize) -> Range<usize> {
+        let chunks = self.chunks();
+        (chunks * rank / self.ranks)..(chunks * (rank + 1) / self.ranks)
+    }
+
+    /// Rows of rank `rank`.
+    pub fn rows_of(&self, rank: usize) -> Range<usize> {
+        let chunks = self.chunks_of(rank);
+        (chunks.start * self.chunk_rows)..(chunks.end * self.chunk_rows).min(self.rows)
+    }
+
+    /// Length of every sub-vector, rows: the longest row block; shorter ones are padded with zeros [Li et al. 2020, Sec. 3.1].
+    pub fn sub_vector_rows(&self) -> usize {
+        (0..self.ranks).map(|r| self.rows_of(r).len()).max().unwrap_or(0)
+    }
+
+    /// Rank that owns `row`.
+    pub fn owner(&self, row: usize) -> usize {
+        let chunk = row / self.chunk_rows;
+        // Inverse of the rounding in `chunks_of`, at most one off.
+        let mut rank = (chunk * self.ranks / self.chunks()).min(self.ranks - 1);
+        while self.chunks_of(rank).end <= chunk {
+            rank += 1;
+        }
+        rank
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn row_blocks_cover_every_row_once_and_know_their_owner() {
+        for rows in [1, 2, 7, 16, 121, 479, 480, 481, 1000, 5000, 99_856] {
+            for ranks in (1..=16).filter(|&n| n <= rows) {
+                let p = RowPartition::new(rows, ranks);
+                let mut next = 0;
+                for rank in 0..ranks {
+                    let range = p.rows_of(rank);
+                    assert_eq!(range.start, next);
+                    assert!(!range.is_empty(), "rank {rank} of {ranks} has no rows of {rows}");
+                    assert!(range.len() <= p.sub_vector_rows());
+                    assert_eq!(p.owner(range.start), rank);
+                    assert_eq!(p.owner(range.end - 1), rank);
+                    next = range.end;
+                }
+                assert_eq!(next, rows);
+            }
+        }
+    }
+
+    #[test]
+    fn chunks_do_not_depend_on_the_rank_count_for_systems_larger_than_the_chunk_bound() {
+        let reference = RowPartition::new(50_000, 1).chunk_rows();
+        for ranks in 2..=16 {
+            assert_eq!(RowPartition::new(50_000, ranks).chunk_rows(), reference);
+        }
+    }
+
+    #[test]
+    fn row_blocks_are_balanced() {
+        for ranks in 1..=16 {
+            let p = RowPartition::new(600_000, ranks);
+            let mean = 600_000.0 / ranks as f64;
+            assert!(p.sub_vector_rows() as f64 <= 1.05 * mean, "{ranks} ranks: longest {}", p.sub_vector_rows());
+        }
+    }
+}

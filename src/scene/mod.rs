@@ -1,7 +1,88 @@
 //! Scene file -> validated [`Scene`]: sheets and meshes, fabrics, pins, wind, solver settings. No simulation state.
 
+mod arcsim;
+mod fabric;
+mod fields;
+mod file;
+mod json;
+mod motion;
+mod pieces;
+mod pins;
+mod sheet;
+
+use std::path::{Path, PathBuf};
+
 use crate::math::Vec3;
-use crate::mesh::TriangleMesh;
+use crate::mesh::{MeshReadError, TriangleMesh};
+
+pub use fabric::{load_fabric, parse_fabric};
+pub use sheet::{Sheet, sheet_cells};
+
+/// What the command line changes in a scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Overrides {
+    /// Triangles of all sheets together; meshes from files keep theirs.
+    pub resolution: Option<u64>,
+    /// Frames to write.
+    pub frames: Option<u32>,
+}
+
+/// Resolutions that a sheet can be made in, triangles.
+pub const RESOLUTIONS: std::ops::RangeInclusive<u64> = 2..=20_000_000;
+
+/// Longest scene text that is read; a scene is written by hand.
+const LONGEST_TEXT_BYTES: u64 = 16 << 20;
+
+/// Why a scene is refused: one sentence with the file and, where known, line and field.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// A file is missing or cannot be read, or is no scene at all.
+    #[error("{}: {what}", path.display())]
+    File { path: PathBuf, what: String },
+    /// The text is not TOML or JSON.
+    #[error("{}{}: {what}", path.display(), line_suffix(*line))]
+    Syntax { path: PathBuf, line: Option<usize>, what: String },
+    /// A field has a value it must not have.
+    #[error("{}{}: field `{field}`: {what}", path.display(), line_suffix(*line))]
+    Field { path: PathBuf, line: Option<usize>, field: String, what: String },
+    /// A mesh that the scene names is refused.
+    #[error(transparent)]
+    Mesh(#[from] MeshReadError),
+}
+
+fn line_suffix(line: Option<usize>) -> String {
+    line.map(|line| format!(", line {line}")).unwrap_or_default()
+}
+
+/// Reads and checks a scene: `.toml` in the format of `docs/scene.md`, `.json` in ARCSim's.
+pub fn load(path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
+    parse(&read_text(path)?, path, overrides)
+}
+
+/// [`load`] of a text that was the file `path`: files it names are looked up relative to that place.
+pub fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
+    match path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase().as_str() {
+        "toml" => file::parse(text, path, overrides),
+        "json" => arcsim::parse(text, path, overrides),
+        _ => Err(SceneError::File {
+            path: path.into(),
+            what: "a scene file ends in .toml (or .json for ARCSim's)".into(),
+        }),
+    }
+}
+
+fn read_text(path: &Path) -> Result<String, SceneError> {
+    let fault = |what: String| SceneError::File { path: path.into(), what };
+    let metadata = std::fs::metadata(path).map_err(|error| fault(format!("cannot be read: {error}")))?;
+    if !metadata.is_file() {
+        return Err(fault("cannot be read: it is not a file".into()));
+    }
+    if metadata.len() > LONGEST_TEXT_BYTES {
+        return Err(fault(format!("has {} bytes; a scene has at most {LONGEST_TEXT_BYTES}", metadata.len())));
+    }
+    let bytes = std::fs::read(path).map_err(|error| fault(format!("cannot be read: {error}")))?;
+    String::from_utf8(bytes).map_err(|_| fault("is not UTF-8 text".into()))
+}
 
 /// Everything a run needs to know about what is simulated; all checks have passed.
 #[derive(Clone, Debug)]
@@ -55,15 +136,16 @@ pub struct Pin {
     pub end_s: f64,
 }
 
-/// A rigid (or scaling) motion by keyframes, linear between them (rotation: slerp), constant outside.
-#[derive(Clone, Debug, PartialEq)]
+/// A rigid (or scaling) motion by keyframes, linear between them (rotation: slerp), constant outside;
+/// [`Motion::transform_at`] evaluates it.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Motion {
     /// Keyframes in ascending time.
     pub keyframes: Vec<Keyframe>,
 }
 
 /// One keyframe: x -> rotation * (scale * x) + translation, rotation about `pivot_m`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Keyframe {
     pub time_s: f64,
     pub translation_m: crate::math::DVec3,
@@ -73,7 +155,7 @@ pub struct Keyframe {
 }
 
 /// Numbers of a run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Settings {
     /// Length of a step, seconds.
     pub step_s: f64,

@@ -3,6 +3,20 @@
 //! Every rank makes the same sequence of calls on its transport (a collective program); messages of one source arrive in
 //! the order in which they were published. Each concept's implementations are siblings in this folder.
 
+mod iceoryx;
+mod in_process;
+mod process;
+mod run_name;
+mod shared_memory;
+mod wait;
+
+pub use iceoryx::{IceoryxOptions, IceoryxTransport};
+pub use in_process::InProcessTransport;
+pub use process::{ProcessWatch, start_ticks};
+pub use run_name::{FoundRun, Member, RunError, RunMember, RunName, SHARED_MEMORY_FOLDER, list_runs};
+pub use shared_memory::{SharedMemoryError, shared_memory_space};
+pub use wait::{HOOK_INTERVAL, WaitHook};
+
 use thiserror::Error;
 
 /// Why a transport call failed. All of them end the run of this rank.
@@ -25,6 +39,9 @@ pub enum TransportError {
 /// Most values that one rank may contribute to [`Transport::all_gather`].
 pub const ALL_GATHER_MAX: usize = 96;
 
+/// Most ranks of a run.
+pub const RANKS_MAX: usize = 64;
+
 /// One rank's connection to all others.
 pub trait Transport {
     /// Own rank.
@@ -39,6 +56,8 @@ pub trait Transport {
     fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError>;
     /// True if a message of `source` can be received without waiting.
     fn ready(&mut self, source: usize) -> bool;
+    /// Waits until a message of `source` can be received; lets a trace tell waiting from reading.
+    fn wait(&mut self, source: usize) -> Result<(), TransportError>;
     /// Gathers up to [`ALL_GATHER_MAX`] values of every rank: `out[r]` = what rank r contributed (the own rank too).
     /// One latency; this is what an all-reduce is built on (`solver::reduction` adds in a fixed order).
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError>;
@@ -47,4 +66,8 @@ pub trait Transport {
         let mut out = Vec::new();
         self.all_gather(&[], &mut out)
     }
+    /// Bytes of all messages published so far (counted once each, however many ranks read them).
+    fn bytes_published(&self) -> u64;
+    /// Bytes of all messages received so far.
+    fn bytes_received(&self) -> u64;
 }

@@ -1,0 +1,144 @@
+//! `loomtree render`: shaded pictures of a run's frames and a contact sheet.
+
+use std::io::{self, IsTerminal, Write};
+use std::ops::RangeInclusive;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use clap::Args;
+
+use super::CliError;
+use crate::output::picture::{Coloring, PictureError, PictureOptions, UpAxis, draw_frames};
+use crate::output::{FrameSource, FramesError, Report, RunDirectory};
+
+/// Draw shaded PNG pictures of a run's frames, and a contact sheet.
+#[derive(Args, Clone, Debug)]
+pub struct RenderArgs {
+    /// Run directory (what `loomtree run` was given as --out).
+    pub run_dir: PathBuf,
+    /// Draw every K-th frame.
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub every: u32,
+    /// Size of a picture in pixels.
+    #[arg(long, value_name = "WxH", default_value = "960x720")]
+    pub size: PictureSize,
+    /// Draw frames A to B (both included); either end may be left out.
+    #[arg(long, value_name = "A..B", default_value = "..")]
+    pub frames: FrameRange,
+    /// What colours mean: shaded, height or normal.
+    #[arg(long, value_name = "COLORING", default_value = "shaded")]
+    pub color: Coloring,
+    /// Axis that points up: y or z (default: against the run's gravity).
+    #[arg(long, value_name = "AXIS")]
+    pub up: Option<UpAxis>,
+    /// Direction of the camera around the up axis, degrees (default: where most of the cloth is seen).
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
+    pub azimuth: Option<f32>,
+    /// Height of the camera above the horizon, degrees (default: 15, or 35 for cloth that lies).
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
+    pub elevation: Option<f32>,
+}
+
+/// Width and height in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PictureSize {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+/// Sides of a picture: smaller shows nothing, larger needs gigabytes.
+const SIDES: RangeInclusive<u32> = 16..=8192;
+
+impl FromStr for PictureSize {
+    type Err = String;
+    fn from_str(text: &str) -> Result<PictureSize, String> {
+        let sides = text.split_once('x').and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?)));
+        match sides {
+            Some((width, height)) if SIDES.contains(&width) && SIDES.contains(&height) => {
+                Ok(PictureSize { width, height })
+            }
+            _ => Err(format!("{text:?} is no size; write WIDTHxHEIGHT with 16 to 8192 pixels each, such as 960x720")),
+        }
+    }
+}
+
+/// Frames from `first` to `last`, both included.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameRange {
+    /// First frame.
+    pub first: u32,
+    /// Last frame.
+    pub last: u32,
+}
+
+impl FromStr for FrameRange {
+    type Err = String;
+    fn from_str(text: &str) -> Result<FrameRange, String> {
+        let (first, last) = text.split_once("..").unwrap_or((text, text));
+        let end = |text: &str, open: u32| if text.is_empty() { Some(open) } else { text.parse().ok() };
+        match (end(first, 0), end(last, u32::MAX)) {
+            (Some(first), Some(last)) if first <= last && !text.is_empty() => Ok(FrameRange { first, last }),
+            _ => Err(format!("{text:?} is no range of frames; write A..B with A not above B, such as 0..120")),
+        }
+    }
+}
+
+/// Runs the command.
+pub fn run(args: RenderArgs) -> Result<(), CliError> {
+    let directory = RunDirectory::open(&args.run_dir).map_err(|e| CliError::bad_input(e.to_string()))?;
+    let source = FrameSource::open(&directory).map_err(|e| CliError::bad_input(e.to_string()))?;
+    let all = source.numbers();
+    let wanted = all.iter().copied().filter(|n| (args.frames.first..=args.frames.last).contains(n));
+    let numbers: Vec<u32> = wanted.step_by(args.every as usize).collect();
+    if numbers.is_empty() {
+        let (first, last) = (all.first().copied().unwrap_or(0), all.last().copied().unwrap_or(0));
+        let place = directory.path().display();
+        return Err(CliError::bad_input(format!("--frames names no frame of {place}; it holds {first}..{last}")));
+    }
+    let options = PictureOptions {
+        width: args.size.width,
+        height: args.size.height,
+        coloring: args.color,
+        up: args.up.unwrap_or_else(|| recorded_up(&directory)),
+        azimuth_deg: args.azimuth.filter(|a| a.is_finite()),
+        elevation_deg: args.elevation.filter(|e| e.is_finite()),
+        threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
+    };
+    let terminal = io::stderr().is_terminal();
+    let done = AtomicUsize::new(0);
+    let drawn = |_frame: u32| {
+        let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+        if terminal {
+            // Progress that nobody can read is no reason to stop.
+            let _ = write!(io::stderr(), "\r{done} of {} pictures", numbers.len());
+        }
+    };
+    let sheet = draw_frames(&directory, &source, &numbers, &options, &drawn);
+    if terminal {
+        let _ = writeln!(io::stderr());
+    }
+    let sheet = sheet.map_err(cli_error)?;
+    let pictures = directory.pictures();
+    // A closed pipe (`| head`) is no failure of the command.
+    let _ =
+        writeln!(io::stdout(), "{} pictures in {}, overview in {}", numbers.len(), pictures.display(), sheet.display());
+    Ok(())
+}
+
+/// The report's up axis; z if there is no report.
+fn recorded_up(directory: &RunDirectory) -> UpAxis {
+    let report = Report::load(&directory.report()).ok();
+    report.and_then(|r| r.header.up_axis.parse().ok()).unwrap_or_default()
+}
+
+fn cli_error(error: PictureError) -> CliError {
+    match &error {
+        PictureError::Frames(FramesError::Io { .. }) | PictureError::Write(_) | PictureError::Folder { .. } => {
+            CliError::failed(error.to_string())
+        }
+        PictureError::Frames(_) | PictureError::NothingToSee { .. } => CliError::bad_input(error.to_string()),
+    }
+}

@@ -1,0 +1,30 @@
+//! Bending elements [Wang et al. 2011; Bridson et al. 2003]: positions and velocities -> hinge records.
+//!
+//! A record is rank one, 64 bytes instead of 624:
+//! ```text
+//! [0..4) g_0, h*k    [4..8) g_1, moment    [8..12) g_2, 0    [12..16) g_3, 0
+//! ```
+//! g = gradient of the dihedral angle, k = torsion stiffness, h = dt^2 + dt*damping; the moment holds the dt K v and damping
+//! terms. Force on corner a: -moment * g_a; block (a, b): h*k * g_a g_b^T.
+
+use super::bend_cpu;
+use super::element::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams};
+use crate::gpu::{DeviceVec, Executor};
+
+/// The bending kernel on one executor.
+pub struct Bend {}
+
+impl Bend {
+    /// Prepares the kernel.
+    pub fn new(_executor: &Executor) -> Bend {
+        Bend {}
+    }
+
+    /// Fills `records` from the state of `elements`. `positions`, `velocities`: xyz of every local vertex.
+    pub fn apply(&self, executor: &Executor, params: &StepParams, fabrics: &DeviceVec<FabricTable>, elements: &DeviceVec<HingeElement>, positions: &DeviceVec<f32>, velocities: &DeviceVec<f32>, records: &mut DeviceVec<f32>) {
+        assert_eq!(records.len(), elements.len() * HINGE_RECORD_FLOATS);
+        match executor {
+            Executor::Cpu(cpu) => bend_cpu::bend(cpu, params, fabrics.as_slice(), elements.as_slice(), positions.as_slice(), velocities.as_slice(), records.as_mut_slice()),
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Elements: what a kernel needs to know of a triangle or a hinge besides positions and velocities. Plain data that
+//! travels from the coordinator to the workers and to the device as it is.
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::math::{DVec2, Vec2, Vec3};
+use crate::scene::Fabric;
+
+/// Corners of a triangle element.
+pub const CORNERS_TRIANGLE: usize = 3;
+/// Corners of a hinge element.
+pub const CORNERS_HINGE: usize = 4;
+/// Length of a triangle record (layout: `stretch`).
+pub const TRIANGLE_RECORD_FLOATS: usize = 24;
+/// Length of a hinge record (layout: `bend`).
+pub const HINGE_RECORD_FLOATS: usize = 16;
+
+/// Stretch element: a triangle and its rest shape.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct TriangleElement {
+    /// Local vertex indices.
+    pub vertices: [u32; 3],
+    /// Index into the fabric table.
+    pub fabric: u32,
+    /// d(position)/d(warp) = sum over corners of weight * position; weights of corners 1 and 2 (corner 0: minus their sum), 1/m.
+    pub weights_u: [f32; 2],
+    /// The same for the weft.
+    pub weights_v: [f32; 2],
+    /// Rest area, m^2.
+    pub area_m2: f32,
+    /// Fills the struct to a multiple of 16 bytes.
+    pub padding: [f32; 3],
+}
+
+impl TriangleElement {
+    /// Weights (warp, weft) of all three corners.
+    pub fn corner_weights(&self) -> [[f32; 2]; 3] {
+        let ([u1, u2], [v1, v2]) = (self.weights_u, self.weights_v);
+        [[-(u1 + u2), -(v1 + v2)], [u1, v1], [u2, v2]]
+    }
+}
+
+/// Bending element: an interior edge with the two triangles beside it.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct HingeElement {
+    /// Local vertex indices: edge start, edge end, opposite vertex of triangle 0, opposite vertex of triangle 1.
+    pub vertices: [u32; 4],
+    /// Bending stiffness (N m) times this = torsion stiffness of the hinge: l^2 / (4 a), a = area of both triangles.
+    pub shape: f32,
+    /// Curvature (1/m) = this * dihedral angle: l / a.
+    pub curvature_from_angle: f32,
+    /// Dihedral angle at rest, radians.
+    pub rest_angle: f32,
+    /// Fills the struct to a multiple of 16 bytes.
+    pub padding: f32,
+    /// Direction of the edge in material space on each side: 0 = warp, 1 = 45 degrees, 2 = weft.
+    pub bias: [f32; 2],
+    /// Fabric of each side.
+    pub fabric: [u32; 2],
+}
+
+/// What all elements of a step share; uniform of the element kernels.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct StepParams {
+    /// Step length, seconds.
+    pub step_s: f32,
+    /// Density of the air, kg/m^3.
+    pub air_density: f32,
+    /// Tangential drag, kg/(m^2 s).
+    pub air_drag: f32,
+    /// Number of elements.
+    pub count: u32,
+    /// Velocity of the air, m/s.
+    pub wind: [f32; 3],
+    /// Fills the struct to a multiple of 16 bytes.
+    pub padding: f32,
+}
+
+/// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping; 40 floats.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct FabricTable {
+    /// As [`Fabric::stretching_n_m`].
+    pub stretching: [[f32; 4]; 6],
+    /// As [`Fabric::bending_n_m`], row after row.
+    pub bending: [f32; 15],
+    /// Stiffness-proportional damping, seconds.
+    pub damping_s: f32,
+}
+
+impl From<&Fabric> for FabricTable {
+    fn from(fabric: &Fabric) -> FabricTable {
+        let mut bending = [0.0; 15];
+        for (to, from) in bending.iter_mut().zip(fabric.bending_n_m.iter().flatten()) {
+            *to = *from as f32;
+        }
+        FabricTable {
+            stretching: fabric.stretching_n_m.map(|row| row.map(|k| k as f32)),
+            bending,
+            damping_s: fabric.damping_s as f32,
+        }
+    }
+}
+
+/// Rest shape of a triangle with material coordinates `uv`. The caller has refused zero areas.
+pub fn triangle_element(vertices: [u32; 3], fabric: u32, uv: [Vec2; 3]) -> TriangleElement {
+    let [a, b, c] = uv.map(|p| DVec2::new(p.x as f64, p.y as f64));
+    let (e1, e2) = (b - a, c - a);
+    let det = e1.x * e2.y - e1.y * e2.x;
+    // Rows of the inverse of [e1 e2]: gradients of the barycentric coordinates of corners 1 and 2.
+    let (w1, w2) = (DVec2::new(e2.y, -e2.x) / det, DVec2::new(-e1.y, e1.x) / det);
+    TriangleElement {
+        vertices,
+        fabric,
+        weights_u: [w1.x as f32, w2.x as f32],
+        weights_v: [w1.y as f32, w2.y as f32],
+        area_m2: (0.5 * det.abs()) as f32,
+        padding: [0.0; 3],
+    }
+}
+
+/// Rest shape of a hinge. `uv_edge[side]` = material coordinates of the edge's two ends on that side, `areas_m2` = rest
+/// areas of the two triangles. Edge direction -> bias as in [Wang et al. 2011]: samples at 0, 45 and 90 degrees.
+pub fn hinge_element(vertices: [u32; 4], fabric: [u32; 2], uv_edge: [[Vec2; 2]; 2], areas_m2: [f64; 2], rest_angle: f32) -> HingeElement {
+    let bias = uv_edge.map(|[p, q]| {
+        let d = DVec2::new((q.x - p.x) as f64, (q.y - p.y) as f64);
+        (d.y.abs().atan2(d.x.abs()) * 4.0 / std::f64::consts::PI) as f32
+    });
+    let length = 0.5 * uv_edge.iter().map(|[p, q]| (*q - *p).as_dvec2().length()).sum::<f64>();
+    let area = areas_m2[0] + areas_m2[1];
+    HingeElement {
+        vertices,
+        shape: (length * length / (4.0 * area)) as f32,
+        curvature_from_angle: (length / area) as f32,
+        rest_angle,
+        padding: 0.0,
+        bias,
+        fabric,
+    }
+}
+
+/// Vertex `v` of a packed xyz array.
+#[inline(always)]
+pub(super) fn vertex(values: &[f32], v: u32) -> Vec3 {
+    let at = v as usize * 3;
+    Vec3::new(values[at], values[at + 1], values[at + 2])
+}

@@ -1,0 +1,106 @@
+//! Prescribed vertices of a rank: which are held at a time and where they have to be. Host only; a cloth has few of them.
+//!
+//! A pin moves by the *change* of its motion since it took hold, so a pin that takes hold later does not jump. Targets
+//! depend on the scene and on the state at t0 only, never on the steps before: a resumed run gives the same bits.
+
+use crate::math::{DVec3, Vec3};
+use crate::scene::Motion;
+
+/// A pin on an own row.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RankPin {
+    /// Own row.
+    pub row: u32,
+    /// Start position of the vertex, metres.
+    pub start_m: [f32; 3],
+    /// Motion, if it moves.
+    pub motion: Option<u32>,
+    /// Held from, seconds.
+    pub start_s: f64,
+    /// Held until, seconds.
+    pub end_s: f64,
+}
+
+/// State of a held row at t0.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    position: Vec3,
+    velocity: Vec3,
+}
+
+/// All pins of a rank.
+#[derive(Debug)]
+pub struct Pins {
+    pins: Vec<RankPin>,
+    held: Vec<Option<Held>>,
+}
+
+/// Rows to prescribe in a step.
+#[derive(Debug, Default, PartialEq)]
+pub struct PinTargets {
+    /// Own rows, in the order of the pins.
+    pub rows: Vec<u32>,
+    /// Positions at t1, metres.
+    pub positions: Vec<[f32; 3]>,
+    /// Velocities at t1, m/s.
+    pub velocities: Vec<[f32; 3]>,
+    /// Velocity changes over the step, m/s.
+    pub velocity_changes: Vec<[f32; 3]>,
+}
+
+impl Pins {
+    /// No pin is held yet.
+    pub fn new(pins: Vec<RankPin>) -> Pins {
+        Pins { held: vec![None; pins.len()], pins }
+    }
+
+    /// True if the set of held rows changes in the step that starts at `time_s` (always in the first step of a run or resume).
+    pub fn changes(&self, time_s: f64, step_s: f64) -> bool {
+        self.pins.iter().zip(&self.held).any(|(pin, held)| is_held(pin, time_s, step_s) != held.is_some())
+    }
+
+    /// Takes hold of and releases pins for the step that starts at `time_s`, given the own rows' state. Call when
+    /// [`Pins::changes`]; returns the held rows.
+    pub fn regrip(&mut self, time_s: f64, step_s: f64, positions: &[f32], velocities: &[f32]) -> Vec<u32> {
+        for (pin, held) in self.pins.iter().zip(&mut self.held) {
+            if !is_held(pin, time_s, step_s) {
+                *held = None;
+            } else if held.is_none() {
+                let at = pin.row as usize * 3;
+                *held = Some(Held { position: Vec3::from_slice(&positions[at..at + 3]), velocity: Vec3::from_slice(&velocities[at..at + 3]) });
+            }
+        }
+        self.pins.iter().zip(&self.held).filter(|(_, held)| held.is_some()).map(|(pin, _)| pin.row).collect()
+    }
+
+    /// Targets of the step from `time_s` to `time_s + step_s`; remembers them as the state at t1.
+    pub fn targets(&mut self, time_s: f64, step_s: f64, motions: &[Motion]) -> PinTargets {
+        let mut out = PinTargets::default();
+        for (pin, held) in self.pins.iter().zip(&mut self.held) {
+            let Some(held) = held else { continue };
+            // A pin held from the beginning follows its motion without adding up rounding errors.
+            let (from, since) = if pin.start_s <= 0.0 { (DVec3::from_array(pin.start_m.map(f64::from)), 0.0) } else { (held.position.as_dvec3(), time_s) };
+            let target = match pin.motion {
+                Some(_) => (from + (moved(pin, motions, time_s + step_s) - moved(pin, motions, since))).as_vec3(),
+                None => held.position,
+            };
+            let velocity = (target - held.position) / step_s as f32;
+            out.rows.push(pin.row);
+            out.positions.push(target.to_array());
+            out.velocities.push(velocity.to_array());
+            out.velocity_changes.push((velocity - held.velocity).to_array());
+            (held.position, held.velocity) = (target, velocity);
+        }
+        out
+    }
+}
+
+fn is_held(pin: &RankPin, time_s: f64, step_s: f64) -> bool {
+    // Half a step of slack: a pin that ends at a step's end is held through that step, whatever the rounding of the time.
+    time_s + 0.5 * step_s >= pin.start_s && time_s + 0.5 * step_s <= pin.end_s
+}
+
+fn moved(pin: &RankPin, motions: &[Motion], time_s: f64) -> DVec3 {
+    let start = DVec3::from_array(pin.start_m.map(f64::from));
+    pin.motion.map_or(start, |m| motions[m as usize].transform_at(time_s).transform_point3(start))
+}

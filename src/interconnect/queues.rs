@@ -1,0 +1,168 @@
+//! Work queues: which rank receives which sub-vector from whom in which stage. Every schedule here passes
+//! [`super::check_schedule`]; which one is cheapest is a matter of the modelled cost (`cost.rs`).
+
+use super::cost::{ScheduleCost, modelled_cost};
+use super::topology::Topology;
+use super::{QueueNode, Schedule};
+
+/// A way to make work queues.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScheduleKind {
+    /// The cheapest of the others by modelled cost.
+    Auto,
+    /// The recursion of the paper, for powers of two [Li et al. 2020, Sec. 3.1.2].
+    FatTree,
+    /// Everybody forwards to the next in tree order.
+    Ring,
+    /// Everybody pulls from every owner.
+    Direct,
+}
+
+impl ScheduleKind {
+    /// All kinds, in the order in which they are offered to the user.
+    pub const ALL: [ScheduleKind; 4] =
+        [ScheduleKind::Auto, ScheduleKind::FatTree, ScheduleKind::Ring, ScheduleKind::Direct];
+
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            ScheduleKind::Auto => "auto",
+            ScheduleKind::FatTree => "fat-tree",
+            ScheduleKind::Ring => "ring",
+            ScheduleKind::Direct => "direct",
+        }
+    }
+}
+
+impl std::fmt::Display for ScheduleKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// Why there are no work queues.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ScheduleError {
+    /// The paper's recursion halves the ranks until one is left.
+    #[error("schedule fat-tree needs a power of two of GPUs and there are {gpus}: use ring, direct or auto")]
+    NotPowerOfTwo {
+        /// GPUs there are.
+        gpus: usize,
+    },
+}
+
+/// Work queues of the paper's recursion [Li et al. 2020, Sec. 3.1.2] for a binary tree with ranks 0..n-1 at its leaves.
+///
+/// For a switch over two halves of h ranks each: the queues of the halves; then the halves swap what they own across the
+/// switch; then the queues of the halves again, same sources, for the sub-vectors of the other half. The printed text
+/// uses `m` both as split point and as offset and names no source for step 3; offset h and unchanged sources are what
+/// makes each source hold what it sends. Every sub-vector crosses the root once, all of them in stage n/2.
+pub fn fat_tree(gpus: usize) -> Result<Schedule, ScheduleError> {
+    if !gpus.is_power_of_two() {
+        return Err(ScheduleError::NotPowerOfTwo { gpus });
+    }
+    Ok(Schedule { gpus, queues: switch_queues(0, gpus) })
+}
+
+/// Queues of ranks `first..first + width` among themselves.
+fn switch_queues(first: usize, width: usize) -> Vec<Vec<QueueNode>> {
+    if width == 1 {
+        return vec![Vec::new()];
+    }
+    let half = width / 2;
+    let left = switch_queues(first, half);
+    let right = switch_queues(first + half, half);
+    let other_half = |queue: Vec<QueueNode>, rank: usize, across: usize, offset: isize| {
+        let again: Vec<QueueNode> = queue
+            .iter()
+            .map(|node| QueueNode { source: node.source, vector: node.vector.wrapping_add_signed(offset) })
+            .collect();
+        debug_assert_eq!(rank.wrapping_add_signed(offset), across);
+        let mut whole = queue;
+        whole.push(QueueNode { source: across, vector: across });
+        whole.extend(again);
+        whole
+    };
+    let left = left.into_iter().zip(first..).map(|(q, i)| other_half(q, i, i + half, half as isize));
+    let right = right.into_iter().zip(first + half..).map(|(q, j)| other_half(q, j, j - half, -(half as isize)));
+    left.chain(right).collect()
+}
+
+/// Work queues of an in-order ring: in stage s (from 1) rank r receives from its predecessor the sub-vector that is s
+/// places behind. Any number of ranks.
+pub fn ring(gpus: usize) -> Schedule {
+    let queue = |rank: usize| {
+        let node = |stage| QueueNode { source: (rank + gpus - 1) % gpus, vector: (rank + gpus - stage) % gpus };
+        (1..gpus).map(node).collect()
+    };
+    Schedule { gpus, queues: (0..gpus).map(queue).collect() }
+}
+
+/// Work queues without forwarding: in stage s (from 1) rank r pulls from the owner s places ahead, so that no two ranks
+/// pull from the same owner in one stage. Any number of ranks.
+pub fn direct(gpus: usize) -> Schedule {
+    let queue = |rank: usize| {
+        let node = |stage| QueueNode { source: (rank + stage) % gpus, vector: (rank + stage) % gpus };
+        (1..gpus).map(node).collect()
+    };
+    Schedule { gpus, queues: (0..gpus).map(queue).collect() }
+}
+
+/// The same schedule with rank `order[p]` in the place of rank p. `order` is a permutation of 0..gpus.
+fn in_order(schedule: Schedule, order: &[usize]) -> Schedule {
+    let mut queues = vec![Vec::new(); schedule.gpus];
+    for (place, queue) in schedule.queues.into_iter().enumerate() {
+        let renamed = |node: QueueNode| QueueNode { source: order[node.source], vector: order[node.vector] };
+        queues[order[place]] = queue.into_iter().map(renamed).collect();
+    }
+    Schedule { gpus: schedule.gpus, queues }
+}
+
+/// Work queues made for a topology, and what they cost by the model.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// How they were made; never [`ScheduleKind::Auto`].
+    pub kind: ScheduleKind,
+    /// The work queues.
+    pub schedule: Schedule,
+    /// Modelled, not measured.
+    pub cost: ScheduleCost,
+}
+
+/// Work queues of the wanted kind for a topology, ranks taken in tree order ([`Topology::leaf_order`]), so that GPU ids
+/// may be numbered in any way. `sub_vector_bytes` = size of one sub-vector.
+pub fn plan(kind: ScheduleKind, topology: &Topology, sub_vector_bytes: f64) -> Result<Plan, ScheduleError> {
+    let gpus = topology.gpus();
+    let schedule = match kind {
+        ScheduleKind::FatTree => fat_tree(gpus)?,
+        ScheduleKind::Ring => ring(gpus),
+        ScheduleKind::Direct => direct(gpus),
+        ScheduleKind::Auto => return Ok(cheapest(topology, sub_vector_bytes)),
+    };
+    Ok(priced(kind, schedule, topology, sub_vector_bytes))
+}
+
+/// One plan for every kind that is applicable to the topology. On equal cost `auto` takes the earlier one: without
+/// forwarding first (no rank waits for another's receipt), then the simpler one.
+pub fn candidates(topology: &Topology, sub_vector_bytes: f64) -> Vec<Plan> {
+    [ScheduleKind::Direct, ScheduleKind::Ring, ScheduleKind::FatTree]
+        .into_iter()
+        .filter_map(|kind| plan(kind, topology, sub_vector_bytes).ok())
+        .collect()
+}
+
+fn cheapest(topology: &Topology, sub_vector_bytes: f64) -> Plan {
+    // Sums in different order differ in the last bits; that must not decide.
+    const EQUAL: f64 = 1.0 - 1e-9;
+    let direct = priced(ScheduleKind::Direct, direct(topology.gpus()), topology, sub_vector_bytes);
+    candidates(topology, sub_vector_bytes)
+        .into_iter()
+        .fold(direct, |best, other| if other.cost.total_s < best.cost.total_s * EQUAL { other } else { best })
+}
+
+fn priced(kind: ScheduleKind, schedule: Schedule, topology: &Topology, sub_vector_bytes: f64) -> Plan {
+    let schedule = in_order(schedule, &topology.leaf_order());
+    let cost = modelled_cost(&schedule, topology, sub_vector_bytes);
+    Plan { kind, schedule, cost }
+}

@@ -1,0 +1,99 @@
+//! Paths between GPUs, found once per topology. A path is fixed: transfers do not choose another one under load.
+
+use super::topology::Graph;
+
+/// One link of a path, and the direction in which it is used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Hop {
+    /// Index into `Topology::links`.
+    pub link: usize,
+    /// True from the link's first end to its second.
+    pub forward: bool,
+}
+
+/// The path of every ordered pair of GPUs.
+#[derive(Clone, Debug)]
+pub(super) struct Routes {
+    gpus: usize,
+    paths: Vec<Vec<Hop>>,
+}
+
+impl Routes {
+    /// Finds for every pair the widest path (largest bandwidth of its narrowest link), among those the one with fewest
+    /// links, among those the first in file order. Err: two GPUs without a path.
+    pub fn find(graph: &Graph) -> Result<Routes, (usize, usize)> {
+        let mut widths: Vec<f64> = graph.links.iter().map(|link| link.bandwidth_gb_s).collect();
+        widths.sort_by(|a, b| b.total_cmp(a));
+        widths.dedup();
+        let mut neighbours = vec![Vec::new(); graph.nodes];
+        for (index, link) in graph.links.iter().enumerate() {
+            let [a, b] = link.ends;
+            neighbours[a].push((b, Hop { link: index, forward: true }));
+            neighbours[b].push((a, Hop { link: index, forward: false }));
+        }
+        let mut paths = vec![Vec::new(); graph.gpus * graph.gpus];
+        for from in 0..graph.gpus {
+            let mut missing = graph.gpus - 1;
+            for width in &widths {
+                if missing == 0 {
+                    break;
+                }
+                let arrival = breadth_first(graph, &neighbours, from, *width);
+                for to in 0..graph.gpus {
+                    let path = &mut paths[from * graph.gpus + to];
+                    if to != from && path.is_empty() && arrival[to].is_some() {
+                        *path = trace_back(&arrival, from, to);
+                        missing -= 1;
+                    }
+                }
+            }
+            if let Some(to) = (0..graph.gpus).find(|to| *to != from && paths[from * graph.gpus + to].is_empty()) {
+                return Err((from, to));
+            }
+        }
+        Ok(Routes { gpus: graph.gpus, paths })
+    }
+
+    /// The links from `from` to `to` in order.
+    pub fn path(&self, from: usize, to: usize) -> &[Hop] {
+        assert!(from < self.gpus && to < self.gpus, "no path from GPU {from} to {to} of {}", self.gpus);
+        &self.paths[from * self.gpus + to]
+    }
+}
+
+/// For every node reached from `from` over links of at least `width`: the node before it and the link between.
+fn breadth_first(
+    graph: &Graph,
+    neighbours: &[Vec<(usize, Hop)>],
+    from: usize,
+    width: f64,
+) -> Vec<Option<(usize, Hop)>> {
+    let mut arrival = vec![None; graph.nodes];
+    let mut queue = std::collections::VecDeque::from([from]);
+    while let Some(node) = queue.pop_front() {
+        // A GPU ends a path unless it passes transfers on.
+        if node != from && node < graph.gpus && !graph.gpus_forward {
+            continue;
+        }
+        for &(next, hop) in &neighbours[node] {
+            let wide_enough = graph.links[hop.link].bandwidth_gb_s >= width;
+            if wide_enough && next != from && arrival[next].is_none() {
+                arrival[next] = Some((node, hop));
+                queue.push_back(next);
+            }
+        }
+    }
+    arrival
+}
+
+fn trace_back(arrival: &[Option<(usize, Hop)>], from: usize, to: usize) -> Vec<Hop> {
+    let mut path = Vec::new();
+    let mut node = to;
+    while node != from {
+        let Some((before, hop)) = arrival[node] else { break };
+        path.push(hop);
+        node = before;
+    }
+    path.reverse();
+    path
+}

@@ -1,0 +1,414 @@
+//! The switch graph of a machine: GPUs, switches, links, and the model of one GPU. Does not read files and does not know
+//! what is sent; bandwidths and latencies are what the author of the topology stated, never measured here.
+
+use super::routing::{Hop, Routes};
+use super::topology_file::TopologyError;
+
+/// Most GPUs (= ranks) that a topology may have.
+pub const MAX_GPUS: usize = 64;
+/// Most switches and links: far more than 64 GPUs need, few enough to route at once.
+const MAX_SWITCHES: usize = 256;
+const MAX_LINKS: usize = 1024;
+const MAX_NAME_CHARS: usize = 64;
+
+/// Whether the two directions of a link share its bandwidth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Duplex {
+    /// Each direction has the whole bandwidth.
+    Full,
+    /// Both directions share the bandwidth.
+    Half,
+}
+
+/// A cable or bus between two nodes. Nodes are numbered GPUs first (node = GPU id), then switches in file order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Link {
+    /// The two nodes that it joins.
+    pub ends: [usize; 2],
+    /// Usable bandwidth, 10^9 bytes/s: per direction if full duplex, of both directions together if half duplex.
+    pub bandwidth_gb_s: f64,
+    /// Time that a transfer needs for this link on top of its bytes, microseconds.
+    pub latency_us: f64,
+    /// Whether the directions share the bandwidth.
+    pub duplex: Duplex,
+}
+
+/// The GPU that sits at every leaf.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeviceModel {
+    /// Product name.
+    pub name: String,
+    /// Device memory, 10^9 bytes.
+    pub memory_gb: f64,
+    /// Bandwidth of the device memory, 10^9 bytes/s.
+    pub bandwidth_gb_s: f64,
+    /// Single-precision rate, 10^9 operations/s.
+    pub gflops: f64,
+}
+
+/// A machine: connected, with GPU ids 0..n-1 and a path between every two GPUs.
+#[derive(Clone, Debug)]
+pub struct Topology {
+    name: String,
+    device: DeviceModel,
+    gpu_names: Vec<String>,
+    switch_names: Vec<String>,
+    links: Vec<Link>,
+    gpus_forward: bool,
+    routes: Routes,
+}
+
+/// An unchecked topology: what a file or a generator states.
+pub(super) struct Parts {
+    pub name: String,
+    pub device: DeviceModel,
+    /// (id, name) in the order stated.
+    pub gpus: Vec<(usize, String)>,
+    /// The first one is the root.
+    pub switches: Vec<String>,
+    /// Ends by name, then the link's numbers (its `ends` are filled in by the check).
+    pub links: Vec<([String; 2], Link)>,
+    pub gpus_forward: bool,
+}
+
+/// What part of a topology is wrong; a file reader turns it into a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    Whole,
+    Device,
+    Gpu(usize),
+    Switch(usize),
+    Link(usize),
+}
+
+/// Why [`Parts`] are no topology.
+#[derive(Debug)]
+pub(super) struct Fault {
+    pub place: Place,
+    pub message: String,
+}
+
+fn fault<T>(place: Place, message: String) -> Result<T, Fault> {
+    Err(Fault { place, message })
+}
+
+impl Topology {
+    /// The topology of a run that names none: a balanced binary tree of PCIe 3 x16 links (12 GB/s usable, full duplex)
+    /// over `gpus` GPUs, which takes the same schedules as the machines of [Li et al. 2020, Sec. 5].
+    /// Fails if `gpus` is not within 1..=[`MAX_GPUS`].
+    pub fn default_for(gpus: usize) -> Result<Topology, TopologyError> {
+        Topology::balanced_tree(gpus, 12.0, 2.0, Duplex::Full)
+    }
+
+    /// A balanced binary tree of equal links; the left half takes the larger part. A single GPU has no switch.
+    /// Fails if `gpus` is not within 1..=[`MAX_GPUS`] or a link's number is out of range.
+    pub fn balanced_tree(
+        gpus: usize,
+        bandwidth_gb_s: f64,
+        latency_us: f64,
+        duplex: Duplex,
+    ) -> Result<Topology, TopologyError> {
+        if gpus == 0 || gpus > MAX_GPUS {
+            return Err(TopologyError::GpuCount { gpus });
+        }
+        let device =
+            DeviceModel { name: "NVIDIA Titan Xp".into(), memory_gb: 12.0, bandwidth_gb_s: 547.7, gflops: 12_150.0 };
+        let link = Link { ends: [0, 0], bandwidth_gb_s, latency_us, duplex };
+        let mut parts = Parts {
+            name: format!("balanced tree of {gpus}"),
+            device,
+            gpus: (0..gpus).map(|id| (id, format!("gpu{id}"))).collect(),
+            switches: Vec::new(),
+            links: Vec::new(),
+            gpus_forward: false,
+        };
+        grow(&mut parts, 0, gpus, link);
+        Topology::build(parts).map_err(|fault| TopologyError::Malformed {
+            file: format!("balanced tree of {gpus}"),
+            line: None,
+            message: fault.message,
+        })
+    }
+
+    /// The same machine with GPUs 0..`gpus` only (all switches stay): for a run with fewer workers than the machine has
+    /// GPUs. Fails if the machine has fewer, or if the rest is no longer connected.
+    pub fn with_first_gpus(&self, gpus: usize) -> Result<Topology, TopologyError> {
+        if gpus == 0 || gpus > self.gpus() {
+            return Err(TopologyError::TooFewGpus { name: self.name.clone(), has: self.gpus(), asked: gpus });
+        }
+        let kept = |node: usize| node < gpus || node >= self.gpus();
+        let parts = Parts {
+            name: self.name.clone(),
+            device: self.device.clone(),
+            gpus: self.gpu_names[..gpus].iter().cloned().enumerate().collect(),
+            switches: self.switch_names.clone(),
+            links: self
+                .links
+                .iter()
+                .filter(|link| link.ends.into_iter().all(kept))
+                .map(|link| (link.ends.map(|node| self.node_name(node).to_owned()), *link))
+                .collect(),
+            gpus_forward: self.gpus_forward,
+        };
+        Topology::build(parts).map_err(|fault| TopologyError::Malformed {
+            file: format!("{} cut to {gpus} GPUs", self.name),
+            line: None,
+            message: fault.message,
+        })
+    }
+
+    /// Checks everything that is promised on [`Topology`] and finds all paths.
+    pub(super) fn build(parts: Parts) -> Result<Topology, Fault> {
+        let Parts { name, device, gpus, switches, links, gpus_forward } = parts;
+        check_device(&device)?;
+        if let Err(message) = check_name(&name) {
+            return fault(Place::Whole, format!("name: {message}"));
+        }
+        let gpu_names = names_by_id(&gpus)?;
+        if switches.len() > MAX_SWITCHES {
+            return fault(
+                Place::Whole,
+                format!("switches: at most {MAX_SWITCHES} are allowed, this file has {}", switches.len()),
+            );
+        }
+        let mut node_of_name = std::collections::HashMap::new();
+        let named_gpus = gpus.iter().enumerate().map(|(i, (id, name))| (Place::Gpu(i), name, *id));
+        let named_switches = switches.iter().enumerate().map(|(i, name)| (Place::Switch(i), name, gpu_names.len() + i));
+        for (place, name, node) in named_gpus.chain(named_switches) {
+            if let Err(message) = check_name(name) {
+                return fault(place, message);
+            }
+            if node_of_name.insert(name.clone(), node).is_some() {
+                return fault(place, format!("the name `{name}` is given twice, names must be unique"));
+            }
+        }
+        let links = check_links(links, &node_of_name)?;
+        let nodes = gpu_names.len() + switches.len();
+        let graph = Graph { nodes, gpus: gpu_names.len(), links: &links, gpus_forward };
+        check_connected(&graph, &gpus, &switches)?;
+        let routes = match Routes::find(&graph) {
+            Ok(routes) => routes,
+            Err((from, to)) => {
+                return fault(
+                    Place::Gpu(gpus.iter().position(|(id, _)| *id == to).unwrap_or(0)),
+                    format!(
+                        "GPU `{}` reaches GPU `{}` only through other GPUs: add a link, or set gpus_forward = true \
+                         if these GPUs pass transfers on",
+                        gpu_names[from], gpu_names[to]
+                    ),
+                );
+            }
+        };
+        Ok(Topology { name, device, gpu_names, switch_names: switches, links, gpus_forward, routes })
+    }
+
+    /// Number of GPUs.
+    pub fn gpus(&self) -> usize {
+        self.gpu_names.len()
+    }
+
+    /// Name of the machine.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The GPU at every leaf.
+    pub fn device(&self) -> &DeviceModel {
+        &self.device
+    }
+
+    /// All links.
+    pub fn links(&self) -> &[Link] {
+        &self.links
+    }
+
+    /// Name of a GPU (node = id) or switch (nodes after the GPUs).
+    ///
+    /// # Panics
+    /// If there is no such node.
+    pub fn node_name(&self, node: usize) -> &str {
+        if node < self.gpus() { &self.gpu_names[node] } else { &self.switch_names[node - self.gpus()] }
+    }
+
+    /// The links from GPU `from` to GPU `to` in order: widest path first, then fewest links, then first in the file.
+    /// Empty if both are the same.
+    ///
+    /// # Panics
+    /// If there is no such GPU.
+    pub fn path(&self, from: usize, to: usize) -> &[Hop] {
+        self.routes.path(from, to)
+    }
+
+    /// The root switch's node: the first switch of the file. None without switches.
+    pub fn root(&self) -> Option<usize> {
+        (!self.switch_names.is_empty()).then_some(self.gpus())
+    }
+
+    /// True if there is exactly one way between any two nodes.
+    pub fn is_tree(&self) -> bool {
+        // Connected is checked on construction.
+        self.links.len() + 1 == self.gpus() + self.switch_names.len()
+    }
+
+    /// GPUs in depth-first order from the root (GPU 0 without switches), links in file order: in a tree, neighbours in
+    /// this order share the lowest switches, and going round once uses every link once in each direction.
+    pub fn leaf_order(&self) -> Vec<usize> {
+        let nodes = self.gpus() + self.switch_names.len();
+        let mut neighbours = vec![Vec::new(); nodes];
+        for link in &self.links {
+            let [a, b] = link.ends;
+            neighbours[a].push(b);
+            neighbours[b].push(a);
+        }
+        let mut seen = vec![false; nodes];
+        let mut stack = vec![self.root().unwrap_or(0)];
+        let mut order = Vec::with_capacity(self.gpus());
+        while let Some(node) = stack.pop() {
+            if std::mem::replace(&mut seen[node], true) {
+                continue;
+            }
+            if node < self.gpus() {
+                order.push(node);
+            }
+            stack.extend(neighbours[node].iter().rev().filter(|next| !seen[**next]));
+        }
+        order
+    }
+}
+
+/// What routing needs to know.
+pub(super) struct Graph<'a> {
+    pub nodes: usize,
+    pub gpus: usize,
+    pub links: &'a [Link],
+    pub gpus_forward: bool,
+}
+
+/// Adds the subtree over GPUs `first..first + count`; returns the name of its top node.
+fn grow(parts: &mut Parts, first: usize, count: usize, link: Link) -> String {
+    if count == 1 {
+        return format!("gpu{first}");
+    }
+    let top = format!("switch{}", parts.switches.len());
+    parts.switches.push(top.clone());
+    let left = count.div_ceil(2);
+    for (first, count) in [(first, left), (first + left, count - left)] {
+        // A switch's link to its left half stands before the one to its right half: `leaf_order` follows file order.
+        let child = grow(parts, first, count, link);
+        parts.links.push(([top.clone(), child], link));
+    }
+    top
+}
+
+fn check_name(name: &str) -> Result<(), String> {
+    if name.is_empty() || name.chars().count() > MAX_NAME_CHARS || name.chars().any(char::is_control) {
+        return Err(format!("a name must have 1 to {MAX_NAME_CHARS} printable characters, got {name:.80?}"));
+    }
+    Ok(())
+}
+
+fn check_range(field: &str, value: f64, least: f64, most: f64, unit: &str) -> Result<(), String> {
+    if (least..=most).contains(&value) {
+        return Ok(());
+    }
+    Err(format!("{field} must be within {least} and {most} {unit}, got {value}"))
+}
+
+fn check_device(device: &DeviceModel) -> Result<(), Fault> {
+    check_name(&device.name)
+        .and_then(|()| check_range("memory_gb", device.memory_gb, 1e-3, 1e6, "GB"))
+        .and_then(|()| check_range("bandwidth_gb_s", device.bandwidth_gb_s, 1e-3, 1e6, "GB/s"))
+        .and_then(|()| check_range("gflops", device.gflops, 1e-3, 1e9, "Gflop/s"))
+        .or_else(|message| fault(Place::Device, format!("device: {message}")))
+}
+
+/// Names of GPUs 0..n-1, if the ids are exactly those.
+fn names_by_id(gpus: &[(usize, String)]) -> Result<Vec<String>, Fault> {
+    let count = gpus.len();
+    if count == 0 || count > MAX_GPUS {
+        return fault(Place::Whole, format!("gpus: a topology has 1 to {MAX_GPUS} GPUs, this file has {count}"));
+    }
+    let mut names: Vec<Option<&String>> = vec![None; count];
+    for (i, (id, name)) in gpus.iter().enumerate() {
+        match names.get_mut(*id) {
+            None => {
+                return fault(
+                    Place::Gpu(i),
+                    format!("GPU `{name}` has id {id}, but the ids of {count} GPUs must be 0 to {}", count - 1),
+                );
+            }
+            Some(Some(other)) => {
+                return fault(Place::Gpu(i), format!("GPUs `{other}` and `{name}` both have id {id}"));
+            }
+            Some(slot) => *slot = Some(name),
+        }
+    }
+    Ok(names.into_iter().flatten().cloned().collect())
+}
+
+fn check_links(
+    links: Vec<([String; 2], Link)>,
+    node_of_name: &std::collections::HashMap<String, usize>,
+) -> Result<Vec<Link>, Fault> {
+    if links.len() > MAX_LINKS {
+        return fault(Place::Whole, format!("links: at most {MAX_LINKS} are allowed, this file has {}", links.len()));
+    }
+    let mut pairs = std::collections::HashSet::new();
+    let mut checked = Vec::with_capacity(links.len());
+    for (i, (ends, link)) in links.into_iter().enumerate() {
+        let wrong = |message: String| Fault {
+            place: Place::Link(i),
+            message: format!("link `{}` - `{}`: {message}", ends[0], ends[1]),
+        };
+        let node = |name: &String| {
+            node_of_name.get(name).copied().ok_or_else(|| wrong(format!("there is no switch or GPU named `{name}`")))
+        };
+        let (a, b) = (node(&ends[0])?, node(&ends[1])?);
+        if a == b {
+            return Err(wrong("a link must join two different nodes".into()));
+        }
+        if !pairs.insert((a.min(b), a.max(b))) {
+            return Err(wrong("these nodes are already linked: state one link with the sum of the bandwidths".into()));
+        }
+        check_range("bandwidth_gb_s", link.bandwidth_gb_s, 1e-6, 1e6, "GB/s").map_err(&wrong)?;
+        check_range("latency_us", link.latency_us, 0.0, 1e9, "us").map_err(&wrong)?;
+        checked.push(Link { ends: [a, b], ..link });
+    }
+    Ok(checked)
+}
+
+fn check_connected(graph: &Graph, gpus: &[(usize, String)], switches: &[String]) -> Result<(), Fault> {
+    let mut reached = vec![false; graph.nodes];
+    reached[0] = true;
+    let mut changed = true;
+    while changed {
+        changed = false;
+        for [a, b] in graph.links.iter().map(|link| link.ends) {
+            if reached[a] != reached[b] {
+                reached[a] = true;
+                reached[b] = true;
+                changed = true;
+            }
+        }
+    }
+    match reached.iter().position(|reached| !reached) {
+        None => Ok(()),
+        Some(node) if node < graph.gpus => {
+            let stated = |wanted: usize| gpus.iter().position(|(id, _)| *id == wanted).unwrap_or(0);
+            let (first, lost) = (&gpus[stated(0)].1, stated(node));
+            fault(
+                Place::Gpu(lost),
+                format!("no links lead from GPU `{first}` to GPU `{}`: every GPU must be reachable", gpus[lost].1),
+            )
+        }
+        Some(node) => {
+            let switch = node - graph.gpus;
+            fault(
+                Place::Switch(switch),
+                format!("no links lead to switch `{}`: connect it or remove it", switches[switch]),
+            )
+        }
+    }
+}

@@ -1,0 +1,175 @@
+//! Topology files (TOML; `docs/topology.md` describes them for users) -> [`Topology`]. Fails with one sentence that names
+//! the file, the line and the link or field.
+
+use std::io::Read;
+use std::path::Path;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::topology::{DeviceModel, Duplex, Fault, Link, MAX_GPUS, Parts, Place, Topology};
+
+/// Largest topology file that is read; the largest useful one is a few hundred lines.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// Why there is no topology.
+#[derive(Debug, thiserror::Error)]
+pub enum TopologyError {
+    /// The file could not be read.
+    #[error("cannot read topology file {file}: {source}")]
+    Read {
+        /// File as the user named it.
+        file: String,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// The file is no text, no TOML, or states no valid topology.
+    #[error("{file}{}: {message}", at_line(*line))]
+    Malformed {
+        /// File as the user named it.
+        file: String,
+        /// Line, counting from 1, if one line is to blame.
+        line: Option<usize>,
+        /// What is wrong and what would be right.
+        message: String,
+    },
+    /// A generated topology of impossible size was asked for.
+    #[error("a run can have 1 to {MAX_GPUS} workers, but {gpus} were asked for")]
+    GpuCount {
+        /// Number asked for.
+        gpus: usize,
+    },
+    /// More ranks than the machine has GPUs.
+    #[error("topology {name} has {has} GPUs, so it cannot hold {asked} workers: ask for 1 to {has}")]
+    TooFewGpus {
+        /// Name of the topology.
+        name: String,
+        /// GPUs that it has.
+        has: usize,
+        /// GPUs asked for.
+        asked: usize,
+    },
+}
+
+fn at_line(line: Option<usize>) -> String {
+    line.map(|line| format!(", line {line}")).unwrap_or_default()
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawTopology {
+    name: String,
+    device: Spanned<DeviceModel>,
+    #[serde(default)]
+    gpus_forward: bool,
+    #[serde(default)]
+    switches: Vec<Spanned<String>>,
+    gpus: Vec<Spanned<RawGpu>>,
+    #[serde(default)]
+    links: Vec<Spanned<RawLink>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawGpu {
+    id: usize,
+    name: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawLink {
+    between: [String; 2],
+    bandwidth_gb_s: f64,
+    latency_us: f64,
+    duplex: Duplex,
+}
+
+impl Topology {
+    /// Reads a topology file.
+    pub fn read(path: &Path) -> Result<Topology, TopologyError> {
+        let file = path.display().to_string();
+        let mut bytes = Vec::new();
+        let read = std::fs::File::open(path).and_then(|f| f.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes));
+        match read {
+            Err(source) => Err(TopologyError::Read { file, source }),
+            Ok(_) => Topology::parse(&bytes, &file),
+        }
+    }
+
+    /// Reads the bytes of a topology file; `file` is the name shown in errors.
+    pub fn parse(bytes: &[u8], file: &str) -> Result<Topology, TopologyError> {
+        let malformed = |line: Option<usize>, message: String| TopologyError::Malformed {
+            file: file.to_owned(),
+            line,
+            message: one_line(&message),
+        };
+        if bytes.len() as u64 > MAX_FILE_BYTES {
+            return Err(malformed(None, format!("a topology file has at most {MAX_FILE_BYTES} bytes")));
+        }
+        let text = std::str::from_utf8(bytes).map_err(|error| {
+            malformed(Some(line_of(bytes, error.valid_up_to())), "a topology file must be UTF-8 text".into())
+        })?;
+        let raw: RawTopology = toml::from_str(text).map_err(|error| {
+            malformed(error.span().map(|span| line_of(bytes, span.start)), error.message().to_owned())
+        })?;
+        // Spans outlive the values: the check speaks of the i-th link, the user is shown its line.
+        let starts = Starts {
+            device: raw.device.span().start,
+            gpus: raw.gpus.iter().map(|gpu| gpu.span().start).collect(),
+            switches: raw.switches.iter().map(|switch| switch.span().start).collect(),
+            links: raw.links.iter().map(|link| link.span().start).collect(),
+        };
+        Topology::build(parts_of(raw)).map_err(|Fault { place, message }| {
+            malformed(starts.of(place).map(|offset| line_of(bytes, offset)), message)
+        })
+    }
+}
+
+fn parts_of(raw: RawTopology) -> Parts {
+    Parts {
+        name: raw.name,
+        device: raw.device.into_inner(),
+        gpus: raw.gpus.into_iter().map(Spanned::into_inner).map(|gpu| (gpu.id, gpu.name)).collect(),
+        switches: raw.switches.into_iter().map(Spanned::into_inner).collect(),
+        links: raw
+            .links
+            .into_iter()
+            .map(Spanned::into_inner)
+            .map(|RawLink { between, bandwidth_gb_s, latency_us, duplex }| {
+                (between, Link { ends: [0, 0], bandwidth_gb_s, latency_us, duplex })
+            })
+            .collect(),
+        gpus_forward: raw.gpus_forward,
+    }
+}
+
+/// Byte offsets at which the parts of a file start.
+struct Starts {
+    device: usize,
+    gpus: Vec<usize>,
+    switches: Vec<usize>,
+    links: Vec<usize>,
+}
+
+impl Starts {
+    fn of(&self, place: Place) -> Option<usize> {
+        match place {
+            Place::Whole => None,
+            Place::Device => Some(self.device),
+            Place::Gpu(i) => self.gpus.get(i).copied(),
+            Place::Switch(i) => self.switches.get(i).copied(),
+            Place::Link(i) => self.links.get(i).copied(),
+        }
+    }
+}
+
+/// Line, counting from 1, of a byte offset.
+fn line_of(bytes: &[u8], offset: usize) -> usize {
+    1 + bytes.iter().take(offset).filter(|byte| **byte == b'\n').count()
+}
+
+/// The TOML reader quotes what it found; a sentence has no line breaks and no control characters.
+fn one_line(message: &str) -> String {
+    message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}

@@ -1,0 +1,331 @@
+//! PLY reader: vertices and faces of ascii, little- and big-endian files; other elements and properties are skipped.
+//!
+//! The header's counts are checked against the size of the file before anything is reserved. Header and binary records
+//! come from `ply-rs-bw`; the words of an ascii body are read here, because that crate refuses `.5` and `1.`.
+
+use std::io::{BufRead, Read};
+
+use ply_rs_bw::parser::{Parser, Reader};
+use ply_rs_bw::ply::{
+    ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType,
+};
+
+use crate::math::{Vec2, Vec3};
+
+use super::{ParseFault, Surface};
+
+/// Real headers have some hundred bytes; a longer one only costs memory.
+const LONGEST_HEADER: u64 = 1 << 16;
+
+/// Reads a PLY file of `bytes` bytes. Texture coordinates are those of the corners (face property `texcoord`) or of the
+/// vertices (`u`/`v`, `s`/`t` or `texture_u`/`texture_v`), if there are any.
+pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseFault> {
+    let header_bytes = read_header_bytes(&mut reader)?;
+    let header = read_header(&header_bytes)?;
+    check_counts(&header, bytes.saturating_sub(header_bytes.len() as u64))?;
+    let line = header_bytes.iter().filter(|&&c| c == b'\n').count() as u64;
+    let mut body = Body { reader, line, words: Vec::new() };
+
+    let mut surface = Surface::default();
+    let mut vertex_uv = Vec::new();
+    let mut corners_mapped = true;
+    for (name, element) in &header.elements {
+        // Such an element has no bytes, whatever its count.
+        if element.properties.is_empty() {
+            continue;
+        }
+        for i in 0..element.count {
+            let record = body.record(header.encoding, element).map_err(|what| ParseFault {
+                line: (header.encoding == Encoding::Ascii).then_some(body.line),
+                what: format!("{name} {} of {}: {what}", i + 1, element.count),
+            })?;
+            match name.as_str() {
+                "vertex" => {
+                    let position = record.position().map_err(|what| ParseFault::whole(format!("vertex {i} {what}")))?;
+                    surface.positions.push(position);
+                    vertex_uv.extend(record.uv());
+                }
+                "face" => {
+                    let fan = record.fan().map_err(|what| ParseFault::whole(format!("face {i} {what}")))?;
+                    corners_mapped &= record.texcoord.len() == 2 * record.indices.len();
+                    for corners in fan {
+                        surface.triangles.push(corners.map(|c| record.indices[c] as u32));
+                        if corners_mapped {
+                            let uv =
+                                |c: usize| Vec2::new(record.texcoord[2 * c] as f32, record.texcoord[2 * c + 1] as f32);
+                            surface.texture_uv.push(corners.map(uv));
+                        }
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+    if surface.triangles.is_empty() {
+        return Err(ParseFault::whole("no face in it (a PLY mesh has the elements `vertex` and `face`)"));
+    }
+    if let Some(index) = surface.triangles.iter().flatten().find(|&&v| v as usize >= surface.positions.len()) {
+        return Err(ParseFault::whole(format!(
+            "vertex index {index}, but only {} vertices are defined",
+            surface.positions.len()
+        )));
+    }
+    if !corners_mapped {
+        surface.texture_uv = Vec::new();
+    }
+    if surface.texture_uv.is_empty() && vertex_uv.len() == surface.positions.len() {
+        surface.texture_uv = surface.triangles.iter().map(|t| t.map(|v| vertex_uv[v as usize])).collect();
+    }
+    Ok(surface)
+}
+
+/// The bytes up to and with the line `end_header`.
+fn read_header_bytes(reader: &mut impl BufRead) -> Result<Vec<u8>, ParseFault> {
+    let mut bytes = Vec::new();
+    loop {
+        let line_start = bytes.len();
+        let room = LONGEST_HEADER.saturating_sub(line_start as u64);
+        let read = reader.by_ref().take(room).read_until(b'\n', &mut bytes);
+        read.map_err(|e| ParseFault::whole(format!("cannot be read: {e}")))?;
+        let line = bytes[line_start..].trim_ascii();
+        if line_start == 0 && line != b"ply" {
+            return Err(ParseFault::whole("a PLY file begins with the line `ply`"));
+        }
+        if line == b"end_header" {
+            return Ok(bytes);
+        }
+        if bytes.last() != Some(&b'\n') {
+            return Err(ParseFault::whole("the header has no line `end_header`; is the file cut off?"));
+        }
+    }
+}
+
+fn read_header(bytes: &[u8]) -> Result<Header, ParseFault> {
+    Parser::<Record>::new().read_header(&mut Reader::new(bytes)).map_err(|error| {
+        // The crate's message is several lines long; the first says which line it did not understand.
+        let text = error.to_string();
+        ParseFault::whole(format!("the header is not understood: {}", text.lines().next().unwrap_or_default()))
+    })
+}
+
+/// Refuses counts that cannot be in the `bytes` behind the header.
+fn check_counts(header: &Header, bytes: u64) -> Result<(), ParseFault> {
+    for (name, element) in &header.elements {
+        let least: u64 = element.properties.iter().map(|(_, p)| least_bytes(header.encoding, &p.data_type)).sum();
+        if (element.count as u64).saturating_mul(least) > bytes.saturating_add(1) {
+            return Err(ParseFault::whole(format!(
+                "the header announces {} of element `{name}`, which need at least {} bytes, but only {bytes} follow it; is the file cut off?",
+                element.count,
+                (element.count as u64).saturating_mul(least)
+            )));
+        }
+    }
+    Ok(())
+}
+
+fn least_bytes(encoding: Encoding, kind: &PropertyType) -> u64 {
+    let scalar = match kind {
+        PropertyType::Scalar(scalar) => scalar,
+        PropertyType::List(count, _) => count,
+    };
+    match (encoding, scalar) {
+        (Encoding::Ascii, _) => 2, // a digit and a separator; the last one may lack the separator
+        (_, ScalarType::Char | ScalarType::UChar) => 1,
+        (_, ScalarType::Short | ScalarType::UShort) => 2,
+        (_, ScalarType::Int | ScalarType::UInt | ScalarType::Float) => 4,
+        (_, ScalarType::Double) => 8,
+    }
+}
+
+/// One vertex or face.
+#[derive(Default)]
+struct Record {
+    xyz: [Option<f64>; 3],
+    uv: [Option<f64>; 2],
+    indices: Vec<i64>,
+    texcoord: Vec<f64>,
+}
+
+impl Record {
+    fn set(&mut self, name: &str, value: f64) {
+        match name {
+            "x" => self.xyz[0] = Some(value),
+            "y" => self.xyz[1] = Some(value),
+            "z" => self.xyz[2] = Some(value),
+            "u" | "s" | "texture_u" => self.uv[0] = Some(value),
+            "v" | "t" | "texture_v" => self.uv[1] = Some(value),
+            _ => {}
+        }
+    }
+
+    fn set_list(&mut self, name: &str, values: impl Iterator<Item = f64>) {
+        match name {
+            "vertex_indices" | "vertex_index" => self.indices = values.map(|v| v as i64).collect(),
+            "texcoord" => self.texcoord = values.collect(),
+            _ => {}
+        }
+    }
+
+    fn position(&self) -> Result<Vec3, String> {
+        let [Some(x), Some(y), Some(z)] = self.xyz else {
+            return Err("has no x, y and z".into());
+        };
+        let position = Vec3::new(x as f32, y as f32, z as f32);
+        if position.is_finite() { Ok(position) } else { Err("has a coordinate that is not a finite number".into()) }
+    }
+
+    fn uv(&self) -> Option<Vec2> {
+        let [Some(u), Some(v)] = self.uv else { return None };
+        Some(Vec2::new(u as f32, v as f32))
+    }
+
+    /// Corners of the triangles that the polygon is cut into.
+    fn fan(&self) -> Result<impl Iterator<Item = [usize; 3]> + use<>, String> {
+        if self.indices.len() < 3 {
+            return Err(format!("has {} corners where at least 3 are needed", self.indices.len()));
+        }
+        match self.indices.iter().find(|&&i| i < 0 || i > i64::from(i32::MAX)) {
+            Some(index) => Err(format!("has the vertex index {index}")),
+            None => Ok((1..self.indices.len() - 1).map(|i| [0, i, i + 1])),
+        }
+    }
+}
+
+impl PropertyAccess for Record {
+    fn new() -> Record {
+        Record::default()
+    }
+
+    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
+        match property {
+            Property::Char(v) => self.set(name, v.into()),
+            Property::UChar(v) => self.set(name, v.into()),
+            Property::Short(v) => self.set(name, v.into()),
+            Property::UShort(v) => self.set(name, v.into()),
+            Property::Int(v) => self.set(name, v.into()),
+            Property::UInt(v) => self.set(name, v.into()),
+            Property::Float(v) => self.set(name, v.into()),
+            Property::Double(v) => self.set(name, v),
+            Property::ListChar(v) => self.set_list(name, v.into_iter().map(f64::from)),
+            Property::ListUChar(v) => self.set_list(name, v.into_iter().map(f64::from)),
+            Property::ListShort(v) => self.set_list(name, v.into_iter().map(f64::from)),
+            Property::ListUShort(v) => self.set_list(name, v.into_iter().map(f64::from)),
+            Property::ListInt(v) => self.set_list(name, v.into_iter().map(f64::from)),
+            Property::ListUInt(v) => self.set_list(name, v.into_iter().map(f64::from)),
+            Property::ListFloat(v) => self.set_list(name, v.into_iter().map(f64::from)),
+            Property::ListDouble(v) => self.set_list(name, v.into_iter()),
+        }
+        PropertyAccessResult::Set
+    }
+}
+
+/// The records behind the header.
+struct Body<R> {
+    reader: R,
+    /// Last line read, for ascii.
+    line: u64,
+    words: Vec<u8>,
+}
+
+impl<R: BufRead> Body<R> {
+    fn record(&mut self, encoding: Encoding, element: &ElementDef) -> Result<Record, String> {
+        let parser = Parser::<Record>::new();
+        let result = match encoding {
+            Encoding::Ascii => return self.ascii_record(element),
+            Encoding::BinaryLittleEndian => parser.read_little_endian_element(&mut self.reader, element),
+            Encoding::BinaryBigEndian => parser.read_big_endian_element(&mut self.reader, element),
+        };
+        result.map_err(|error| match error.kind() {
+            std::io::ErrorKind::UnexpectedEof => "the file ends here; is it cut off?".into(),
+            _ => error.to_string().lines().next().unwrap_or_default().to_owned(),
+        })
+    }
+
+    fn ascii_record(&mut self, element: &ElementDef) -> Result<Record, String> {
+        loop {
+            self.words.clear();
+            let read = self.reader.read_until(b'\n', &mut self.words).map_err(|e| format!("cannot be read: {e}"))?;
+            if read == 0 {
+                return Err("the file ends here; is it cut off?".into());
+            }
+            self.line += 1;
+            if !self.words.trim_ascii().is_empty() {
+                break;
+            }
+        }
+        let mut words = self.words.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty()).map(|word| {
+            let text = String::from_utf8_lossy(&word[..word.len().min(40)]);
+            text.parse::<f64>().map_err(|_| format!("`{text}` is not a number"))
+        });
+        let mut next = || words.next().unwrap_or_else(|| Err("the line has too few values".into()));
+        let mut record = Record::new();
+        for (name, property) in &element.properties {
+            match property.data_type {
+                PropertyType::Scalar(_) => record.set(name, next()?),
+                PropertyType::List(..) => {
+                    let count = next()?;
+                    let values: Result<Vec<f64>, String> = (0..count as u64).map(|_| next()).collect();
+                    record.set_list(name, values?.into_iter());
+                }
+            }
+        }
+        Ok(record)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEADER: &str = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+                          property list uchar int vertex_indices\nend_header\n";
+
+    fn ascii(body: &str) -> Result<Surface, ParseFault> {
+        let text = format!("ply\nformat ascii 1.0\n{HEADER}{body}");
+        parse_ply(text.as_bytes(), text.len() as u64)
+    }
+
+    fn binary(format: &str, bytes_of: impl Fn(u32) -> [u8; 4], cut: usize) -> Result<Surface, ParseFault> {
+        let mut bytes = format!("ply\r\nformat {format} 1.0\r\n{}", HEADER.replace('\n', "\r\n")).into_bytes();
+        for value in [0.0f32, 0., 0., 1., 0., 0., 1., 1., 0., 0., 1., 0.] {
+            bytes.extend(bytes_of(value.to_bits()));
+        }
+        bytes.push(4);
+        (0..4).for_each(|i| bytes.extend(bytes_of(i)));
+        bytes.truncate(bytes.len() - cut);
+        parse_ply(bytes.as_slice(), bytes.len() as u64)
+    }
+
+    #[test]
+    fn the_three_encodings_agree() {
+        let expected = ascii("0 0 0\n1. 0 0\n1 1 0\n\n0 1e0 .0\n4 0 1 2 3").unwrap();
+        assert_eq!(expected.triangles, [[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(binary("binary_little_endian", u32::to_le_bytes, 0).unwrap(), expected);
+        assert_eq!(binary("binary_big_endian", u32::to_be_bytes, 0).unwrap(), expected);
+    }
+
+    #[test]
+    fn faults_are_sentences() {
+        let fault = |body: &str| ascii(body).unwrap_err();
+        let vertices = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n";
+        let short = fault("0 0 0\n1 0\n0 0 0\n0 0 0\n3 0 1 2");
+        assert_eq!((short.line, short.what.as_str()), (Some(11), "vertex 2 of 4: the line has too few values"));
+        assert_eq!(fault(&format!("{vertices}3 0 1 4")).what, "vertex index 4, but only 4 vertices are defined");
+        assert_eq!(fault(&format!("{vertices}2 0 1")).what, "face 0 has 2 corners where at least 3 are needed");
+        assert_eq!(fault(&format!("{vertices}3 0 1 -1")).what, "face 0 has the vertex index -1");
+        assert_eq!(
+            fault(&format!("0 0 nan\n{}3 0 1 2", &vertices[6..])).what,
+            "vertex 0 has a coordinate that is not a finite number"
+        );
+        let cut = binary("binary_little_endian", u32::to_le_bytes, 3).unwrap_err();
+        assert_eq!(cut.what, "face 1 of 1: the file ends here; is it cut off?");
+        assert_eq!(parse_ply(&b"plx"[..], 3).unwrap_err().what, "a PLY file begins with the line `ply`");
+    }
+
+    #[test]
+    fn a_count_beyond_the_file_is_refused_before_reading() {
+        let text = format!("ply\nformat ascii 1.0\n{}", HEADER.replace("vertex 4", "vertex 4000000000"));
+        let fault = parse_ply(text.as_bytes(), text.len() as u64).unwrap_err();
+        assert!(fault.what.starts_with("the header announces 4000000000 of element `vertex`"), "{fault}");
+    }
+}

@@ -1,0 +1,193 @@
+//! What a mesh must be before it can be simulated. Faults name triangles and vertices counting from 1, as OBJ files do.
+//!
+//! Does not look for triangles that cross each other; `first_intersection` does.
+
+use crate::math::Vec3;
+
+use super::{TriangleMesh, material};
+
+/// Smallest doubled area over the square of the longest edge: about the height over the length of a needle triangle.
+/// Below it the inverse rest matrix has no correct digit in f32.
+const SMALLEST_SHAPE: f64 = 1e-6;
+
+/// Why a mesh cannot be simulated.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MeshFault {
+    #[error("no triangle in it")]
+    Empty,
+    #[error("{0} vertices are too many: at most 2147483647 can be numbered")]
+    TooManyVertices(usize),
+    #[error("vertex {0} has a coordinate that is not a finite number")]
+    NonFinitePosition(usize),
+    #[error("triangle {triangle} names vertex {vertex}, but there are only {vertices}")]
+    IndexOutOfRange { triangle: usize, vertex: u64, vertices: usize },
+    #[error("triangle {triangle} names vertex {vertex} twice; its corners must differ")]
+    RepeatedVertex { triangle: usize, vertex: u64 },
+    #[error("the edge of vertices {} and {} belongs to {count} triangles ({}, {}, {}, ..); at most two may share an edge",
+        edge[0], edge[1], triangles[0], triangles[1], triangles[2])]
+    NonManifoldEdge { edge: [u64; 2], triangles: [usize; 3], count: usize },
+    #[error("triangles {} and {} run along their edge of vertices {} and {} in the same direction; turn one of them over",
+        triangles[0], triangles[1], edge[0], edge[1])]
+    MixedOrientation { edge: [u64; 2], triangles: [usize; 2] },
+    #[error("vertex {0} belongs to no triangle and so has no mass; remove it")]
+    UnusedVertex(usize),
+    #[error("{triangles} triangles have {coordinates} triples of material coordinates; every triangle needs one")]
+    MaterialCount { triangles: usize, coordinates: usize },
+    #[error("triangle {0} has a material coordinate that is not a finite number")]
+    NonFiniteMaterial(usize),
+    #[error("triangle {0} has no area in space: its corners lie on one line")]
+    ZeroArea(usize),
+    #[error("triangle {0} has no area in material space: its texture coordinates lie on one line")]
+    ZeroMaterialArea(usize),
+}
+
+/// Checks everything that [`MeshFault`] lists and reports the first fault.
+pub fn validate(mesh: &TriangleMesh) -> Result<(), MeshFault> {
+    check_topology(&mesh.positions, &mesh.triangles)?;
+    check_shape(mesh)
+}
+
+/// The part of [`validate`] that needs no rest shape.
+pub(super) fn check_topology(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), MeshFault> {
+    if triangles.is_empty() {
+        return Err(MeshFault::Empty);
+    }
+    if positions.len() > i32::MAX as usize {
+        return Err(MeshFault::TooManyVertices(positions.len()));
+    }
+    if let Some(vertex) = positions.iter().position(|p| !p.is_finite()) {
+        return Err(MeshFault::NonFinitePosition(vertex + 1));
+    }
+    let mut used = vec![false; positions.len()];
+    for (t, corners) in triangles.iter().enumerate() {
+        for (i, &v) in corners.iter().enumerate() {
+            let vertex = u64::from(v) + 1;
+            match used.get_mut(v as usize) {
+                Some(used) => *used = true,
+                None => return Err(MeshFault::IndexOutOfRange { triangle: t + 1, vertex, vertices: positions.len() }),
+            }
+            if corners[..i].contains(&v) {
+                return Err(MeshFault::RepeatedVertex { triangle: t + 1, vertex });
+            }
+        }
+    }
+    check_edges(triangles)?;
+    match used.iter().position(|&used| !used) {
+        Some(vertex) => Err(MeshFault::UnusedVertex(vertex + 1)),
+        None => Ok(()),
+    }
+}
+
+/// Sorts the directed edges; 8 bytes each, because this is the largest array while a mesh is read.
+fn check_edges(triangles: &[[u32; 3]]) -> Result<(), MeshFault> {
+    let mut edges: Vec<u64> = triangles
+        .iter()
+        .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+        .map(|(from, to)| u64::from(from.min(to)) << 33 | u64::from(from.max(to)) << 1 | u64::from(from > to))
+        .collect();
+    edges.sort_unstable();
+    for group in edges.chunk_by(|a, b| a >> 1 == b >> 1) {
+        let mixed = group.len() == 2 && group[0] == group[1];
+        if group.len() < 2 || (group.len() == 2 && !mixed) {
+            continue;
+        }
+        let edge = [(group[0] >> 33) as u32, (group[0] >> 1) as u32];
+        let owners: Vec<usize> =
+            (0..triangles.len()).filter(|&t| edge.iter().all(|v| triangles[t].contains(v))).collect();
+        let edge = edge.map(|v| u64::from(v) + 1);
+        return Err(match owners[..] {
+            [a, b, c, ..] => MeshFault::NonManifoldEdge { edge, triangles: [a + 1, b + 1, c + 1], count: owners.len() },
+            [a, b] => MeshFault::MixedOrientation { edge, triangles: [a + 1, b + 1] },
+            _ => unreachable!("an edge found twice has two triangles, whose corners differ"),
+        });
+    }
+    Ok(())
+}
+
+/// The part of [`validate`] about areas and material coordinates.
+pub(super) fn check_shape(mesh: &TriangleMesh) -> Result<(), MeshFault> {
+    if mesh.material_uv.len() != mesh.triangles.len() {
+        return Err(MeshFault::MaterialCount { triangles: mesh.triangles.len(), coordinates: mesh.material_uv.len() });
+    }
+    for (t, (corners, uv)) in mesh.triangles.iter().zip(&mesh.material_uv).enumerate() {
+        let [a, b, c] = corners.map(|v| mesh.positions[v as usize].as_dvec3());
+        let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+        // Written so that an area of zero fails for edges of zero length, too.
+        if !((b - a).cross(c - a).length() > SMALLEST_SHAPE * longest) {
+            return Err(MeshFault::ZeroArea(t + 1));
+        }
+        if !uv.iter().all(|p| p.is_finite()) {
+            return Err(MeshFault::NonFiniteMaterial(t + 1));
+        }
+        let [a, b, c] = uv.map(|p| p.as_dvec2());
+        let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+        if !(material::doubled_area(uv).abs() > SMALLEST_SHAPE * longest) {
+            return Err(MeshFault::ZeroMaterialArea(t + 1));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Vec2;
+    use crate::mesh::flatten_triangles;
+
+    fn square() -> TriangleMesh {
+        let positions = vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
+        let triangles = vec![[0, 1, 2], [0, 2, 3]];
+        TriangleMesh { material_uv: flatten_triangles(&positions, &triangles), positions, triangles }
+    }
+
+    /// The sentence about a square that `change` has spoilt.
+    fn fault(change: impl FnOnce(&mut TriangleMesh)) -> String {
+        let mut mesh = square();
+        change(&mut mesh);
+        validate(&mesh).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_square_is_fine() {
+        assert_eq!(validate(&square()), Ok(()));
+    }
+
+    #[test]
+    fn every_fault_is_named() {
+        assert_eq!(fault(|m| m.triangles.clear()), "no triangle in it");
+        assert_eq!(
+            fault(|m| m.positions[2].y = f32::INFINITY),
+            "vertex 3 has a coordinate that is not a finite number"
+        );
+        assert_eq!(fault(|m| m.triangles[1][1] = 9), "triangle 2 names vertex 10, but there are only 4");
+        assert_eq!(fault(|m| m.triangles[1][1] = 3), "triangle 2 names vertex 4 twice; its corners must differ");
+        assert_eq!(
+            fault(|m| m.triangles.push([0, 2, 1])),
+            "the edge of vertices 1 and 3 belongs to 3 triangles (1, 2, 3, ..); at most two may share an edge"
+        );
+        assert_eq!(
+            fault(|m| m.triangles[1] = [2, 0, 3]),
+            "triangles 1 and 2 run along their edge of vertices 1 and 3 in the same direction; turn one of them over"
+        );
+        assert_eq!(
+            fault(|m| m.positions.push(Vec3::Z)),
+            "vertex 5 belongs to no triangle and so has no mass; remove it"
+        );
+        assert_eq!(
+            fault(|m| m.material_uv.truncate(1)),
+            "2 triangles have 1 triples of material coordinates; every triangle needs one"
+        );
+        assert_eq!(
+            fault(|m| m.material_uv[0][0].x = f32::NAN),
+            "triangle 1 has a material coordinate that is not a finite number"
+        );
+        assert_eq!(
+            fault(|m| m.positions[3] = Vec3::new(0.5, 0.5, 0.0)),
+            "triangle 2 has no area in space: its corners lie on one line"
+        );
+        assert_eq!(
+            fault(|m| m.material_uv[1] = [Vec2::ZERO; 3]),
+            "triangle 2 has no area in material space: its texture coordinates lie on one line"
+        );
+    }
+}

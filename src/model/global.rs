@@ -1,0 +1,120 @@
+//! The whole cloth in the global order. Vertices are renumbered for locality; the order depends on the scene only, so
+//! that row blocks of any rank count are contiguous ranges of the same order.
+
+use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
+use crate::integrator::pins::RankPin;
+use crate::math::{Vec2, Vec3};
+use crate::mesh::{hinges, locality_order};
+use crate::scene::{Motion, Scene, Settings};
+
+/// The cloth in global order.
+pub struct GlobalModel {
+    /// Original (mesh) vertex of every global row.
+    pub original_from_global: Vec<u32>,
+    /// Start positions in global order, xyz.
+    pub positions: Vec<f32>,
+    /// Start velocities in global order, xyz.
+    pub velocities: Vec<f32>,
+    /// Lumped masses in global order, kg.
+    pub masses: Vec<f32>,
+    /// Stretch elements, ascending smallest vertex; vertices are global rows.
+    pub triangles: Vec<TriangleElement>,
+    /// Bending elements, ascending smallest vertex; vertices are global rows.
+    pub hinges: Vec<HingeElement>,
+    /// Fabrics.
+    pub fabrics: Vec<FabricTable>,
+    /// Pins; `row` is a global row.
+    pub pins: Vec<RankPin>,
+    /// Motions of the pins.
+    pub motions: Vec<Motion>,
+    /// Numbers of the run.
+    pub settings: Settings,
+}
+
+impl GlobalModel {
+    /// Orders the vertices and builds the elements. The scene has passed its checks.
+    pub fn new(scene: &Scene) -> GlobalModel {
+        let mesh = &scene.mesh;
+        let original_from_global = locality_order(&ordering_coordinates(scene));
+        let mut global_from_original = vec![0u32; original_from_global.len()];
+        for (global, &original) in original_from_global.iter().enumerate() {
+            global_from_original[original as usize] = global as u32;
+        }
+        let map = |v: u32| global_from_original[v as usize];
+        let gather = |values: &[Vec3]| original_from_global.iter().flat_map(|&v| values[v as usize].to_array()).collect::<Vec<f32>>();
+
+        let mut masses = vec![0.0f64; mesh.positions.len()];
+        let mut areas = vec![0.0f64; mesh.triangles.len()];
+        let mut triangles = Vec::with_capacity(mesh.triangles.len());
+        for (t, (corners, uv)) in mesh.triangles.iter().zip(&mesh.material_uv).enumerate() {
+            let fabric = scene.fabric_of_triangle[t];
+            let element = triangle_element(corners.map(map), fabric as u32, *uv);
+            areas[t] = rest_area(uv);
+            for &v in corners {
+                masses[map(v) as usize] += areas[t] * scene.fabrics[fabric as usize].density_kg_m2 / 3.0;
+            }
+            triangles.push(element);
+        }
+        let mut bends: Vec<HingeElement> = hinges(mesh)
+            .iter()
+            .map(|hinge| {
+                let sides = hinge.triangles.map(|t| t as usize);
+                let uv_edge = sides.map(|t| edge_uv(mesh.triangles[t], mesh.material_uv[t], hinge.vertices[0], hinge.vertices[1]));
+                hinge_element(hinge.vertices.map(map), sides.map(|t| scene.fabric_of_triangle[t] as u32), uv_edge, sides.map(|t| areas[t]), 0.0)
+            })
+            .collect();
+        // Elements of a row then lie close together; ties keep their order, so the result is the same on every machine.
+        triangles.sort_by_key(|e| e.vertices.iter().min().copied());
+        bends.sort_by_key(|e| e.vertices.iter().min().copied());
+
+        GlobalModel {
+            positions: gather(&mesh.positions),
+            velocities: gather(&scene.velocities),
+            masses: masses.iter().map(|&m| m as f32).collect(),
+            triangles,
+            hinges: bends,
+            fabrics: scene.fabrics.iter().map(FabricTable::from).collect(),
+            pins: scene
+                .pins
+                .iter()
+                .map(|pin| RankPin { row: map(pin.vertex), start_m: mesh.positions[pin.vertex as usize].to_array(), motion: pin.motion, start_s: pin.start_s, end_s: pin.end_s })
+                .collect(),
+            motions: scene.motions.clone(),
+            settings: scene.settings.clone(),
+            original_from_global,
+        }
+    }
+
+    /// Number of vertices.
+    pub fn rows(&self) -> usize {
+        self.masses.len()
+    }
+}
+
+/// What the order is made from: material coordinates of a single sheet (independent of how it is draped at the start),
+/// else start positions.
+fn ordering_coordinates(scene: &Scene) -> Vec<Vec3> {
+    let mesh = &scene.mesh;
+    let mut uv: Vec<Option<Vec2>> = vec![None; mesh.positions.len()];
+    for (corners, coordinates) in mesh.triangles.iter().zip(&mesh.material_uv) {
+        for (&v, &p) in corners.iter().zip(coordinates) {
+            match uv[v as usize] {
+                None => uv[v as usize] = Some(p),
+                Some(q) if q == p => {}
+                Some(_) => return mesh.positions.clone(),
+            }
+        }
+    }
+    uv.iter().map(|p| p.map_or(Vec3::ZERO, |p| Vec3::new(p.x, p.y, 0.0))).collect()
+}
+
+fn rest_area(uv: &[Vec2; 3]) -> f64 {
+    let [a, b, c] = uv.map(|p| p.as_dvec2());
+    0.5 * (b - a).perp_dot(c - a).abs()
+}
+
+/// Material coordinates of the edge (p, q) as triangle `corners` sees it.
+fn edge_uv(corners: [u32; 3], uv: [Vec2; 3], p: u32, q: u32) -> [Vec2; 2] {
+    let at = |v: u32| corners.iter().position(|&c| c == v).map_or(Vec2::ZERO, |i| uv[i]);
+    [at(p), at(q)]
+}

@@ -1,0 +1,228 @@
+//! Checkpoints: the state after a step, from which any number of workers continues with the same bits.
+//!
+//! `checkpoint/step_%08d.ltc`, little-endian: "LOOMCKPT", version (u32), header length (u32), header (bincode),
+//! positions and velocities (3 f32 per vertex, original vertex order), xxh3 of all bytes before (u64).
+//! A damaged file is found and skipped; nothing is repaired.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use xxhash_rust::xxh3::{Xxh3, xxh3_64};
+
+use super::atomic::{WriteError, write_atomically};
+use super::ply::{positions_from_bytes, write_words};
+use crate::math::Vec3;
+
+const MAGIC: &[u8; 8] = b"LOOMCKPT";
+const VERSION: u32 = 1;
+/// Magic, version and header length.
+const PREFIX_BYTES: usize = 16;
+/// More than any header needs; what a file claims beyond is damage.
+const HEADER_LIMIT: usize = 4096;
+const CHECKSUM_BYTES: usize = 8;
+/// Checkpoints kept: the newest, and two to fall back on.
+const KEPT: usize = 3;
+
+/// State after a step.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Checkpoint {
+    /// Last frame written at or before this state.
+    pub frame: u32,
+    /// Steps made.
+    pub step: u64,
+    /// Simulated time, seconds.
+    pub time_s: f64,
+    /// [`super::scene_fingerprint`] of the scene.
+    pub fingerprint: u64,
+    /// Positions in the mesh's original vertex order, metres.
+    pub positions: Vec<Vec3>,
+    /// Velocities in the mesh's original vertex order, m/s.
+    pub velocities: Vec<Vec3>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    program: String,
+    frame: u32,
+    step: u64,
+    time_s: f64,
+    fingerprint: u64,
+    vertices: u64,
+}
+
+/// Why bytes are not a checkpoint.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum CheckpointError {
+    /// Another kind of file.
+    #[error("it is not a checkpoint")]
+    Magic,
+    /// Written by a version with another layout.
+    #[error("it has layout {0}, this program reads layout 1")]
+    Version(u32),
+    /// Too short or too long.
+    #[error("it is cut off or damaged: {got} bytes where its header asks for {expected}")]
+    Length {
+        /// Bytes it should have.
+        expected: u64,
+        /// Bytes it has.
+        got: u64,
+    },
+    /// The header does not decode.
+    #[error("its header is damaged")]
+    Header,
+    /// The bytes are not those that were written.
+    #[error("it is damaged: its checksum does not match")]
+    Checksum,
+}
+
+impl Checkpoint {
+    /// Writes the file's bytes.
+    fn put(&self, out: &mut dyn Write) -> io::Result<()> {
+        if self.positions.len() != self.velocities.len() {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "as many velocities as positions are needed"));
+        }
+        let header = Header {
+            program: env!("CARGO_PKG_VERSION").to_string(),
+            frame: self.frame,
+            step: self.step,
+            time_s: self.time_s,
+            fingerprint: self.fingerprint,
+            vertices: self.positions.len() as u64,
+        };
+        let header = bincode::serde::encode_to_vec(header, bincode_form()).map_err(io::Error::other)?;
+        let mut out = Hashing { out, hasher: Xxh3::new() };
+        out.write_all(MAGIC)?;
+        out.write_all(&VERSION.to_le_bytes())?;
+        out.write_all(&(header.len() as u32).to_le_bytes())?;
+        out.write_all(&header)?;
+        let mut buffer = Vec::new();
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.positions))?;
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.velocities))?;
+        let checksum = out.hasher.digest();
+        out.out.write_all(&checksum.to_le_bytes())
+    }
+
+    /// Reads a file's bytes.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Checkpoint, CheckpointError> {
+        if bytes.len() < MAGIC.len() || &bytes[..MAGIC.len()] != MAGIC {
+            return Err(CheckpointError::Magic);
+        }
+        let got = bytes.len() as u64;
+        let cut_off = |expected: u64| CheckpointError::Length { expected, got };
+        let word = |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        let (Some(version), Some(header_bytes)) = (word(8), word(12)) else { return Err(cut_off(PREFIX_BYTES as u64)) };
+        if version != VERSION {
+            return Err(CheckpointError::Version(version));
+        }
+        let header_bytes = header_bytes as usize;
+        if header_bytes > HEADER_LIMIT {
+            return Err(CheckpointError::Header);
+        }
+        let body = PREFIX_BYTES + header_bytes;
+        let Some(header) = bytes.get(PREFIX_BYTES..body) else { return Err(cut_off((body + CHECKSUM_BYTES) as u64)) };
+        let (header, used): (Header, usize) =
+            bincode::serde::decode_from_slice(header, bincode_form()).map_err(|_| CheckpointError::Header)?;
+        if used != header_bytes {
+            return Err(CheckpointError::Header);
+        }
+        let expected = header.vertices.checked_mul(24).and_then(|n| n.checked_add((body + CHECKSUM_BYTES) as u64));
+        let expected = expected.ok_or(CheckpointError::Header)?;
+        if expected != got {
+            return Err(cut_off(expected));
+        }
+        let (content, checksum) = bytes.split_at(bytes.len() - CHECKSUM_BYTES);
+        if xxh3_64(content).to_le_bytes() != checksum {
+            return Err(CheckpointError::Checksum);
+        }
+        let (positions, velocities) = content[body..].split_at((content.len() - body) / 2);
+        Ok(Checkpoint {
+            frame: header.frame,
+            step: header.step,
+            time_s: header.time_s,
+            fingerprint: header.fingerprint,
+            positions: positions_from_bytes(positions),
+            velocities: positions_from_bytes(velocities),
+        })
+    }
+}
+
+fn bincode_form() -> impl bincode::config::Config {
+    bincode::config::standard().with_limit::<HEADER_LIMIT>()
+}
+
+/// Passes bytes on and hashes them.
+struct Hashing<'a> {
+    out: &'a mut dyn Write,
+    hasher: Xxh3,
+}
+
+impl Write for Hashing<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.out.write(bytes)?;
+        self.hasher.update(&bytes[..written]);
+        Ok(written)
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
+/// Writes `folder/step_%08d.ltc` and keeps the newest three. Files of later steps are removed too: they belong to a
+/// future that was given up when the run was taken up from an earlier step.
+pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf, WriteError> {
+    let path = folder.join(format!("step_{:08}.ltc", checkpoint.step));
+    write_atomically(&path, |out| checkpoint.put(out))?;
+    let (later, mut files): (Vec<_>, Vec<_>) = list(folder).into_iter().partition(|(step, _)| *step > checkpoint.step);
+    files.truncate(files.len().saturating_sub(KEPT));
+    for (_, old) in files.into_iter().chain(later) {
+        // One file too many does no harm; the new one is safe.
+        let _ = fs::remove_file(old);
+    }
+    Ok(path)
+}
+
+/// What [`latest`] found.
+#[derive(Debug, Default)]
+pub struct Latest {
+    /// The newest valid checkpoint and its file.
+    pub found: Option<(PathBuf, Checkpoint)>,
+    /// One sentence for every newer file that was skipped, and why.
+    pub notes: Vec<String>,
+}
+
+/// The newest valid checkpoint of `folder`.
+pub fn latest(folder: &Path) -> Latest {
+    let mut latest = Latest::default();
+    for (_, path) in list(folder).into_iter().rev() {
+        let checkpoint = fs::read(&path)
+            .map_err(|e| e.to_string())
+            .and_then(|bytes| Checkpoint::from_bytes(&bytes).map_err(|e| e.to_string()));
+        match checkpoint {
+            Ok(checkpoint) => {
+                latest.found = Some((path, checkpoint));
+                break;
+            }
+            Err(problem) => latest.notes.push(format!("{} is skipped: {problem}", path.display())),
+        }
+    }
+    latest
+}
+
+/// Checkpoint files by ascending step.
+fn list(folder: &Path) -> Vec<(u64, PathBuf)> {
+    let mut files: Vec<(u64, PathBuf)> = fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter_map(|entry| {
+            let name = entry.file_name();
+            let step = name.to_str()?.strip_prefix("step_")?.strip_suffix(".ltc")?.parse().ok()?;
+            Some((step, entry.path()))
+        })
+        .collect();
+    files.sort();
+    files
+}

@@ -1,0 +1,173 @@
+//! The run directory: where every file of a run lies, and who may write there.
+//!
+//! ```text
+//! RUN_DIR/report.json  run.toml  scene.<toml|json>  trace.json  rest.obj  cloth.pc2
+//!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc  pictures/*.png
+//! ```
+//! Does not promise to keep two machines apart on a network file system without locks.
+
+use std::fs::{self, File, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::atomic::{self, PART_SUFFIX};
+
+/// What to do with a run that is already there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// Refuse: results are never lost by accident.
+    Refuse,
+    /// Delete the files of the old run (and nothing else).
+    Overwrite,
+    /// Go on with it; there must be one.
+    Resume,
+}
+
+/// Why a run directory cannot be used. Nothing has been written.
+#[derive(Debug, Error)]
+pub enum DirectoryError {
+    /// A file is in the way.
+    #[error("{} is a file, but a run needs a folder; choose another with --out", .0.display())]
+    NotAFolder(PathBuf),
+    /// The folder cannot be made or written to.
+    #[error("cannot write to {}: {source}; choose another folder with --out", path.display())]
+    Unwritable {
+        /// The run directory.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// There is a run and neither `--resume` nor `--overwrite` was given.
+    #[error("{} already holds a run; continue it with --resume, replace it with --overwrite, or choose another folder with --out", .0.display())]
+    HoldsARun(PathBuf),
+    /// `--resume` without a run.
+    #[error("{} holds no run to continue; leave out --resume to start one", .0.display())]
+    NothingToResume(PathBuf),
+    /// Another process is writing a run there.
+    #[error("{} is in use by another run that has not ended; choose another folder with --out", .0.display())]
+    InUse(PathBuf),
+    /// Not a run directory (for commands that read one).
+    #[error("{} is not a run directory: no report.json, run.toml or frames/ in it", .0.display())]
+    NotARun(PathBuf),
+}
+
+/// A run directory that this process may write to (or, from [`RunDirectory::open`], read).
+#[derive(Debug)]
+pub struct RunDirectory {
+    path: PathBuf,
+    /// Holds the lock on the folder until dropped.
+    _lock: Option<File>,
+}
+
+/// Files of a run besides the numbered ones in sub-folders.
+const FILES: [&str; 7] = ["report.json", "run.toml", "scene.toml", "scene.json", "trace.json", "cloth.pc2", "rest.obj"];
+/// Sub-folders, and how the names of a run's files in them begin.
+const FOLDERS: [(&str, &[&str]); 3] =
+    [("frames", &["frame_", "obstacle_"]), ("checkpoint", &["step_"]), ("pictures", &["frame_", "contact_sheet"])];
+
+impl RunDirectory {
+    /// Prepares `path` for a run: makes the folders, locks them against a second run, and clears leftovers.
+    pub fn create(path: &Path, existing: Existing) -> Result<RunDirectory, DirectoryError> {
+        let own = || path.to_path_buf();
+        let unwritable = |e| DirectoryError::Unwritable { path: own(), source: atomic::without_temporary_name(e) };
+        if path.exists() && !path.is_dir() {
+            return Err(DirectoryError::NotAFolder(own()));
+        }
+        match (holds_run(path), existing) {
+            (true, Existing::Refuse) => return Err(DirectoryError::HoldsARun(own())),
+            (false, Existing::Resume) => return Err(DirectoryError::NothingToResume(own())),
+            _ => {}
+        }
+        fs::create_dir_all(path).map_err(unwritable)?;
+        // Permission bits do not tell (root, read-only mounts, quotas): only trying does.
+        tempfile::Builder::new().prefix(".").suffix(PART_SUFFIX).tempfile_in(path).map_err(unwritable)?;
+        let lock = lock(path)?;
+        if existing == Existing::Overwrite {
+            remove_run(path).map_err(unwritable)?;
+        }
+        for folder in ["frames", "checkpoint"] {
+            fs::create_dir_all(path.join(folder)).map_err(unwritable)?;
+            atomic::remove_parts(&path.join(folder));
+        }
+        atomic::remove_parts(path);
+        Ok(RunDirectory { path: own(), _lock: lock })
+    }
+
+    /// An existing run directory, for reading.
+    pub fn open(path: &Path) -> Result<RunDirectory, DirectoryError> {
+        if holds_run(path) {
+            Ok(RunDirectory { path: path.to_path_buf(), _lock: None })
+        } else {
+            Err(DirectoryError::NotARun(path.to_path_buf()))
+        }
+    }
+
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+    /// `report.json`.
+    pub fn report(&self) -> PathBuf {
+        self.path.join("report.json")
+    }
+    /// `run.toml`.
+    pub fn manifest(&self) -> PathBuf {
+        self.path.join("run.toml")
+    }
+    /// `trace.json`.
+    pub fn trace(&self) -> PathBuf {
+        self.path.join("trace.json")
+    }
+    /// `cloth.pc2`: the whole animation in one file.
+    pub fn point_cache(&self) -> PathBuf {
+        self.path.join("cloth.pc2")
+    }
+    /// `rest.obj`: the mesh that `cloth.pc2` moves.
+    pub fn rest_mesh(&self) -> PathBuf {
+        self.path.join("rest.obj")
+    }
+    /// `frames/`.
+    pub fn frames(&self) -> PathBuf {
+        self.path.join("frames")
+    }
+    /// `checkpoint/`.
+    pub fn checkpoints(&self) -> PathBuf {
+        self.path.join("checkpoint")
+    }
+    /// `pictures/`.
+    pub fn pictures(&self) -> PathBuf {
+        self.path.join("pictures")
+    }
+}
+
+fn lock(path: &Path) -> Result<Option<File>, DirectoryError> {
+    let Ok(folder) = File::open(path) else { return Ok(None) };
+    match folder.try_lock() {
+        Ok(()) => Ok(Some(folder)),
+        Err(TryLockError::WouldBlock) => Err(DirectoryError::InUse(path.to_path_buf())),
+        // A file system that cannot lock a folder is no reason to refuse a run.
+        Err(TryLockError::Error(_)) => Ok(None),
+    }
+}
+
+fn is_run_file(name: &str, prefixes: &[&str]) -> bool {
+    prefixes.iter().any(|prefix| name.starts_with(prefix))
+}
+
+fn numbered_files(path: &Path) -> impl Iterator<Item = PathBuf> {
+    FOLDERS.into_iter().flat_map(move |(folder, prefixes)| {
+        let entries = fs::read_dir(path.join(folder)).into_iter().flatten().flatten();
+        entries.filter(move |e| is_run_file(&e.file_name().to_string_lossy(), prefixes)).map(|e| e.path())
+    })
+}
+
+fn holds_run(path: &Path) -> bool {
+    ["report.json", "run.toml"].iter().any(|name| path.join(name).exists()) || numbered_files(path).next().is_some()
+}
+
+fn remove_run(path: &Path) -> io::Result<()> {
+    let own = FILES.iter().map(|name| path.join(name)).filter(|file| file.is_file());
+    own.chain(numbered_files(path)).try_for_each(fs::remove_file)
+}

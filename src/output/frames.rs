@@ -1,0 +1,199 @@
+//! Writes the frames of a run in the formats the user asked for. Vertex order and topology never change on output.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use thiserror::Error;
+
+use super::RunDirectory;
+use super::atomic::{WriteError, write_atomically};
+use super::obj::{self, TextureCoordinates};
+use super::pc2::{Pc2Error, Pc2Writer};
+use super::ply;
+use crate::math::Vec3;
+use crate::mesh::TriangleMesh;
+
+/// A file format of frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FrameFormat {
+    /// Wavefront OBJ, one text file a frame, with material coordinates.
+    Obj,
+    /// Binary little-endian PLY, one file a frame.
+    Ply,
+    /// One PC2 point cache for the whole run, beside `rest.obj`.
+    Pc2,
+}
+
+/// Why a `--format` value is not one.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum FormatError {
+    /// Planned, but not there yet.
+    #[error("--format usd is not in this release; use obj, ply or pc2 (separated by commas)")]
+    Usd,
+    /// No such format.
+    #[error("--format {0:?} is unknown; valid are obj, ply and pc2 (separated by commas)")]
+    Unknown(String),
+    /// An empty list.
+    #[error("--format is empty; name at least one of obj, ply and pc2 (separated by commas)")]
+    Empty,
+}
+
+impl FromStr for FrameFormat {
+    type Err = FormatError;
+    fn from_str(text: &str) -> Result<FrameFormat, FormatError> {
+        match text.trim().to_ascii_lowercase().as_str() {
+            "obj" => Ok(FrameFormat::Obj),
+            "ply" => Ok(FrameFormat::Ply),
+            "pc2" => Ok(FrameFormat::Pc2),
+            "usd" | "usda" | "usdc" => Err(FormatError::Usd),
+            "" => Err(FormatError::Empty),
+            _ => Err(FormatError::Unknown(text.trim().to_string())),
+        }
+    }
+}
+
+impl fmt::Display for FrameFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            FrameFormat::Obj => "obj",
+            FrameFormat::Ply => "ply",
+            FrameFormat::Pc2 => "pc2",
+        })
+    }
+}
+
+/// Reads a comma-separated list such as `obj,ply`; each format counts once.
+pub fn parse_formats(list: &str) -> Result<Vec<FrameFormat>, FormatError> {
+    let mut formats = Vec::new();
+    for text in list.split(',') {
+        let format = text.parse()?;
+        if !formats.contains(&format) {
+            formats.push(format);
+        }
+    }
+    Ok(formats)
+}
+
+/// Why a frame was not written. Frames written before are whole.
+#[derive(Debug, Error)]
+pub enum FrameError {
+    /// The system refused.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// The point cache does not fit the run.
+    #[error(transparent)]
+    PointCache(#[from] Pc2Error),
+    /// A position that no reader would accept.
+    #[error("frame {frame} is not written: position of vertex {vertex} is {position} (not a finite number)")]
+    NotFinite {
+        /// Number of the frame.
+        frame: u32,
+        /// First such vertex.
+        vertex: usize,
+        /// Its position, metres.
+        position: Vec3,
+    },
+    /// A caller's mistake, said rather than written.
+    #[error("frame {frame} is not written: {got} positions for a mesh of {expected} vertices")]
+    WrongCount {
+        /// Number of the frame.
+        frame: u32,
+        /// Vertices of the mesh.
+        expected: usize,
+        /// Positions handed over.
+        got: usize,
+    },
+}
+
+/// Writes frames into a run directory.
+pub struct FrameWriter {
+    folder: PathBuf,
+    files: Vec<FrameFormat>,
+    texture: Option<TextureCoordinates>,
+    point_cache: Option<Pc2Writer>,
+    vertices: usize,
+    buffer: Vec<u8>,
+}
+
+impl FrameWriter {
+    /// A writer for the frames of `mesh` from `first_frame` on (0 unless a run is resumed).
+    pub fn new(
+        directory: &RunDirectory,
+        formats: &[FrameFormat],
+        mesh: &TriangleMesh,
+        first_frame: u32,
+    ) -> Result<FrameWriter, FrameError> {
+        let texture = formats
+            .iter()
+            .any(|format| *format != FrameFormat::Ply)
+            .then(|| TextureCoordinates::new(mesh.positions.len(), &mesh.triangles, &mesh.material_uv));
+        let files = formats.iter().copied().filter(|format| *format != FrameFormat::Pc2).collect();
+        let mut point_cache = None;
+        if formats.contains(&FrameFormat::Pc2) {
+            let rest = directory.rest_mesh();
+            write_atomically(&rest, |out| {
+                obj::write(out, &mut Vec::new(), &mesh.positions, &mesh.triangles, texture.as_ref())
+            })?;
+            point_cache = Some(Pc2Writer::open(&directory.point_cache(), mesh.positions.len(), first_frame)?);
+        }
+        let vertices = mesh.positions.len();
+        Ok(FrameWriter { folder: directory.frames(), files, texture, point_cache, vertices, buffer: Vec::new() })
+    }
+
+    /// Writes one frame of the cloth. `mesh` must be the mesh that the writer was made for; of it, only the triangles
+    /// are used.
+    pub fn write(&mut self, frame: u32, mesh: &TriangleMesh, positions: &[Vec3]) -> Result<(), FrameError> {
+        check(frame, self.vertices, positions)?;
+        for format in &self.files {
+            let path = frame_path(&self.folder, "frame", frame, *format);
+            write_file(&path, *format, &mut self.buffer, positions, &mesh.triangles, self.texture.as_ref())?;
+        }
+        if let Some(cache) = &mut self.point_cache {
+            cache.write(frame, positions)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the obstacles of one frame beside the cloth (in the point cache's case as PLY).
+    pub fn write_obstacle(&mut self, frame: u32, positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), FrameError> {
+        check(frame, positions.len(), positions)?;
+        let formats = if self.files.is_empty() { &[FrameFormat::Ply][..] } else { &self.files };
+        for format in formats {
+            let path = frame_path(&self.folder, "obstacle", frame, *format);
+            write_file(&path, *format, &mut self.buffer, positions, triangles, None)?;
+        }
+        Ok(())
+    }
+}
+
+/// `FOLDER/KIND_%06d.EXT`.
+pub(super) fn frame_path(folder: &Path, kind: &str, frame: u32, format: FrameFormat) -> PathBuf {
+    folder.join(format!("{kind}_{frame:06}.{format}"))
+}
+
+fn check(frame: u32, expected: usize, positions: &[Vec3]) -> Result<(), FrameError> {
+    if positions.len() != expected {
+        return Err(FrameError::WrongCount { frame, expected, got: positions.len() });
+    }
+    match positions.iter().position(|p| !p.is_finite()) {
+        Some(vertex) => Err(FrameError::NotFinite { frame, vertex, position: positions[vertex] }),
+        None => Ok(()),
+    }
+}
+
+fn write_file(
+    path: &Path,
+    format: FrameFormat,
+    buffer: &mut Vec<u8>,
+    positions: &[Vec3],
+    triangles: &[[u32; 3]],
+    texture: Option<&TextureCoordinates>,
+) -> Result<(), WriteError> {
+    write_atomically(path, |out| match format {
+        FrameFormat::Obj => obj::write(out, buffer, positions, triangles, texture),
+        FrameFormat::Ply => ply::write(out, buffer, positions, triangles),
+        FrameFormat::Pc2 => Ok(()),
+    })
+}

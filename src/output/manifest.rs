@@ -1,0 +1,160 @@
+//! `run.toml`: everything needed to run again: the scene's text (a file beside it), where it came from, the files that
+//! it names, and the flags after all defaults were filled in.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use xxhash_rust::xxh3::xxh3_64;
+
+use super::RunDirectory;
+use super::atomic::{WriteError, write_atomically};
+
+/// A run's recipe.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunManifest {
+    /// Version of the program.
+    pub version: String,
+    /// Where the scene was read from, absolute. Paths in its text start from this file's folder.
+    pub scene_path: PathBuf,
+    /// Name of the file in the run directory that holds the scene's text; filled in by [`RunManifest::save`].
+    #[serde(default)]
+    pub scene_file: String,
+    /// The scene's text, word for word.
+    #[serde(skip)]
+    pub scene_text: String,
+    /// Files besides the scene that were read (meshes, fabrics, topology).
+    #[serde(default)]
+    pub inputs: Vec<Input>,
+    /// Flags of the command line with their defaults filled in; [`RunManifest::flags`] gives them their type back.
+    #[serde(default)]
+    pub flags: toml::Table,
+}
+
+/// A file that a run has read.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Input {
+    /// Absolute path.
+    pub path: PathBuf,
+    /// xxh3 of its bytes, 16 hexadecimal digits.
+    pub hash: String,
+}
+
+/// Why a recipe cannot be written or read.
+#[derive(Debug, Error)]
+pub enum ManifestError {
+    /// The system refused to write.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// A file cannot be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Not the TOML that a run writes.
+    #[error("{}, line {line}: {message}", path.display())]
+    Toml {
+        /// `run.toml`.
+        path: PathBuf,
+        /// Counted from 1.
+        line: usize,
+        /// What is wrong.
+        message: String,
+    },
+    /// A value that TOML cannot hold.
+    #[error("the flags of this run cannot be written as TOML: {0}")]
+    Flags(String),
+    /// `scene_file` leads out of the run directory.
+    #[error("{}: scene_file = {name:?} must be the name of a file in the run directory", path.display())]
+    SceneFile {
+        /// `run.toml`.
+        path: PathBuf,
+        /// What stands there.
+        name: String,
+    },
+}
+
+impl RunManifest {
+    /// A recipe for a scene read from `scene_path` with the text `scene_text`.
+    pub fn new<F: Serialize>(scene_path: &Path, scene_text: &str, flags: &F) -> Result<RunManifest, ManifestError> {
+        Ok(RunManifest {
+            version: env!("CARGO_PKG_VERSION").to_string(),
+            scene_path: absolute(scene_path),
+            scene_file: String::new(),
+            scene_text: scene_text.to_string(),
+            inputs: Vec::new(),
+            flags: toml::Table::try_from(flags).map_err(|e| ManifestError::Flags(e.to_string()))?,
+        })
+    }
+
+    /// Notes a file that the run reads.
+    pub fn add_input(&mut self, path: &Path) -> Result<(), ManifestError> {
+        let path = absolute(path);
+        let hash = hash_file(&path).map_err(|source| ManifestError::Read { path: path.clone(), source })?;
+        self.inputs.push(Input { path, hash });
+        Ok(())
+    }
+
+    /// One sentence for every noted file that is not what it was.
+    pub fn changed_inputs(&self) -> Vec<String> {
+        let mut sentences = Vec::new();
+        for input in &self.inputs {
+            match hash_file(&input.path) {
+                Ok(hash) if hash == input.hash => {}
+                Ok(_) => sentences.push(format!("{} has changed since the run was started", input.path.display())),
+                Err(e) => sentences.push(format!("{} can no longer be read: {e}", input.path.display())),
+            }
+        }
+        sentences
+    }
+
+    /// The flags as the type they were made from.
+    pub fn flags<F: DeserializeOwned>(&self) -> Result<F, ManifestError> {
+        self.flags.clone().try_into().map_err(|e: toml::de::Error| ManifestError::Flags(e.message().to_string()))
+    }
+
+    /// Writes the scene's text and `run.toml`.
+    pub fn save(&mut self, directory: &RunDirectory) -> Result<(), ManifestError> {
+        let json = self.scene_path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+        self.scene_file = if json { "scene.json" } else { "scene.toml" }.to_string();
+        let text = toml::to_string_pretty(self).map_err(|e| ManifestError::Flags(e.to_string()))?;
+        write_atomically(&directory.path().join(&self.scene_file), |out| out.write_all(self.scene_text.as_bytes()))?;
+        write_atomically(&directory.manifest(), |out| out.write_all(text.as_bytes()))?;
+        Ok(())
+    }
+
+    /// Reads `run.toml` and the scene's text.
+    pub fn load(directory: &RunDirectory) -> Result<RunManifest, ManifestError> {
+        let path = directory.manifest();
+        let read = |path: &Path| {
+            fs::read_to_string(path).map_err(|source| ManifestError::Read { path: path.to_path_buf(), source })
+        };
+        let text = read(&path)?;
+        let mut manifest: RunManifest = toml::from_str(&text).map_err(|e| {
+            let before = e.span().map_or(0, |span| span.start.min(text.len()));
+            let line = 1 + text.as_bytes()[..before].iter().filter(|b| **b == b'\n').count();
+            ManifestError::Toml { path: path.clone(), line, message: e.message().to_string() }
+        })?;
+        let name = Path::new(&manifest.scene_file);
+        if name.file_name() != Some(name.as_os_str()) {
+            return Err(ManifestError::SceneFile { path, name: manifest.scene_file });
+        }
+        manifest.scene_text = read(&directory.path().join(name))?;
+        Ok(manifest)
+    }
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    fs::canonicalize(path).or_else(|_| std::path::absolute(path)).unwrap_or_else(|_| path.to_path_buf())
+}
+
+fn hash_file(path: &Path) -> io::Result<String> {
+    Ok(format!("{:016x}", xxh3_64(&fs::read(path)?)))
+}

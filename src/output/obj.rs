@@ -1,0 +1,156 @@
+//! OBJ frames: a fast writer, and a reader for files that this writer wrote (`mesh` reads everybody's).
+
+use std::io::{self, Write};
+
+use super::read::{FrameMesh, ReadError};
+use crate::math::{Vec2, Vec3};
+
+/// Bytes collected before they are handed on.
+const CHUNK: usize = 1 << 16;
+
+/// The `vt` lines of a mesh: each distinct coordinate of a vertex once.
+pub struct TextureCoordinates {
+    coordinates: Vec<Vec2>,
+    /// Index into `coordinates` of every triangle corner.
+    corners: Vec<[u32; 3]>,
+}
+
+const NONE: u32 = u32::MAX;
+
+impl TextureCoordinates {
+    /// Merges per-corner coordinates; a vertex on a seam keeps several. Without coordinates (`uv` empty) there are none.
+    pub fn new(vertices: usize, triangles: &[[u32; 3]], uv: &[[Vec2; 3]]) -> TextureCoordinates {
+        let mut coordinates: Vec<Vec2> = Vec::new();
+        // Coordinates of a vertex form a list: first[vertex], then next[coordinate].
+        let (mut first, mut next) = (vec![NONE; vertices], Vec::new());
+        let mut index_of = |vertex: u32, uv: Vec2| {
+            let mut candidate = first[vertex as usize];
+            while candidate != NONE {
+                if coordinates[candidate as usize] == uv {
+                    return candidate;
+                }
+                candidate = next[candidate as usize];
+            }
+            let index = coordinates.len() as u32;
+            coordinates.push(uv);
+            next.push(std::mem::replace(&mut first[vertex as usize], index));
+            index
+        };
+        let corners = triangles
+            .iter()
+            .zip(uv)
+            .map(|(triangle, uv)| std::array::from_fn(|c| index_of(triangle[c], uv[c])))
+            .collect();
+        TextureCoordinates { coordinates, corners }
+    }
+}
+
+/// Writes a mesh. Numbers have the fewest digits that read back to the same f32. `buffer` is scratch, kept by the caller
+/// to save allocations.
+pub fn write(
+    out: &mut dyn Write,
+    buffer: &mut Vec<u8>,
+    positions: &[Vec3],
+    triangles: &[[u32; 3]],
+    texture: Option<&TextureCoordinates>,
+) -> io::Result<()> {
+    buffer.clear();
+    for p in positions {
+        buffer.push(b'v');
+        p.to_array().into_iter().for_each(|x| push_f32(buffer, x));
+        buffer.push(b'\n');
+        flush_full(out, buffer)?;
+    }
+    let texture = texture.filter(|t| t.corners.len() == triangles.len() && !t.coordinates.is_empty());
+    for uv in texture.iter().flat_map(|t| &t.coordinates) {
+        buffer.extend_from_slice(b"vt");
+        uv.to_array().into_iter().for_each(|x| push_f32(buffer, x));
+        buffer.push(b'\n');
+        flush_full(out, buffer)?;
+    }
+    for (t, triangle) in triangles.iter().enumerate() {
+        buffer.push(b'f');
+        for corner in 0..3 {
+            buffer.push(b' ');
+            push_index(buffer, triangle[corner]);
+            if let Some(texture) = texture {
+                buffer.push(b'/');
+                push_index(buffer, texture.corners[t][corner]);
+            }
+        }
+        buffer.push(b'\n');
+        flush_full(out, buffer)?;
+    }
+    out.write_all(buffer)?;
+    buffer.clear();
+    Ok(())
+}
+
+fn flush_full(out: &mut dyn Write, buffer: &mut Vec<u8>) -> io::Result<()> {
+    if buffer.len() >= CHUNK {
+        out.write_all(buffer)?;
+        buffer.clear();
+    }
+    Ok(())
+}
+
+/// A space and the number. JSON's numbers are OBJ's numbers too, and serde_json writes them faster than std.
+fn push_f32(buffer: &mut Vec<u8>, x: f32) {
+    buffer.push(b' ');
+    // Writing to a Vec cannot fail.
+    let _ = serde_json::to_writer(&mut *buffer, &x);
+    if buffer.ends_with(b".0") {
+        buffer.truncate(buffer.len() - 2);
+    }
+}
+
+/// The index, counted from 1, in decimal (std's formatting costs three times as much, and frames hold millions).
+fn push_index(buffer: &mut Vec<u8>, index: u32) {
+    let mut number = u64::from(index) + 1;
+    let mut digits = [0u8; 10];
+    let mut start = digits.len();
+    loop {
+        start -= 1;
+        digits[start] = b'0' + (number % 10) as u8;
+        number /= 10;
+        if number == 0 {
+            break;
+        }
+    }
+    buffer.extend_from_slice(&digits[start..]);
+}
+
+/// Reads a triangle mesh that [`write`] wrote. Texture coordinates are skipped.
+pub fn read(bytes: &[u8]) -> Result<FrameMesh, ReadError> {
+    let mut mesh = FrameMesh::default();
+    for (number, line) in bytes.split(|b| *b == b'\n').enumerate() {
+        let at = |problem: &'static str| ReadError::Line { line: number + 1, problem };
+        let Ok(line) = std::str::from_utf8(line) else { return Err(at("is not text")) };
+        let mut words = line.split_ascii_whitespace();
+        match words.next() {
+            Some("v") => {
+                let mut p = [0.0f32; 3];
+                for x in &mut p {
+                    let word = words.next().ok_or(at("has fewer than 3 coordinates"))?;
+                    *x = word.parse().map_err(|_| at("has a coordinate that is no number"))?;
+                }
+                mesh.positions.push(Vec3::from_array(p));
+            }
+            Some("f") => {
+                let mut triangle = [0u32; 3];
+                for index in &mut triangle {
+                    let word = words.next().ok_or(at("has fewer than 3 corners"))?;
+                    let digits = word.split('/').next().unwrap_or(word);
+                    let number: u32 = digits.parse().map_err(|_| at("has a corner that is no vertex number"))?;
+                    *index = number.checked_sub(1).ok_or(at("has vertex number 0 (they count from 1)"))?;
+                }
+                if words.next().is_some() {
+                    return Err(at("has more than 3 corners"));
+                }
+                mesh.triangles.push(triangle);
+            }
+            _ => {}
+        }
+    }
+    mesh.checked()
+}

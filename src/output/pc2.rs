@@ -1,0 +1,160 @@
+//! PC2 point cache: all frames of a run in one file that Blender and others play on top of `rest.obj`.
+//!
+//! Header, 32 bytes little-endian: "POINTCACHE2\0", version 1, points, start frame (f32), frames per sample (f32), samples.
+//! The sample count is raised after a sample is whole, so that the file of an interrupted run still loads.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::atomic::WriteError;
+use super::ply::{positions_from_bytes, write_words};
+use crate::math::Vec3;
+
+const MAGIC: &[u8; 12] = b"POINTCACHE2\0";
+const HEADER_BYTES: u64 = 32;
+/// Where the number of samples stands.
+const SAMPLES_AT: u64 = 28;
+
+/// Why a point cache cannot be used.
+#[derive(Debug, Error)]
+pub enum Pc2Error {
+    /// The system refused.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// Not a file, or not one that can be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The point cache.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Bytes that are no point cache of this mesh.
+    #[error("{} is not a point cache of this run: {problem}", path.display())]
+    Unfit {
+        /// The point cache.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A gap between frames.
+    #[error("frame {frame} does not follow the {samples} frames that {} holds; start without --resume or leave out --format pc2", path.display())]
+    Gap {
+        /// The point cache.
+        path: PathBuf,
+        /// Frame to be written.
+        frame: u32,
+        /// Frames in the file.
+        samples: u32,
+    },
+}
+
+/// What the header says.
+struct Header {
+    points: u32,
+    samples: u32,
+}
+
+fn read_header(file: &mut File, path: &Path) -> Result<Header, Pc2Error> {
+    let mut bytes = [0u8; HEADER_BYTES as usize];
+    let unfit = |problem: &str| Pc2Error::Unfit { path: path.to_path_buf(), problem: problem.to_string() };
+    file.seek(SeekFrom::Start(0))
+        .and_then(|_| file.read_exact(&mut bytes))
+        .map_err(|_| unfit("its header is cut off"))?;
+    if &bytes[..12] != MAGIC {
+        return Err(unfit("it does not begin with POINTCACHE2"));
+    }
+    let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+    Ok(Header { points: word(16), samples: word(28) })
+}
+
+/// Appends frames to a point cache.
+pub struct Pc2Writer {
+    path: PathBuf,
+    file: File,
+    points: usize,
+    samples: u32,
+    buffer: Vec<u8>,
+}
+
+impl Pc2Writer {
+    /// Starts a cache (`first_frame` = 0), or goes on with one after its first `first_frame` frames.
+    pub fn open(path: &Path, points: usize, first_frame: u32) -> Result<Pc2Writer, Pc2Error> {
+        let unfit = |problem: String| Pc2Error::Unfit { path: path.to_path_buf(), problem };
+        let count = i32::try_from(points).map_err(|_| unfit(format!("{points} points are more than PC2 can count")))?;
+        if first_frame == 0 {
+            let create = || -> io::Result<File> {
+                let mut file = File::create(path)?;
+                let mut header = MAGIC.to_vec();
+                header.extend(1i32.to_le_bytes());
+                header.extend(count.to_le_bytes());
+                header.extend(0f32.to_le_bytes());
+                header.extend(1f32.to_le_bytes());
+                header.extend(0i32.to_le_bytes());
+                file.write_all(&header)?;
+                Ok(file)
+            };
+            let file = create().map_err(WriteError::at(path))?;
+            return Ok(Pc2Writer { path: path.to_path_buf(), file, points, samples: 0, buffer: Vec::new() });
+        }
+        let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(WriteError::at(path))?;
+        let header = read_header(&mut file, path)?;
+        if header.points as usize != points {
+            return Err(unfit(format!("it holds {} points, the mesh has {points} vertices", header.points)));
+        }
+        if header.samples < first_frame {
+            return Err(Pc2Error::Gap { path: path.to_path_buf(), frame: first_frame, samples: header.samples });
+        }
+        Ok(Pc2Writer { path: path.to_path_buf(), file, points, samples: header.samples, buffer: Vec::new() })
+    }
+
+    /// Writes frame `frame`: the next one, or one that is there already (a resumed run repeats some).
+    pub fn write(&mut self, frame: u32, positions: &[Vec3]) -> Result<(), Pc2Error> {
+        if frame > self.samples || positions.len() != self.points {
+            return Err(Pc2Error::Gap { path: self.path.clone(), frame, samples: self.samples });
+        }
+        let offset = HEADER_BYTES + u64::from(frame) * self.points as u64 * 12;
+        let samples = self.samples.max(frame + 1);
+        let (file, buffer) = (&mut self.file, &mut self.buffer);
+        let mut put = || -> io::Result<()> {
+            file.seek(SeekFrom::Start(offset))?;
+            write_words(file, buffer, bytemuck::cast_slice(positions))?;
+            file.seek(SeekFrom::Start(SAMPLES_AT))?;
+            file.write_all(&samples.to_le_bytes())
+        };
+        put().map_err(WriteError::at(&self.path))?;
+        self.samples = samples;
+        Ok(())
+    }
+}
+
+/// Number of whole frames in a point cache.
+pub fn samples(path: &Path) -> Result<u32, Pc2Error> {
+    let mut file = open(path)?;
+    Ok(read_header(&mut file, path)?.samples)
+}
+
+/// Positions of frame `frame`.
+pub fn read(path: &Path, frame: u32) -> Result<Vec<Vec3>, Pc2Error> {
+    let unfit = |problem: String| Pc2Error::Unfit { path: path.to_path_buf(), problem };
+    let mut file = open(path)?;
+    let header = read_header(&mut file, path)?;
+    let size = u64::from(header.points) * 12;
+    let offset = HEADER_BYTES + u64::from(frame) * size;
+    // The header's numbers are believed only as far as the file reaches.
+    let length = file.metadata().map(|m| m.len()).unwrap_or(0);
+    if frame >= header.samples || offset + size > length {
+        return Err(unfit(format!("frame {frame} is missing or cut off")));
+    }
+    let mut bytes = vec![0; size as usize];
+    let fill = file.seek(SeekFrom::Start(offset)).and_then(|_| file.read_exact(&mut bytes));
+    fill.map_err(|source| Pc2Error::Read { path: path.to_path_buf(), source })?;
+    Ok(positions_from_bytes(&bytes))
+}
+
+fn open(path: &Path) -> Result<File, Pc2Error> {
+    File::open(path).map_err(|source| Pc2Error::Read { path: path.to_path_buf(), source })
+}

@@ -1,0 +1,253 @@
+//! Shaded pictures of a run's frames, drawn on the processor: enough to judge folds, not meant to be photographs.
+//!
+//! One camera for the whole sequence, so that pictures of different frames can be compared. Frames are drawn in parallel;
+//! a picture depends on its frame and the camera only.
+
+mod camera;
+mod contact_sheet;
+mod font;
+mod image;
+mod raster;
+mod shade;
+
+use std::io;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use thiserror::Error;
+
+use self::camera::{Fit, View};
+pub use self::image::Image;
+use self::shade::Look;
+use super::{FrameMesh, FrameSource, FramesError, RunDirectory, WriteError};
+use crate::math::Vec3;
+
+/// What the colours of the cloth mean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Coloring {
+    /// Front and back of the cloth in two tints.
+    #[default]
+    Shaded,
+    /// Height over the whole sequence, from dark blue (low) to yellow (high).
+    Height,
+    /// Direction of the surface as the camera sees it.
+    Normal,
+}
+
+impl FromStr for Coloring {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Coloring, String> {
+        match text {
+            "shaded" => Ok(Coloring::Shaded),
+            "height" => Ok(Coloring::Height),
+            "normal" => Ok(Coloring::Normal),
+            _ => Err(format!("{text:?} is no colouring; valid are shaded, height and normal")),
+        }
+    }
+}
+
+/// The axis that points up in the pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum UpAxis {
+    /// Y up.
+    Y,
+    /// Z up.
+    #[default]
+    Z,
+}
+
+impl FromStr for UpAxis {
+    type Err = String;
+    fn from_str(text: &str) -> Result<UpAxis, String> {
+        match text {
+            "y" => Ok(UpAxis::Y),
+            "z" => Ok(UpAxis::Z),
+            _ => Err(format!("{text:?} is no up axis; valid are y and z")),
+        }
+    }
+}
+
+impl UpAxis {
+    fn vector(self) -> Vec3 {
+        match self {
+            UpAxis::Y => Vec3::Y,
+            UpAxis::Z => Vec3::Z,
+        }
+    }
+}
+
+/// How to draw.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PictureOptions {
+    /// Pixels of a picture.
+    pub width: u32,
+    /// Pixels of a picture.
+    pub height: u32,
+    /// Meaning of the colours.
+    pub coloring: Coloring,
+    /// Up.
+    pub up: UpAxis,
+    /// Direction of the camera around the up axis, degrees; none = the side that shows most of the cloth.
+    pub azimuth_deg: Option<f32>,
+    /// Height of the camera above the horizon, degrees; none = chosen with the azimuth.
+    pub elevation_deg: Option<f32>,
+    /// Threads.
+    pub threads: usize,
+}
+
+impl Default for PictureOptions {
+    fn default() -> PictureOptions {
+        PictureOptions {
+            width: 960,
+            height: 720,
+            coloring: Coloring::Shaded,
+            up: UpAxis::Z,
+            azimuth_deg: None,
+            elevation_deg: None,
+            threads: 1,
+        }
+    }
+}
+
+/// Why there are no (or not all) pictures.
+#[derive(Debug, Error)]
+pub enum PictureError {
+    /// A frame cannot be read.
+    #[error(transparent)]
+    Frames(#[from] FramesError),
+    /// A picture cannot be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// The folder for pictures cannot be made.
+    #[error("cannot make {}: {source}", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Nothing to point a camera at.
+    #[error("frames {first} to {last} have no vertex with finite coordinates, so there is nothing to draw")]
+    NothingToSee {
+        /// First frame asked for.
+        first: u32,
+        /// Last frame asked for.
+        last: u32,
+    },
+}
+
+/// Draws the frames `numbers` to `pictures/frame_%06d.png` and `pictures/contact_sheet.png`; returns the sheet's path.
+/// `drawn` is called after every picture, from any thread.
+pub fn draw_frames(
+    directory: &RunDirectory,
+    source: &FrameSource,
+    numbers: &[u32],
+    options: &PictureOptions,
+    drawn: &(dyn Fn(u32) + Sync),
+) -> Result<PathBuf, PictureError> {
+    let look = choose_look(source, numbers, options)?;
+    let folder = directory.pictures();
+    std::fs::create_dir_all(&folder).map_err(|source| PictureError::Folder { path: folder.clone(), source })?;
+
+    let chosen = contact_sheet::choose(numbers);
+    let thumbnails = Mutex::new(vec![None; chosen.len()]);
+    for_each_frame(numbers, options.threads, |frame| {
+        let image = draw(&read_all(source, frame)?, &look, options.width, options.height);
+        image.save(&folder.join(format!("frame_{frame:06}.png")))?;
+        if let Some(slot) = chosen.iter().position(|number| *number == frame) {
+            let small = contact_sheet::thumbnail(&image);
+            if let Ok(mut slots) = thumbnails.lock() {
+                slots[slot] = Some((frame, small));
+            }
+        }
+        drawn(frame);
+        Ok(())
+    })?;
+    let thumbnails = thumbnails.into_inner().unwrap_or_default();
+    let sheet = folder.join("contact_sheet.png");
+    contact_sheet::compose(thumbnails.into_iter().flatten()).save(&sheet)?;
+    Ok(sheet)
+}
+
+/// Cloth and obstacles of a frame in one mesh; the first `cloth` triangles are cloth.
+struct Content {
+    mesh: FrameMesh,
+    cloth: usize,
+}
+
+fn read_all(source: &FrameSource, frame: u32) -> Result<Content, FramesError> {
+    let mut mesh = source.read(frame)?;
+    let cloth = mesh.triangles.len();
+    if let Some(obstacle) = source.read_obstacle(frame)? {
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend(obstacle.positions);
+        mesh.triangles.extend(obstacle.triangles.iter().map(|t| t.map(|i| i + first)));
+    }
+    Ok(Content { mesh, cloth })
+}
+
+/// Camera and range of heights for the whole sequence.
+fn choose_look(source: &FrameSource, numbers: &[u32], options: &PictureOptions) -> Result<Look, PictureError> {
+    let (first, last) = (numbers.first().copied().unwrap_or(0), numbers.last().copied().unwrap_or(0));
+    let mut view = View::new(options.up.vector());
+    if let Some(middle) = numbers.get(numbers.len() / 2) {
+        for frame in [first, *middle, last] {
+            view.add(&source.read(frame)?);
+        }
+    }
+    let (azimuth_deg, elevation_deg) = view.direction();
+    let direction = (options.azimuth_deg.unwrap_or(azimuth_deg), options.elevation_deg.unwrap_or(elevation_deg));
+    let start = Fit::new(options.up.vector(), direction, options.width as f32 / options.height as f32);
+    let fit = Mutex::new(start.clone());
+    for_each_frame(numbers, options.threads, |frame| {
+        let mut own = start.clone();
+        own.add(&read_all(source, frame)?.mesh.positions);
+        if let Ok(mut fit) = fit.lock() {
+            fit.merge(&own);
+        }
+        Ok(())
+    })?;
+    let fit = fit.into_inner().unwrap_or(start);
+    let camera = fit.camera().ok_or(PictureError::NothingToSee { first, last })?;
+    Ok(Look { camera, coloring: options.coloring, heights_m: fit.heights_m() })
+}
+
+fn draw(content: &Content, look: &Look, width: u32, height: u32) -> Image {
+    let samples = (width as usize * shade::SAMPLES, height as usize * shade::SAMPLES);
+    let visible = raster::rasterize(&content.mesh, &look.camera, samples);
+    shade::shade(&content.mesh, content.cloth, look, &visible, width as usize, height as usize)
+}
+
+/// Calls `f` for every frame on up to `threads` threads; the first error in frame order wins.
+fn for_each_frame(
+    numbers: &[u32],
+    threads: usize,
+    f: impl Fn(u32) -> Result<(), PictureError> + Sync,
+) -> Result<(), PictureError> {
+    let next = AtomicUsize::new(0);
+    let failure: Mutex<Option<(usize, PictureError)>> = Mutex::new(None);
+    std::thread::scope(|scope| {
+        for _ in 0..threads.clamp(1, numbers.len().max(1)) {
+            scope.spawn(|| {
+                loop {
+                    let at = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(frame) = numbers.get(at) else { break };
+                    let Err(error) = f(*frame) else { continue };
+                    next.store(numbers.len(), Ordering::Relaxed);
+                    if let Ok(mut failure) = failure.lock()
+                        && failure.as_ref().is_none_or(|(earlier, _)| at < *earlier)
+                    {
+                        *failure = Some((at, error));
+                    }
+                    break;
+                }
+            });
+        }
+    });
+    match failure.into_inner() {
+        Ok(Some((_, error))) => Err(error),
+        _ => Ok(()),
+    }
+}

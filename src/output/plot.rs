@@ -1,0 +1,124 @@
+//! Line charts as SVG, for benchmarks.
+
+use std::path::Path;
+
+use plotters::prelude::*;
+use plotters::style::FontTransform;
+use thiserror::Error;
+
+use super::atomic::{WriteError, write_atomically};
+
+/// One line of a chart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Series {
+    /// Name in the legend.
+    pub name: String,
+    /// Points (x, y); those that are not finite are left out.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// Why there is no chart.
+#[derive(Debug, Error)]
+pub enum PlotError {
+    /// The system refused.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// No finite point in any series.
+    #[error("chart {title:?} has nothing to show: no series has a finite point")]
+    Empty {
+        /// Title of the chart.
+        title: String,
+    },
+    /// The drawing library gave up.
+    #[error("chart {title:?} cannot be drawn: {message}")]
+    Draw {
+        /// Title of the chart.
+        title: String,
+        /// Its words.
+        message: String,
+    },
+}
+
+/// Colours that also people who do not tell red from green tell apart [Okabe & Ito 2008].
+const COLORS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+    RGBColor(60, 60, 60),
+];
+const SIZE: (u32, u32) = (860, 520);
+
+/// Draws lines with a dot at every point to `path` (SVG). The y axis starts at 0 unless a value is negative.
+pub fn line_chart(path: &Path, title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<(), PlotError> {
+    let svg = draw(title, x_label, y_label, series)?;
+    write_atomically(path, |out| out.write_all(svg.as_bytes()))?;
+    Ok(())
+}
+
+fn draw(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<String, PlotError> {
+    let finite = |s: &Series| -> Vec<(f64, f64)> {
+        s.points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
+    };
+    let all: Vec<(f64, f64)> = series.iter().flat_map(finite).collect();
+    if all.is_empty() {
+        return Err(PlotError::Empty { title: title.to_string() });
+    }
+    let (x0, x1) = padded(all.iter().map(|p| p.0));
+    let (y0, y1) = padded(all.iter().map(|p| p.1).chain([0.0]));
+    let y0 = if all.iter().all(|p| p.1 >= 0.0) { 0.0 } else { y0 };
+
+    let failed = |e: &dyn std::fmt::Display| PlotError::Draw { title: title.to_string(), message: e.to_string() };
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        area.fill(&WHITE).map_err(|e| failed(&e))?;
+        let mut chart = ChartBuilder::on(&area)
+            .caption(title, ("sans-serif", 20))
+            .margin(16)
+            .x_label_area_size(44)
+            .y_label_area_size(70)
+            .build_cartesian_2d(x0..x1, y0..y1)
+            .map_err(|e| failed(&e))?;
+        chart
+            .configure_mesh()
+            .x_desc(x_label)
+            .y_desc(y_label)
+            .light_line_style(WHITE)
+            .bold_line_style(RGBColor(225, 225, 225))
+            .label_style(("sans-serif", 14).into_font().transform(FontTransform::None))
+            .draw()
+            .map_err(|e| failed(&e))?;
+        for (i, line) in series.iter().enumerate() {
+            let color = COLORS[i % COLORS.len()];
+            let points = finite(line);
+            chart
+                .draw_series(LineSeries::new(points.iter().copied(), color.stroke_width(2)))
+                .map_err(|e| failed(&e))?
+                .label(line.name.as_str())
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color.stroke_width(2)));
+            chart
+                .draw_series(points.into_iter().map(|point| Circle::new(point, 3, color.filled())))
+                .map_err(|e| failed(&e))?;
+        }
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::UpperLeft)
+            .background_style(WHITE.mix(0.85))
+            .border_style(RGBColor(200, 200, 200))
+            .label_font(("sans-serif", 14))
+            .draw()
+            .map_err(|e| failed(&e))?;
+        area.present().map_err(|e| failed(&e))?;
+    }
+    Ok(svg)
+}
+
+/// Smallest and largest value with some air around them.
+fn padded(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let air = if high > low { 0.05 * (high - low) } else { 0.5 * high.abs().max(1.0) };
+    (low - air, high + air)
+}

@@ -1,0 +1,181 @@
+//! Reads the frames of a run directory back: only files that `output` wrote itself. Any bytes give a mesh or an error.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::frames::{FrameFormat, frame_path};
+use super::{RunDirectory, obj, pc2, ply};
+use crate::math::Vec3;
+
+/// A mesh as a frame holds it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FrameMesh {
+    /// World positions, metres.
+    pub positions: Vec<Vec3>,
+    /// Vertex indices, all valid.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl FrameMesh {
+    pub(super) fn checked(self) -> Result<FrameMesh, ReadError> {
+        let vertices = self.positions.len();
+        match self.triangles.iter().position(|t| t.iter().any(|i| *i as usize >= vertices)) {
+            Some(triangle) => Err(ReadError::Index { triangle, vertices }),
+            None => Ok(self),
+        }
+    }
+}
+
+/// Why bytes are not a frame that `output` wrote.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum ReadError {
+    /// A PLY header of another layout.
+    #[error("{0}")]
+    Header(&'static str),
+    /// Fewer bytes than announced.
+    #[error("it is cut off: shorter than its {vertices} vertices and {triangles} triangles need")]
+    Truncated {
+        /// Vertices announced.
+        vertices: usize,
+        /// Triangles announced.
+        triangles: usize,
+    },
+    /// A bad line of an OBJ.
+    #[error("line {line} {problem}")]
+    Line {
+        /// Counted from 1.
+        line: usize,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// A triangle names a vertex that does not exist.
+    #[error("triangle {triangle} (from 0) names a vertex beyond the {vertices} there are")]
+    Index {
+        /// Triangle, from 0.
+        triangle: usize,
+        /// Vertices of the mesh.
+        vertices: usize,
+    },
+}
+
+/// Why the frames of a run cannot be read.
+#[derive(Debug, Error)]
+pub enum FramesError {
+    /// The folder has none.
+    #[error("{} holds no frames: neither frames/frame_*.ply, frames/frame_*.obj nor cloth.pc2 with rest.obj", .0.display())]
+    None(PathBuf),
+    /// A file could not be opened.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A file is damaged.
+    #[error("{}: {source}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: ReadError,
+    },
+    /// The point cache is damaged.
+    #[error(transparent)]
+    PointCache(#[from] pc2::Pc2Error),
+    /// The point cache moves another mesh.
+    #[error("{} has {cached} points, but rest.obj has {vertices} vertices", path.display())]
+    RestDiffers {
+        /// The point cache.
+        path: PathBuf,
+        /// Points of a frame.
+        cached: usize,
+        /// Vertices of the rest mesh.
+        vertices: usize,
+    },
+}
+
+/// The frames that a run directory holds; reads one at a time.
+#[derive(Debug)]
+pub struct FrameSource {
+    folder: PathBuf,
+    files: BTreeMap<u32, FrameFormat>,
+    obstacles: BTreeMap<u32, FrameFormat>,
+    /// Point cache and the triangles that it moves.
+    point_cache: Option<(PathBuf, FrameMesh)>,
+}
+
+impl FrameSource {
+    /// Looks through `directory`. PLY goes before OBJ (faster), files before the point cache.
+    pub fn open(directory: &RunDirectory) -> Result<FrameSource, FramesError> {
+        let folder = directory.frames();
+        let mut files = numbered(&folder, "frame_");
+        let obstacles = numbered(&folder, "obstacle_");
+        let mut point_cache = None;
+        let cache = directory.point_cache();
+        if files.is_empty() && cache.is_file() {
+            files = (0..pc2::samples(&cache)?).map(|frame| (frame, FrameFormat::Pc2)).collect();
+            point_cache = Some((cache, read_mesh(&directory.rest_mesh(), FrameFormat::Obj)?));
+        }
+        if files.is_empty() {
+            return Err(FramesError::None(directory.path().to_path_buf()));
+        }
+        Ok(FrameSource { folder, files, obstacles, point_cache })
+    }
+
+    /// Numbers of the frames, ascending.
+    pub fn numbers(&self) -> Vec<u32> {
+        self.files.keys().copied().collect()
+    }
+
+    /// The cloth of a frame (one of [`FrameSource::numbers`]).
+    pub fn read(&self, frame: u32) -> Result<FrameMesh, FramesError> {
+        match &self.point_cache {
+            Some((path, rest)) => {
+                let positions = pc2::read(path, frame)?;
+                if positions.len() != rest.positions.len() {
+                    let (cached, vertices) = (positions.len(), rest.positions.len());
+                    return Err(FramesError::RestDiffers { path: path.clone(), cached, vertices });
+                }
+                Ok(FrameMesh { positions, triangles: rest.triangles.clone() })
+            }
+            None => {
+                let format = self.files.get(&frame).copied().unwrap_or(FrameFormat::Ply);
+                read_mesh(&frame_path(&self.folder, "frame", frame, format), format)
+            }
+        }
+    }
+
+    /// The obstacles of a frame, if it has any.
+    pub fn read_obstacle(&self, frame: u32) -> Result<Option<FrameMesh>, FramesError> {
+        let Some(format) = self.obstacles.get(&frame) else { return Ok(None) };
+        read_mesh(&frame_path(&self.folder, "obstacle", frame, *format), *format).map(Some)
+    }
+}
+
+fn read_mesh(path: &Path, format: FrameFormat) -> Result<FrameMesh, FramesError> {
+    let bytes = fs::read(path).map_err(|source| FramesError::Io { path: path.to_path_buf(), source })?;
+    let mesh = if format == FrameFormat::Ply { ply::read(&bytes) } else { obj::read(&bytes) };
+    mesh.map_err(|source| FramesError::Damaged { path: path.to_path_buf(), source })
+}
+
+/// Files `PREFIX<number>.<ply|obj>` of a folder.
+fn numbered(folder: &Path, prefix: &str) -> BTreeMap<u32, FrameFormat> {
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        let Some((number, extension)) = name.strip_prefix(prefix).and_then(|rest| rest.split_once('.')) else {
+            continue;
+        };
+        let (Ok(number), Ok(format)) = (number.parse::<u32>(), extension.parse::<FrameFormat>()) else { continue };
+        if format == FrameFormat::Ply || !found.contains_key(&number) {
+            found.insert(number, format);
+        }
+    }
+    found
+}

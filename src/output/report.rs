@@ -1,0 +1,339 @@
+//! `report.json`: what a run was, and what every step and frame of it cost and gave.
+//!
+//! The file is replaced as a whole, at most once a second and at the end: a crash leaves a valid report that lacks the
+//! last moments and says `running`.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use thiserror::Error;
+
+use super::atomic::{WriteError, write_atomically};
+use super::machine::Machine;
+
+/// How a run stands.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub enum Status {
+    /// Under way, or died without a word.
+    #[default]
+    Running,
+    /// All frames are there.
+    Done,
+    /// Stopped by the user after a step.
+    Stopped,
+    /// Ended by an error: its sentence.
+    Failed(String),
+}
+
+impl Serialize for Status {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Status::Running => serializer.serialize_str("running"),
+            Status::Done => serializer.serialize_str("done"),
+            Status::Stopped => serializer.serialize_str("stopped"),
+            Status::Failed(why) => serializer.collect_str(&format_args!("failed: {why}")),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Status {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Status, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        match text.as_str() {
+            "running" => Ok(Status::Running),
+            "done" => Ok(Status::Done),
+            "stopped" => Ok(Status::Stopped),
+            _ => match text.strip_prefix("failed: ") {
+                Some(why) => Ok(Status::Failed(why.to_string())),
+                None => Err(serde::de::Error::custom(format!(
+                    "status {text:?} is none of running, done, stopped, failed: REASON"
+                ))),
+            },
+        }
+    }
+}
+
+/// What does not change during a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ReportHeader {
+    /// Name of the scene.
+    pub scene: String,
+    /// Version of the program.
+    pub version: String,
+    /// Number of ranks.
+    pub workers: usize,
+    /// `cpu` or `gpu`.
+    pub executor: String,
+    /// Device of every rank.
+    pub devices: Vec<String>,
+    /// `halo` or `full`.
+    pub exchange: String,
+    /// Schedule of the transfers.
+    pub schedule: String,
+    /// Topology file, or how one was made up.
+    pub topology: String,
+    /// Triangles of the mesh.
+    pub triangles: usize,
+    /// Vertices of the mesh.
+    pub vertices: usize,
+    /// Length of a step, seconds.
+    pub step_s: f64,
+    /// Steps per frame.
+    pub steps_per_frame: u32,
+    /// Frames that the run is meant to write (frame 0 comes on top).
+    pub frames_wanted: u32,
+    /// Gravity, m/s^2.
+    pub gravity_m_s2: [f64; 3],
+    /// `y` or `z`: the axis against gravity.
+    pub up_axis: String,
+    /// Where it ran.
+    pub machine: Machine,
+    /// Seconds since 1970.
+    pub started_unix_s: u64,
+    /// Seconds since 1970, once it has ended.
+    pub ended_unix_s: Option<u64>,
+    /// How it stands.
+    pub status: Status,
+    /// Where it was taken up again.
+    pub resumed: Vec<Resumption>,
+}
+
+impl ReportHeader {
+    /// A header with version, machine and start time filled in.
+    pub fn now() -> ReportHeader {
+        ReportHeader {
+            version: env!("CARGO_PKG_VERSION").to_string(),
+            machine: Machine::here(),
+            started_unix_s: unix_s(),
+            ..ReportHeader::default()
+        }
+    }
+
+    /// Sets gravity, and with it the axis that pictures show as up.
+    pub fn set_gravity(&mut self, gravity_m_s2: [f64; 3]) {
+        self.gravity_m_s2 = gravity_m_s2;
+        let [_, y, z] = gravity_m_s2.map(f64::abs);
+        self.up_axis = if y > z { "y" } else { "z" }.to_string();
+    }
+}
+
+/// A run that was taken up from a checkpoint.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Resumption {
+    /// Step of the checkpoint.
+    pub step: u64,
+    /// Frame of the checkpoint.
+    pub frame: u32,
+    /// Ranks from here on.
+    pub workers: usize,
+    /// Seconds since 1970.
+    pub unix_s: u64,
+}
+
+/// A written frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    /// Number of the frame, from 0.
+    pub frame: u32,
+    /// Simulated time, seconds.
+    pub time_s: f64,
+    /// [`super::state_hash`] of the state.
+    pub state_hash: String,
+}
+
+/// Seconds a step spent in each stage (the slowest rank's).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StageSeconds {
+    /// Positions and velocities of other ranks' vertices.
+    pub exchange: f64,
+    /// Element records.
+    pub elements: f64,
+    /// Matrix structure.
+    pub index_fill: f64,
+    /// Matrix values.
+    pub value_fill: f64,
+    /// Right-hand side.
+    pub right_hand_side: f64,
+    /// Conjugate gradients.
+    pub solve: f64,
+    /// New velocities and positions.
+    pub advance: f64,
+    /// The whole step.
+    pub total: f64,
+}
+
+/// A step.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StepRecord {
+    /// Number of the step, from 1.
+    pub step: u64,
+    /// Frame that the step leads to.
+    pub frame: u32,
+    /// Simulated time after the step, seconds.
+    pub time_s: f64,
+    /// Iterations of the solver.
+    pub iterations: u32,
+    /// Relative residual reached (`null` in the file if it is no number).
+    #[serde(deserialize_with = "number_or_null")]
+    pub residual: f64,
+    /// Whether the residual asked for was reached.
+    pub converged: bool,
+    /// Seconds per stage.
+    pub stage_seconds: StageSeconds,
+    /// Bytes moved between ranks, all ranks together.
+    pub bytes_moved: u64,
+    /// Bytes moved between ranks per matrix-vector product, all ranks together.
+    pub bytes_per_spmv: u64,
+    /// Contacts in the matrix.
+    pub contacts: u64,
+    /// Impact zones.
+    pub zones: u64,
+    /// Device memory of every rank, bytes.
+    pub memory_bytes_per_rank: Vec<u64>,
+    /// Smallest gap between two parts of the cloth, metres, if it was measured.
+    pub smallest_gap_m: Option<f64>,
+}
+
+/// JSON has no NaN: serde_json writes null.
+fn number_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::<f64>::deserialize(deserializer)?.unwrap_or(f64::NAN))
+}
+
+/// A whole report.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// What does not change.
+    #[serde(flatten)]
+    pub header: ReportHeader,
+    /// Frames written.
+    #[serde(default)]
+    pub frames: Vec<FrameRecord>,
+    /// Steps made.
+    #[serde(default)]
+    pub steps: Vec<StepRecord>,
+}
+
+/// Why a report cannot be read.
+#[derive(Debug, Error)]
+pub enum ReportError {
+    /// The file cannot be opened.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The report.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is no report.
+    #[error("{} is not a report of a run: {source}", path.display())]
+    Json {
+        /// The report.
+        path: PathBuf,
+        /// What and where.
+        source: serde_json::Error,
+    },
+}
+
+impl Report {
+    /// Reads `path`.
+    pub fn load(path: &Path) -> Result<Report, ReportError> {
+        let text = fs::read(path).map_err(|source| ReportError::Io { path: path.to_path_buf(), source })?;
+        serde_json::from_slice(&text).map_err(|source| ReportError::Json { path: path.to_path_buf(), source })
+    }
+
+    /// Writes `path`: the header over several lines, frames and steps one line each.
+    pub fn save(&self, path: &Path) -> Result<(), WriteError> {
+        write_atomically(path, |out| {
+            let header = serde_json::to_string_pretty(&self.header)?;
+            out.write_all(header.trim_end_matches(['}', '\n']).as_bytes())?;
+            out.write_all(b",\n  \"frames\": [")?;
+            write_lines(out, &self.frames)?;
+            out.write_all(b"],\n  \"steps\": [")?;
+            write_lines(out, &self.steps)?;
+            out.write_all(b"]\n}\n")
+        })
+    }
+}
+
+fn write_lines<T: Serialize>(out: &mut dyn Write, records: &[T]) -> io::Result<()> {
+    for (i, record) in records.iter().enumerate() {
+        out.write_all(if i == 0 { b"\n    " } else { b",\n    " })?;
+        serde_json::to_writer(&mut *out, record)?;
+    }
+    if records.is_empty() { Ok(()) } else { out.write_all(b"\n  ") }
+}
+
+/// Shortest time between two writes of a report.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// Collects the records of a run and keeps its report up to date.
+pub struct ReportWriter {
+    path: PathBuf,
+    report: Report,
+    written: Instant,
+}
+
+impl ReportWriter {
+    /// Starts a report and writes it once.
+    pub fn create(path: &Path, header: ReportHeader) -> Result<ReportWriter, WriteError> {
+        let report = Report { header, ..Report::default() };
+        report.save(path)?;
+        Ok(ReportWriter { path: path.to_path_buf(), report, written: Instant::now() })
+    }
+
+    /// Goes on with the report at `path` after a checkpoint: records after `step` and `frame` are dropped, because they
+    /// are made again. The new header is kept, with the old start time. A missing or damaged report is started anew.
+    pub fn resume(path: &Path, mut header: ReportHeader, step: u64, frame: u32) -> Result<ReportWriter, WriteError> {
+        let Report { header: old, mut frames, mut steps } = Report::load(path).unwrap_or_default();
+        frames.retain(|record| record.frame <= frame);
+        steps.retain(|record| record.step <= step);
+        let resumption = Resumption { step, frame, workers: header.workers, unix_s: header.started_unix_s };
+        header.resumed = old.resumed;
+        header.resumed.push(resumption);
+        if old.started_unix_s > 0 {
+            header.started_unix_s = old.started_unix_s;
+        }
+        let report = Report { header, frames, steps };
+        report.save(path)?;
+        Ok(ReportWriter { path: path.to_path_buf(), report, written: Instant::now() })
+    }
+
+    /// Adds a step.
+    pub fn step(&mut self, record: StepRecord) {
+        self.report.steps.push(record);
+    }
+
+    /// Adds a frame; writes the file if the last time is more than a second ago.
+    pub fn frame(&mut self, record: FrameRecord) -> Result<(), WriteError> {
+        self.report.frames.push(record);
+        if self.written.elapsed() < PAUSE {
+            return Ok(());
+        }
+        self.report.save(&self.path)?;
+        self.written = Instant::now();
+        Ok(())
+    }
+
+    /// What has been collected.
+    pub fn report(&self) -> &Report {
+        &self.report
+    }
+
+    /// Sets the status and the end time and writes the file.
+    pub fn finish(mut self, status: Status) -> Result<Report, WriteError> {
+        self.report.header.status = status;
+        self.report.header.ended_unix_s = Some(unix_s());
+        self.report.save(&self.path)?;
+        Ok(self.report)
+    }
+}
+
+fn unix_s() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
+}

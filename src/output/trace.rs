@@ -1,0 +1,236 @@
+//! `trace.json` for ui.perfetto.dev and chrome://tracing: a process per rank with tracks for steps, computing,
+//! transfers and waiting, and arrows from what a rank published to where it was received.
+//!
+//! The file is a JSON array that is closed again after every step, so it can be opened at any time; if the process dies
+//! while writing, only the closing bracket is missing, which both viewers accept. Slices of one track never overlap.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{self, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use super::atomic::WriteError;
+use crate::telemetry::{Activity, Event, EventName};
+
+/// Events of one rank, and the time that their nanoseconds count from.
+#[derive(Clone, Copy, Debug)]
+pub struct RankEvents<'a> {
+    /// Rank.
+    pub rank: usize,
+    /// `Recorder::epoch_unix_ns` of the rank.
+    pub epoch_unix_ns: u64,
+    /// What it recorded, in any order.
+    pub events: &'a [Event],
+}
+
+/// Kinds of tracks, in the order in which they are shown.
+const TRACKS: [&str; 4] = ["step", "compute", "transfer", "wait"];
+/// Tracks of one kind that a rank may need when events of that kind overlap.
+const LANES: usize = 64;
+/// What stands after the last event.
+const END: &[u8] = b"\n]\n";
+
+/// Where a slice has been put.
+#[derive(Clone, Copy)]
+struct Place {
+    rank: usize,
+    tid: usize,
+    start_ns: i128,
+    end_ns: i128,
+}
+
+/// Appends steps to a trace.
+pub struct TraceWriter {
+    path: PathBuf,
+    file: File,
+    base_unix_ns: u64,
+    /// Per rank and kind: where each of its tracks is filled up to, nanoseconds.
+    lanes: Vec<[Vec<i128>; TRACKS.len()]>,
+    arrows: u64,
+    empty: bool,
+    buffer: Vec<u8>,
+}
+
+impl TraceWriter {
+    /// Starts a trace of ranks on `devices` (one name per rank). Time 0 is `base_unix_ns` (for example the smallest
+    /// epoch of the ranks).
+    pub fn create(path: &Path, devices: &[String], base_unix_ns: u64) -> Result<TraceWriter, WriteError> {
+        let file = File::create(path).map_err(WriteError::at(path))?;
+        let mut writer = TraceWriter {
+            path: path.to_path_buf(),
+            file,
+            base_unix_ns,
+            lanes: Vec::new(),
+            arrows: 0,
+            empty: true,
+            buffer: b"[".to_vec(),
+        };
+        for (rank, device) in devices.iter().enumerate() {
+            let name = serde_json::Value::from(format!("rank {rank} ({device})"));
+            writer.entry(format_args!(
+                r#"{{"ph":"M","name":"process_name","pid":{rank},"tid":0,"args":{{"name":{name}}}}}"#
+            ));
+            writer.entry(format_args!(
+                r#"{{"ph":"M","name":"process_sort_index","pid":{rank},"tid":0,"args":{{"sort_index":{rank}}}}}"#
+            ));
+        }
+        writer.buffer.extend_from_slice(END);
+        let buffer = std::mem::take(&mut writer.buffer);
+        writer.file.write_all(&buffer).map_err(WriteError::at(path))?;
+        Ok(writer)
+    }
+
+    /// Appends the events of all ranks from one step (or several). Arrows are drawn within one call.
+    pub fn append(&mut self, ranks: &[RankEvents<'_>]) -> Result<(), WriteError> {
+        let mut flows = Flows::default();
+        for rank in ranks {
+            self.append_rank(rank, &mut flows);
+        }
+        for (from, to) in flows.pairs() {
+            self.arrows += 1;
+            // "s" belongs to the slice around it; "e" ends at the slice around it rather than the next one.
+            let (id, start, end) = (self.arrows, self.micros(from.end_ns - 1), self.micros(to.end_ns - 1));
+            let (from_pid, from_tid, to_pid, to_tid) = (from.rank, from.tid, to.rank, to.tid);
+            self.entry(format_args!(
+                r#"{{"ph":"s","name":"sub-vector","cat":"flow","id":{id},"pid":{from_pid},"tid":{from_tid},"ts":{start}}}"#
+            ));
+            self.entry(format_args!(
+                r#"{{"ph":"f","bp":"e","name":"sub-vector","cat":"flow","id":{id},"pid":{to_pid},"tid":{to_tid},"ts":{end}}}"#
+            ));
+        }
+        if self.buffer.is_empty() {
+            return Ok(());
+        }
+        self.buffer.extend_from_slice(END);
+        let mut put = || -> io::Result<()> {
+            self.file.seek(SeekFrom::End(-(END.len() as i64)))?;
+            self.file.write_all(&self.buffer)
+        };
+        let result = put().map_err(WriteError::at(&self.path));
+        self.buffer.clear();
+        result
+    }
+
+    fn append_rank(&mut self, rank: &RankEvents<'_>, flows: &mut Flows) {
+        let shift = i128::from(rank.epoch_unix_ns) - i128::from(self.base_unix_ns);
+        let mut order: Vec<&Event> = rank.events.iter().collect();
+        // Of two that start together the longer one is the outer one.
+        order.sort_by_key(|event| (event.start_ns, u64::MAX - event.end_ns));
+        for event in order {
+            let (start_ns, end_ns) = (shift + i128::from(event.start_ns), shift + i128::from(event.end_ns));
+            let end_ns = end_ns.max(start_ns);
+            let tid = self.lane(rank.rank, kind(event), start_ns, end_ns);
+            self.slice(rank.rank, tid, event, start_ns, end_ns);
+            flows.note(event, Place { rank: rank.rank, tid, start_ns, end_ns });
+        }
+    }
+
+    /// The first track of this kind that is free at `start_ns`; announces it when it is new.
+    fn lane(&mut self, rank: usize, kind: usize, start_ns: i128, end_ns: i128) -> usize {
+        if self.lanes.len() <= rank {
+            self.lanes.resize_with(rank + 1, Default::default);
+        }
+        let lanes = &mut self.lanes[rank][kind];
+        if let Some(lane) = lanes.iter().position(|filled_ns| *filled_ns <= start_ns) {
+            lanes[lane] = end_ns;
+            return kind * LANES + lane;
+        }
+        lanes.push(end_ns);
+        let lane = lanes.len() - 1;
+        let tid = kind * LANES + lane;
+        let name = TRACKS[kind];
+        let number = if lane == 0 { String::new() } else { format!(" {}", lane + 1) };
+        self.entry(format_args!(
+            r#"{{"ph":"M","name":"thread_name","pid":{rank},"tid":{tid},"args":{{"name":"{name}{number}"}}}}"#
+        ));
+        self.entry(format_args!(
+            r#"{{"ph":"M","name":"thread_sort_index","pid":{rank},"tid":{tid},"args":{{"sort_index":{tid}}}}}"#
+        ));
+        tid
+    }
+
+    fn slice(&mut self, rank: usize, tid: usize, event: &Event, start_ns: i128, end_ns: i128) {
+        let name = EventName::from_number(event.name).map_or("unknown", EventName::text);
+        let category = TRACKS[kind(event)];
+        let (ts, dur) = (self.micros(start_ns), self.micros(end_ns - start_ns));
+        let Event { step, stage, source, vector, bytes, flops, .. } = *event;
+        let route = match event.activity == Activity::Compute as u32 {
+            true => String::new(),
+            false => format!(r#","stage":{stage},"source":{source},"vector":{vector}"#),
+        };
+        self.entry(format_args!(
+            r#"{{"ph":"X","name":"{name}","cat":"{category}","pid":{rank},"tid":{tid},"ts":{ts},"dur":{dur},"args":{{"step":{step}{route},"bytes":{bytes},"flops":{flops}}}}}"#
+        ));
+    }
+
+    fn entry(&mut self, text: std::fmt::Arguments<'_>) {
+        self.buffer.extend_from_slice(if self.empty { b"\n" } else { b",\n" });
+        self.empty = false;
+        // Writing to a Vec cannot fail.
+        let _ = self.buffer.write_fmt(text);
+    }
+
+    fn micros(&self, ns: i128) -> Micros {
+        Micros(ns)
+    }
+}
+
+/// Index into [`TRACKS`].
+fn kind(event: &Event) -> usize {
+    match event.activity {
+        _ if event.name == EventName::Step as u32 => 0,
+        a if a == Activity::Transfer as u32 => 2,
+        a if a == Activity::Wait as u32 => 3,
+        _ => 1,
+    }
+}
+
+/// Nanoseconds printed as microseconds, exactly.
+struct Micros(i128);
+
+impl std::fmt::Display for Micros {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let sign = if self.0 < 0 { "-" } else { "" };
+        let ns = self.0.unsigned_abs();
+        write!(f, "{sign}{}.{:03}", ns / 1000, ns % 1000)
+    }
+}
+
+/// Matches publications with receptions: messages of one rank arrive in the order in which they were published, so the
+/// k-th reception of its vector in a step is of its k-th publication.
+#[derive(Default)]
+struct Flows {
+    /// By (step, publishing rank).
+    published: HashMap<(u32, u32), Vec<Place>>,
+    /// By (step, owner of the vector, receiving rank).
+    received: HashMap<(u32, u32, u32), Vec<Place>>,
+}
+
+impl Flows {
+    fn note(&mut self, event: &Event, place: Place) {
+        if event.activity != Activity::Transfer as u32 || place.end_ns == place.start_ns {
+            return;
+        }
+        let rank = place.rank as u32;
+        if event.name == EventName::Publish as u32 {
+            self.published.entry((event.step, rank)).or_default().push(place);
+        } else if event.name == EventName::Receive as u32 && event.vector != rank {
+            self.received.entry((event.step, event.vector, rank)).or_default().push(place);
+        }
+    }
+
+    /// Pairs in a fixed order. Where the counts differ (an event was not recorded) there is no telling which belong
+    /// together, and no arrow is better than a wrong one.
+    fn pairs(self) -> Vec<(Place, Place)> {
+        let mut pairs = Vec::new();
+        for ((step, owner, _), receptions) in &self.received {
+            let Some(publications) = self.published.get(&(*step, *owner)) else { continue };
+            if publications.len() == receptions.len() {
+                let both = publications.iter().zip(receptions).filter(|(from, to)| from.start_ns <= to.end_ns);
+                pairs.extend(both.map(|(from, to)| (*from, *to)));
+            }
+        }
+        pairs.sort_by_key(|(from, to)| (from.start_ns, from.rank, to.rank, to.start_ns));
+        pairs
+    }
+}

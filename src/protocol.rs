@@ -1,0 +1,91 @@
+//! Messages between coordinator and workers. Headers are small; bulk data (elements, positions, events) travels beside
+//! them as arrays that no serializer touches (`transport::message`).
+
+use serde::{Deserialize, Serialize};
+
+use crate::model::RankModel;
+use crate::step::{ExchangePlan, StepStats};
+
+/// Which executor a worker uses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ExecutorChoice {
+    /// A hardware GPU where there is one, else native code.
+    #[default]
+    Auto,
+    /// A GPU adapter, software ones included.
+    Gpu,
+    /// Native code.
+    Cpu,
+}
+
+/// How a worker sets itself up.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct WorkerSetup {
+    /// Executor.
+    pub executor: ExecutorChoice,
+    /// Adapter of the gpu executor; none: rank modulo the number of adapters.
+    pub adapter: Option<usize>,
+    /// Threads of the cpu executor.
+    pub threads: usize,
+    /// Number of ranks.
+    pub ranks: usize,
+    /// Longest message between ranks, values.
+    pub max_message_values: usize,
+    /// Longest wait for another rank, seconds.
+    pub patience_s: f64,
+}
+
+/// Coordinator -> worker.
+#[derive(Debug, Serialize, Deserialize)]
+pub enum ToWorker {
+    /// Be this rank of a simulation; arrays: those of the model.
+    Simulate { setup: WorkerSetup, exchange: ExchangePlan, model: Box<RankModel> },
+    /// Advance to this step.
+    Step { step: u32, record: bool },
+    /// Send positions and velocities of the own rows.
+    SendState,
+    /// Leave.
+    Stop,
+}
+
+/// Worker -> coordinator.
+#[derive(Debug, Serialize, Deserialize)]
+pub enum ToCoordinator {
+    /// Set up and connected to all other ranks.
+    Ready(WorkerReady),
+    /// A step is done; arrays: its events, if they were recorded.
+    StepDone(StepStats),
+    /// Arrays: positions and velocities of the own rows.
+    State,
+    /// This rank cannot go on.
+    Failed(WorkerFailure),
+}
+
+/// What a worker says of itself once it is set up.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct WorkerReady {
+    /// `cpu` or `gpu`.
+    pub executor: String,
+    /// Device name.
+    pub device: String,
+    /// Slots over stored blocks of its matrix.
+    pub padding_ratio: f64,
+    /// Unix time of its event clock's zero, nanoseconds.
+    pub epoch_unix_ns: u64,
+    /// Bytes of device memory.
+    pub memory_bytes: u64,
+}
+
+/// Why a worker cannot go on.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum WorkerFailure {
+    /// Another rank is gone or silent: not this worker's fault.
+    Transport(String),
+    /// A value is not finite; `row` counts in the global order.
+    NotFinite { step: u32, row: u32, quantity: String, cause: String, suspect: String },
+    /// Bad input that only the worker could see.
+    BadInput(String),
+    /// Anything else.
+    Other(String),
+}

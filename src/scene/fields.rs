@@ -1,0 +1,255 @@
+//! Reading a TOML document field by field, so that every refusal names the file, the line and the field.
+//!
+//! Used in place of serde's derive because value checks (a negative thickness, an unknown fabric) need the line as much
+//! as type errors do, and serde hands it out for type errors only.
+
+use std::path::Path;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use crate::math::{DQuat, DVec3};
+
+use super::SceneError;
+
+/// The text that line numbers refer to.
+pub(super) struct Source<'a> {
+    pub path: &'a Path,
+    pub text: &'a str,
+}
+
+impl Source<'_> {
+    /// The fault at a byte of the text.
+    pub fn error(&self, offset: Option<usize>, field: &str, what: impl Into<String>) -> SceneError {
+        let line = offset.map(|at| 1 + self.text.as_bytes().iter().take(at).filter(|&&c| c == b'\n').count());
+        SceneError::Field { path: self.path.into(), line, field: field.into(), what: what.into() }
+    }
+}
+
+/// A table of the document; reads of an absent table find no fields.
+pub(super) struct Fields<'a> {
+    source: &'a Source<'a>,
+    path: String,
+    offset: Option<usize>,
+    table: Option<&'a DeTable<'a>>,
+}
+
+impl<'a> Fields<'a> {
+    /// The document itself.
+    pub fn root(source: &'a Source<'a>, table: &'a DeTable<'a>, known: &[&str]) -> Result<Fields<'a>, SceneError> {
+        Fields { source, path: String::new(), offset: None, table: Some(table) }.only(known)
+    }
+
+    /// Refuses fields that are not `known`.
+    fn only(self, known: &[&str]) -> Result<Fields<'a>, SceneError> {
+        for key in self.table.iter().flat_map(|table| table.keys()) {
+            let name: &str = key.get_ref();
+            if !known.contains(&name) {
+                let what = format!("unknown field; known here: {}", known.join(", "));
+                return Err(self.source.error(Some(key.span().start), &self.name_of(name), what));
+            }
+        }
+        Ok(self)
+    }
+
+    fn name_of(&self, key: &str) -> String {
+        if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) }
+    }
+
+    /// A fault of the table as a whole.
+    pub fn error(&self, what: impl Into<String>) -> SceneError {
+        self.source.error(self.offset, &self.path, what)
+    }
+
+    /// A fault of a field that may be absent.
+    pub fn error_at(&self, key: &str, what: impl Into<String>) -> SceneError {
+        match self.get(key) {
+            Some(value) => value.error(what),
+            None => self.source.error(self.offset, &self.name_of(key), what),
+        }
+    }
+
+    /// The field, if it is there.
+    pub fn get(&self, key: &str) -> Option<Value<'a>> {
+        let value = self.table?.get(key)?;
+        Some(Value { source: self.source, name: self.name_of(key), value })
+    }
+
+    /// The field; a fault if it is absent.
+    pub fn required(&self, key: &str) -> Result<Value<'a>, SceneError> {
+        self.get(key).ok_or_else(|| self.error_at(key, "is missing"))
+    }
+
+    /// The field read by `read`, if it is there.
+    pub fn optional<T>(
+        &self,
+        key: &str,
+        read: impl FnOnce(&Value<'a>) -> Result<T, SceneError>,
+    ) -> Result<Option<T>, SceneError> {
+        self.get(key).map(|value| read(&value)).transpose()
+    }
+
+    /// The field read by `read`, or `default`.
+    pub fn or<T>(
+        &self,
+        key: &str,
+        default: T,
+        read: impl FnOnce(&Value<'a>) -> Result<T, SceneError>,
+    ) -> Result<T, SceneError> {
+        Ok(self.optional(key, read)?.unwrap_or(default))
+    }
+
+    /// The table under `key`; an empty one if it is absent.
+    pub fn table(&self, key: &str, known: &[&str]) -> Result<Fields<'a>, SceneError> {
+        match self.get(key) {
+            Some(value) => value.table(known),
+            None => Ok(Fields { source: self.source, path: self.name_of(key), offset: self.offset, table: None }),
+        }
+    }
+
+    /// The `[[key]]` tables; none if they are absent.
+    pub fn tables(&self, key: &str, known: &[&str]) -> Result<Vec<Fields<'a>>, SceneError> {
+        match self.get(key) {
+            Some(value) => value.array()?.iter().map(|entry| entry.table(known)).collect(),
+            None => Ok(Vec::new()),
+        }
+    }
+}
+
+/// A value with its place in the document.
+pub(super) struct Value<'a> {
+    source: &'a Source<'a>,
+    name: String,
+    value: &'a Spanned<DeValue<'a>>,
+}
+
+impl<'a> Value<'a> {
+    /// A fault of this value.
+    pub fn error(&self, what: impl Into<String>) -> SceneError {
+        self.source.error(Some(self.value.span().start), &self.name, what)
+    }
+
+    fn expected<T>(&self, what: &str) -> Result<T, SceneError> {
+        let found = match self.value.get_ref() {
+            DeValue::String(text) => format!("\"{}\"", text.chars().take(40).collect::<String>()),
+            DeValue::Integer(number) => number.to_string(),
+            DeValue::Float(number) => number.to_string(),
+            DeValue::Boolean(value) => value.to_string(),
+            other => format!("a value of type {}", other.type_str()),
+        };
+        Err(self.error(format!("must be {what}, not {found}")))
+    }
+
+    fn as_f64(&self) -> Option<f64> {
+        match self.value.get_ref() {
+            DeValue::Integer(number) => i64::from_str_radix(number.as_str(), number.radix()).ok().map(|n| n as f64),
+            DeValue::Float(number) => number.as_str().parse().ok(),
+            _ => None,
+        }
+    }
+
+    /// A finite number that f32 can hold.
+    pub fn number(&self) -> Result<f64, SceneError> {
+        match self.as_f64() {
+            Some(number) if (number as f32).is_finite() => Ok(number),
+            _ => self.expected("a finite number"),
+        }
+    }
+
+    /// A number above 0.
+    pub fn positive(&self) -> Result<f64, SceneError> {
+        match self.as_f64() {
+            Some(number) if number > 0.0 && (number as f32).is_finite() => Ok(number),
+            _ => self.expected("a number above 0"),
+        }
+    }
+
+    /// A number of at least 0.
+    pub fn not_negative(&self) -> Result<f64, SceneError> {
+        match self.as_f64() {
+            Some(number) if number >= 0.0 && (number as f32).is_finite() => Ok(number),
+            _ => self.expected("a number of at least 0"),
+        }
+    }
+
+    /// A whole number in a range.
+    pub fn whole(&self, range: std::ops::RangeInclusive<u64>) -> Result<u64, SceneError> {
+        let number = match self.value.get_ref() {
+            DeValue::Integer(number) => u64::from_str_radix(number.as_str(), number.radix()).ok(),
+            _ => None,
+        };
+        match number {
+            Some(number) if range.contains(&number) => Ok(number),
+            _ => self.expected(&format!("a whole number from {} to {}", range.start(), range.end())),
+        }
+    }
+
+    /// A text that is not empty.
+    pub fn text(&self) -> Result<&'a str, SceneError> {
+        match self.value.get_ref() {
+            DeValue::String(text) if !text.is_empty() => Ok(text),
+            _ => self.expected("a text"),
+        }
+    }
+
+    /// One of the named choices.
+    pub fn choice<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, SceneError> {
+        let names: Vec<&str> = choices.iter().map(|choice| choice.0).collect();
+        let found = self.value.get_ref().as_str().and_then(|text| choices.iter().find(|choice| choice.0 == text));
+        found.map_or_else(|| self.expected(&format!("one of {}", names.join(", "))), |choice| Ok(choice.1))
+    }
+
+    /// The entries of an array; their names carry an index where there is more than one.
+    pub fn array(&self) -> Result<Vec<Value<'a>>, SceneError> {
+        let DeValue::Array(entries) = self.value.get_ref() else {
+            return self.expected("an array");
+        };
+        let entry = |(i, value)| {
+            let name = if entries.len() > 1 { format!("{}[{i}]", self.name) } else { self.name.clone() };
+            Value { source: self.source, name, value }
+        };
+        Ok(entries.iter().enumerate().map(entry).collect())
+    }
+
+    /// Exactly `N` finite numbers.
+    pub fn numbers<const N: usize>(&self) -> Result<[f64; N], SceneError> {
+        let entries = match self.value.get_ref() {
+            DeValue::Array(_) => self.array()?,
+            _ => Vec::new(),
+        };
+        let numbers: Vec<f64> = entries.iter().map(Value::number).collect::<Result<_, _>>()?;
+        numbers.try_into().or_else(|_| self.expected(&format!("an array of {N} numbers")))
+    }
+
+    /// A vector `[x, y, z]`.
+    pub fn vector(&self) -> Result<DVec3, SceneError> {
+        Ok(DVec3::from(self.numbers::<3>()?))
+    }
+
+    /// A rotation `[degrees, axis x, axis y, axis z]`.
+    pub fn rotation(&self) -> Result<DQuat, SceneError> {
+        let [degrees, x, y, z] = self.numbers::<4>()?;
+        let axis = DVec3::new(x, y, z).try_normalize();
+        let axis = axis.ok_or_else(|| self.error("the axis of `[degrees, x, y, z]` must not be zero"))?;
+        Ok(DQuat::from_axis_angle(axis, degrees.to_radians()))
+    }
+
+    /// A table that has `known` fields only.
+    pub fn table(&self, known: &[&str]) -> Result<Fields<'a>, SceneError> {
+        let DeValue::Table(table) = self.value.get_ref() else {
+            return self.expected("a table");
+        };
+        let offset = Some(self.value.span().start);
+        Fields { source: self.source, path: self.name.clone(), offset, table: Some(table) }.only(known)
+    }
+
+    /// Whether this is an array, of numbers or of anything else.
+    pub fn is_array(&self) -> bool {
+        self.value.get_ref().is_array()
+    }
+
+    /// Whether this is a text.
+    pub fn is_text(&self) -> bool {
+        self.value.get_ref().is_str()
+    }
+}

@@ -1,0 +1,122 @@
+//! Which vertices a pin holds, and the check that no vertex is held in two ways at once.
+
+use crate::math::DVec3;
+use crate::mesh::TriangleMesh;
+
+use super::{Pin, Sheet};
+
+/// A side of a sheet as one looks at it with the warp to the right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Edge {
+    Left,
+    Right,
+    Bottom,
+    Top,
+}
+
+/// Names of the corners in scene files, with (right, top).
+pub(super) const CORNERS: [(&str, (bool, bool)); 4] = [
+    ("bottom-left", (false, false)),
+    ("bottom-right", (true, false)),
+    ("top-left", (false, true)),
+    ("top-right", (true, true)),
+];
+
+/// Names of the edges in scene files.
+pub(super) const EDGES: [(&str, Edge); 4] =
+    [("left", Edge::Left), ("right", Edge::Right), ("bottom", Edge::Bottom), ("top", Edge::Top)];
+
+/// The vertex at a corner of a sheet.
+pub(super) fn corner(sheet: &Sheet, (right, top): (bool, bool)) -> u32 {
+    sheet.vertex(if right { sheet.columns } else { 0 }, if top { sheet.rows } else { 0 })
+}
+
+/// The vertices along an edge, from left to right or from bottom to top.
+pub(super) fn edge(sheet: &Sheet, edge: Edge) -> Vec<u32> {
+    match edge {
+        Edge::Left => (0..=sheet.rows).map(|row| sheet.vertex(0, row)).collect(),
+        Edge::Right => (0..=sheet.rows).map(|row| sheet.vertex(sheet.columns, row)).collect(),
+        Edge::Bottom => (0..=sheet.columns).map(|column| sheet.vertex(column, 0)).collect(),
+        Edge::Top => (0..=sheet.columns).map(|column| sheet.vertex(column, sheet.rows)).collect(),
+    }
+}
+
+/// `count` of the vertices (all if there are fewer), evenly spread, the first and the last among them.
+pub(super) fn evenly(vertices: &[u32], count: usize) -> Vec<u32> {
+    let last = vertices.len() - 1;
+    if count > last {
+        return vertices.to_vec();
+    }
+    if count == 1 {
+        return vec![vertices[0]];
+    }
+    // Rounded to the nearest; spacing is at least one vertex, so none is named twice.
+    (0..count).map(|i| vertices[(2 * i * last + count - 1) / (2 * (count - 1))]).collect()
+}
+
+/// Every vertex for which `inside` holds.
+pub(super) fn region(mesh: &TriangleMesh, inside: impl Fn(DVec3) -> bool) -> Vec<u32> {
+    (0..).zip(&mesh.positions).filter(|(_, p)| inside(p.as_dvec3())).map(|(v, _)| v).collect()
+}
+
+/// Sorts the pins by vertex and start and drops repetitions. Fails with a vertex that two different pins hold at once.
+pub(super) fn without_conflicts(mut pins: Vec<Pin>) -> Result<Vec<Pin>, u32> {
+    pins.sort_by(|a, b| {
+        a.vertex.cmp(&b.vertex).then(a.start_s.total_cmp(&b.start_s)).then(b.end_s.total_cmp(&a.end_s))
+    });
+    let mut kept: Vec<Pin> = Vec::with_capacity(pins.len());
+    for pin in pins {
+        match kept.last_mut() {
+            Some(last) if last.vertex == pin.vertex && pin.start_s <= last.end_s => {
+                // The same hold twice (a corner and its edge) is one hold, as long as either lasts.
+                if last.motion != pin.motion {
+                    return Err(pin.vertex);
+                }
+                last.end_s = last.end_s.max(pin.end_s);
+            }
+            _ => kept.push(pin),
+        }
+    }
+    Ok(kept)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_and_edges_of_a_grid() {
+        let sheet = Sheet { columns: 3, rows: 2 };
+        assert_eq!(CORNERS.map(|(_, which)| corner(&sheet, which)), [0, 3, 8, 11]);
+        assert_eq!(
+            EDGES.map(|(_, which)| edge(&sheet, which)),
+            [vec![0, 4, 8], vec![3, 7, 11], vec![0, 1, 2, 3], vec![8, 9, 10, 11]]
+        );
+    }
+
+    #[test]
+    fn evenly_spread_pins_contain_both_ends_once() {
+        let vertices: Vec<u32> = (0..11).collect();
+        assert_eq!(evenly(&vertices, 1), [0]);
+        assert_eq!(evenly(&vertices, 2), [0, 10]);
+        assert_eq!(evenly(&vertices, 5), [0, 3, 5, 8, 10]);
+        for count in 2..=11 {
+            let mut chosen = evenly(&vertices, count);
+            chosen.dedup();
+            assert_eq!((chosen.len(), chosen[0], chosen[count - 1]), (count, 0, 10));
+        }
+        assert_eq!(evenly(&vertices, 99), vertices);
+    }
+
+    #[test]
+    fn overlapping_holds_are_joined_or_refused() {
+        let pin = |vertex, motion, start_s, end_s| Pin { vertex, motion, start_s, end_s };
+        let two_times = vec![pin(4, None, 0.0, 1.0), pin(4, Some(0), 2.0, 3.0)];
+        assert_eq!(without_conflicts(two_times.clone()), Ok(two_times));
+        assert_eq!(
+            without_conflicts(vec![pin(4, None, 0.5, 9.0), pin(4, None, 0.0, 1.0)]),
+            Ok(vec![pin(4, None, 0.0, 9.0)])
+        );
+        assert_eq!(without_conflicts(vec![pin(4, None, 0.0, 1.0), pin(4, Some(0), 1.0, 3.0)]), Err(4));
+    }
+}

@@ -1,0 +1,90 @@
+//! Rectangular sheets of any resolution.
+
+use crate::math::Vec2;
+
+/// A grid of `columns` x `rows` cells, two triangles each. Vertices row by row from the bottom left corner.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sheet {
+    pub columns: u32,
+    pub rows: u32,
+}
+
+/// The grid of nearly square cells with about `triangles` triangles for a sheet of this size.
+pub fn sheet_cells(size_m: [f64; 2], triangles: u64) -> Sheet {
+    let cells = (triangles as f64 / 2.0).max(1.0);
+    let most = u32::MAX / 4;
+    let rows = (cells * size_m[1] / size_m[0]).sqrt().clamp(1.0, f64::from(most));
+    // Of the two whole numbers of rows, the one that the columns complete best to the wanted number of cells.
+    let complete = |rows: f64| {
+        let rows = rows.max(1.0);
+        Sheet { columns: (cells / rows).round().clamp(1.0, f64::from(most)) as u32, rows: rows as u32 }
+    };
+    let miss = |sheet: &Sheet| (f64::from(sheet.columns) * f64::from(sheet.rows) - cells).abs();
+    let (fewer, more) = (complete(rows.floor()), complete(rows.ceil()));
+    if miss(&more) < miss(&fewer) { more } else { fewer }
+}
+
+impl Sheet {
+    /// Number of triangles.
+    pub fn triangles(&self) -> u64 {
+        2 * u64::from(self.columns) * u64::from(self.rows)
+    }
+
+    /// The vertex of a grid point.
+    pub fn vertex(&self, column: u32, row: u32) -> u32 {
+        row * (self.columns + 1) + column
+    }
+
+    /// Material coordinates of the vertices: x = warp to the right, y = weft upwards, (0, 0) bottom left.
+    pub fn coordinates(&self, size_m: [f64; 2]) -> Vec<Vec2> {
+        let at = |i: u32, n: u32, size: f64| (size * f64::from(i) / f64::from(n)) as f32;
+        let points = (0..=self.rows).flat_map(|row| (0..=self.columns).map(move |column| (column, row)));
+        points
+            .map(|(column, row)| Vec2::new(at(column, self.columns, size_m[0]), at(row, self.rows, size_m[1])))
+            .collect()
+    }
+
+    /// The triangles. The diagonal changes its direction from row to row: every inner vertex has six neighbours (even
+    /// matrix rows), yet neither diagonal is stiffer than the other, as it would be with one direction throughout.
+    pub fn triangle_corners(&self) -> Vec<[u32; 3]> {
+        let mut triangles = Vec::with_capacity(self.triangles() as usize);
+        for row in 0..self.rows {
+            for column in 0..self.columns {
+                let (a, b) = (self.vertex(column, row), self.vertex(column + 1, row));
+                let (d, c) = (self.vertex(column, row + 1), self.vertex(column + 1, row + 1));
+                triangles.extend(if row % 2 == 0 { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] });
+            }
+        }
+        triangles
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_by_two_cells() {
+        let sheet = Sheet { columns: 2, rows: 2 };
+        assert_eq!(
+            sheet.triangle_corners(),
+            [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [3, 4, 6], [4, 7, 6], [4, 5, 7], [5, 8, 7]]
+        );
+        assert_eq!(sheet.coordinates([4.0, 2.0])[5], Vec2::new(4.0, 1.0));
+    }
+
+    #[test]
+    fn the_number_of_triangles_is_met_and_cells_are_nearly_square() {
+        for triangles in [1_000, 1_234, 10_000, 77_777, 500_000, 1_200_000] {
+            for size_m in [[3.0, 2.0], [1.0, 1.0], [2.0, 5.0]] {
+                let sheet = sheet_cells(size_m, triangles);
+                let error = sheet.triangles() as f64 / triangles as f64 - 1.0;
+                assert!(error.abs() < 0.03, "{triangles} {size_m:?}: {sheet:?} is off by {error}");
+                let aspect = size_m[0] / f64::from(sheet.columns) / (size_m[1] / f64::from(sheet.rows));
+                assert!((aspect - 1.0).abs() < 0.1, "{triangles} {size_m:?}: {sheet:?}");
+            }
+        }
+        assert_eq!(sheet_cells([1.0, 1.0], 2), Sheet { columns: 1, rows: 1 });
+        assert_eq!(sheet_cells([100.0, 0.01], 200), Sheet { columns: 100, rows: 1 });
+    }
+}

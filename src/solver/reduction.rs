@@ -1,0 +1,118 @@
+//! Sums over all ranks with the same bits for every rank count.
+//!
+//! The leaves are the chunk sums of `RowPartition`; they are added along a fixed binary tree over all chunks. A rank adds
+//! the subtrees that lie wholly within its chunks (at most 2 log2 of them) and sends only their roots; everybody then adds
+//! the rest of the tree in the same order. One all-gather per call, whatever the number of scalars.
+
+use std::ops::Range;
+
+use crate::partition::RowPartition;
+use crate::transport::{Transport, TransportError};
+
+/// The fixed tree and who owns which leaves.
+#[derive(Clone, Debug)]
+pub struct ReductionTree {
+    leaves: usize,
+    ranges: Vec<Range<usize>>,
+}
+
+impl ReductionTree {
+    /// Tree over the chunks of `partition`.
+    pub fn new(partition: &RowPartition) -> ReductionTree {
+        let chunks = partition.chunks();
+        let leaves = chunks.next_power_of_two();
+        let mut ranges: Vec<_> = (0..partition.ranks()).map(|r| partition.chunks_of(r)).collect();
+        // Leaves past the last chunk are zeros of the last rank, so that its subtrees end where the tree ends.
+        if let Some(last) = ranges.last_mut() {
+            last.end = leaves;
+        }
+        ReductionTree { leaves, ranges }
+    }
+
+    /// Adds `WIDTH` scalars over all ranks. `chunk_sums[chunk][i]`: the own chunks' sums.
+    pub fn all_reduce<const WIDTH: usize>(&self, transport: &mut dyn Transport, chunk_sums: &[[f64; WIDTH]]) -> Result<[f64; WIDTH], TransportError> {
+        let own = &self.ranges[transport.rank()];
+        let mut roots = Vec::new();
+        self.collect(0..self.leaves, own, chunk_sums, &mut roots);
+        if self.ranges.len() == 1 {
+            return Ok(roots[0]);
+        }
+        let mut gathered = Vec::new();
+        transport.all_gather(roots.as_flattened(), &mut gathered)?;
+        let mut streams: Vec<_> = gathered.iter().map(|values| values.as_chunks::<WIDTH>().0.iter()).collect();
+        Ok(self.finish(0..self.leaves, &mut streams))
+    }
+
+    fn collect<const WIDTH: usize>(&self, node: Range<usize>, own: &Range<usize>, chunk_sums: &[[f64; WIDTH]], roots: &mut Vec<[f64; WIDTH]>) {
+        if node.end <= own.start || node.start >= own.end {
+            return;
+        }
+        if own.start <= node.start && node.end <= own.end {
+            roots.push(subtree(node.start - own.start..node.end - own.start, chunk_sums));
+            return;
+        }
+        let middle = node.start.midpoint(node.end);
+        self.collect(node.start..middle, own, chunk_sums, roots);
+        self.collect(middle..node.end, own, chunk_sums, roots);
+    }
+
+    fn finish<const WIDTH: usize>(&self, node: Range<usize>, streams: &mut [std::slice::Iter<[f64; WIDTH]>]) -> [f64; WIDTH] {
+        let owner = self.ranges.partition_point(|range| range.end <= node.start);
+        if node.end <= self.ranges[owner].end {
+            // A rank that sent fewer roots than its leaves need breaks the protocol; NaN makes the solve stop.
+            return streams[owner].next().copied().unwrap_or([f64::NAN; WIDTH]);
+        }
+        let middle = node.start.midpoint(node.end);
+        let left = self.finish(node.start..middle, streams);
+        add(left, self.finish(middle..node.end, streams))
+    }
+}
+
+fn add<const WIDTH: usize>(a: [f64; WIDTH], b: [f64; WIDTH]) -> [f64; WIDTH] {
+    std::array::from_fn(|i| a[i] + b[i])
+}
+
+fn subtree<const WIDTH: usize>(node: Range<usize>, leaves: &[[f64; WIDTH]]) -> [f64; WIDTH] {
+    if node.start >= leaves.len() {
+        return [0.0; WIDTH];
+    }
+    if node.len() == 1 {
+        return leaves[node.start];
+    }
+    let middle = node.start.midpoint(node.end);
+    add(subtree(node.start..middle, leaves), subtree(middle..node.end, leaves))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Adds over `ranks` ranks without a transport.
+    fn reduce(rows: usize, ranks: usize, sums: &[[f64; 2]]) -> [f64; 2] {
+        let partition = RowPartition::new(rows, ranks);
+        let tree = ReductionTree::new(&partition);
+        let streams: Vec<Vec<[f64; 2]>> = (0..ranks)
+            .map(|r| {
+                let mut roots = Vec::new();
+                tree.collect(0..tree.leaves, &tree.ranges[r], &sums[partition.chunks_of(r)], &mut roots);
+                assert!(roots.len() * 3 <= crate::transport::ALL_GATHER_MAX);
+                roots
+            })
+            .collect();
+        tree.finish(0..tree.leaves, &mut streams.iter().map(|s| s.iter()).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn the_sum_has_the_same_bits_for_every_rank_count() {
+        for rows in [17, 479, 5000, 100_000] {
+            let chunks = RowPartition::new(rows, 1).chunks();
+            let sums: Vec<[f64; 2]> = (0..chunks).map(|i| [(i as f64 * 0.7).sin() * 1e3, 1.0 / (i as f64 + 0.3)]).collect();
+            let one = reduce(rows, 1, &sums);
+            let exact: f64 = sums.iter().map(|s| s[0]).sum();
+            assert!((one[0] - exact).abs() < 1e-9 * sums.len() as f64);
+            for ranks in 2..=16 {
+                assert_eq!(reduce(rows, ranks, &sums).map(f64::to_bits), one.map(f64::to_bits), "{rows} rows, {ranks} ranks");
+            }
+        }
+    }
+}

@@ -1,0 +1,19 @@
+//! Processes of one machine over iceoryx2: the only folder that knows its API. [`IceoryxTransport`] carries the step's
+//! data, `control` the coordinator's messages.
+//!
+//! iceoryx2 is used as a mechanism, not as a protocol. Three rules of ours make it one:
+//! - **Credits.** A publisher sends only while every reader has room, which it knows from a counter that the reader
+//!   keeps on its blackboard. So `send` neither blocks nor drops, a dead reader never blocks a sender inside foreign
+//!   code, and three buffers per publisher are enough for any number of readers.
+//! - **Announced sleep.** A rank that is about to sleep writes on its blackboard for whom it waits, and only those wake
+//!   it: rounds in which everyone meets awake cost no system call.
+//! - **Nobody cleans up piecemeal.** All files carry the run's prefix and go in one purge after the last process has
+//!   left (`RunName::purge_if_last`); cleaning by iceoryx2 while others start or stop can take innocent ones down.
+//!
+//! It promises nothing across machines, nor to processes of other users.
+
+mod cells;
+mod data;
+mod node;
+
+pub use data::{IceoryxOptions, IceoryxTransport};

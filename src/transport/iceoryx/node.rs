@@ -1,0 +1,82 @@
+//! The iceoryx2 node of a process, with everything it creates confined to the run's folder and prefix.
+
+use std::fmt::Debug;
+use std::time::Duration;
+
+use iceoryx2::prelude::*;
+
+use crate::transport::RunName;
+use crate::transport::wait::{Patience, Stopped};
+
+/// The flavour of iceoryx2 used: shared memory between processes, ports bound to one thread.
+pub(super) type Ipc = ipc::Service;
+
+/// Messages that a publisher may be ahead of its slowest reader.
+pub(super) const DEPTH: usize = 2;
+
+/// Buffers of a publisher: those that readers may hold or still have to read, and the one being written.
+pub(super) const BUFFERS: usize = DEPTH + 1;
+
+/// Pause between two attempts to open what another process is about to create.
+const OPEN_PAUSE: Duration = Duration::from_millis(1);
+
+/// A node of `run`. `Config::global_config()` is avoided on purpose: it reads files from the working directory, the
+/// home directory and /etc.
+pub(super) fn create_node(run: &RunName, name: &str) -> Result<Node<Ipc>, String> {
+    // What matters is returned as errors; the library's own log lines would garble a terminal.
+    set_log_level(LogLevel::Fatal);
+    let root = run.root();
+    let root = root.to_str().ok_or_else(|| format!("the path {} is not valid UTF-8", root.display()))?;
+    let mut config = Config::default();
+    config.global.prefix = FileName::new(run.shared_memory_prefix().as_bytes()).map_err(text("prefix"))?;
+    config.global.set_root_path(&Path::new(root.as_bytes()).map_err(text("root path"))?);
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.service.cleanup_dead_nodes_on_open = false;
+    NodeBuilder::new()
+        .name(&NodeName::new(name).map_err(text("node name"))?)
+        .config(&config)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<Ipc>()
+        .map_err(text("node"))
+}
+
+/// Turns an error of iceoryx2 into the message of ours.
+pub(super) fn text<E: Debug>(what: &'static str) -> impl Fn(E) -> String {
+    move |error| format!("{what}: {error:?}")
+}
+
+/// A service's name.
+pub(super) fn service_name(name: &str) -> Result<ServiceName, String> {
+    ServiceName::new(name).map_err(text("service name"))
+}
+
+/// How opening what another process creates ended.
+pub(super) enum OpenError {
+    /// It was not there in time, or the run was stopped.
+    Stopped(Stopped),
+    /// It is there and does not fit.
+    Failed(String),
+}
+
+/// Opens something that another process creates, trying again until it is there.
+pub(super) fn open_when_created<T, E: Debug>(
+    patience: &mut Patience,
+    what: &'static str,
+    mut open: impl FnMut() -> Result<T, E>,
+) -> Result<T, OpenError> {
+    let mut wait = patience.begin();
+    loop {
+        let error = match open() {
+            Ok(opened) => return Ok(opened),
+            Err(error) => format!("{error:?}"),
+        };
+        // Half-created services show up under many names; those that name a mismatch never go away.
+        if ["Incompatible", "DoesNotSupport", "Exceeds", "VersionMismatch"].iter().any(|word| error.contains(word)) {
+            return Err(OpenError::Failed(format!("{what}: {error}")));
+        }
+        if let Some(limit) = patience.miss(&mut wait).map_err(OpenError::Stopped)? {
+            std::thread::sleep(limit.min(OPEN_PAUSE));
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Is another process of this machine still running? Works for processes that are not children and for zombies, which
+//! count as ended. Linux only; it promises nothing about processes of other pid namespaces.
+
+use std::os::fd::OwnedFd;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, PidfdFlags, pidfd_open};
+
+/// Watches one process by a descriptor, so that a reused process number is never mistaken for it.
+#[derive(Debug)]
+pub struct ProcessWatch {
+    pid: u32,
+    descriptor: Option<OwnedFd>,
+}
+
+impl ProcessWatch {
+    /// Starts to watch process `pid`. A process that does not exist (any more) counts as ended.
+    ///
+    /// # Errors
+    /// The system refused the descriptor for another reason (too many open files, an old kernel).
+    pub fn new(pid: u32) -> std::io::Result<ProcessWatch> {
+        let Some(number) = i32::try_from(pid).ok().and_then(Pid::from_raw) else {
+            return Ok(ProcessWatch { pid, descriptor: None });
+        };
+        match pidfd_open(number, PidfdFlags::empty()) {
+            Ok(descriptor) => Ok(ProcessWatch { pid, descriptor: Some(descriptor) }),
+            Err(rustix::io::Errno::SRCH) => Ok(ProcessWatch { pid, descriptor: None }),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Number of the watched process.
+    pub fn pid(&self) -> u32 {
+        self.pid
+    }
+
+    /// True once the process has ended, reaped or not. Never waits.
+    pub fn has_ended(&self) -> bool {
+        let Some(descriptor) = &self.descriptor else { return true };
+        let mut polled = [PollFd::new(descriptor, PollFlags::IN)];
+        // A poll that fails says nothing about the process: it is asked again at the next call.
+        matches!(poll(&mut polled, Some(&Timespec { tv_sec: 0, tv_nsec: 0 })), Ok(ready) if ready > 0)
+    }
+}
+
+/// When a process was started, in clock ticks since boot: with the number it names a process for ever. `None` if there
+/// is no such process or it has ended and only waits to be reaped.
+pub fn start_ticks(pid: u32) -> Option<u64> {
+    parse_stat(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
+}
+
+/// The start time in a line of `/proc/PID/stat`, unless the state is dead or zombie. The name (field 2) may hold
+/// spaces and parentheses, so fields are counted from its last closing parenthesis.
+fn parse_stat(line: &str) -> Option<u64> {
+    let (_, fields) = line.rsplit_once(')')?;
+    let mut fields = fields.split_whitespace();
+    let state = fields.next()?;
+    let start = fields.nth(18)?.parse().ok()?;
+    (!matches!(state, "Z" | "X" | "x")).then_some(start)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stat_lines() {
+        let rest = "1 2 3 0 -1 4194560 1 2 3 4 5 6 7 8 20 0 1 0 987654 100 200";
+        assert_eq!(parse_stat(&format!("42 (a name) S {rest}")), Some(987654));
+        assert_eq!(parse_stat(&format!("42 (odd) name)) R {rest}")), Some(987654));
+        assert_eq!(parse_stat(&format!("42 (gone) Z {rest}")), None);
+        assert_eq!(parse_stat("42 (cut"), None);
+        assert_eq!(parse_stat(""), None);
+    }
+
+    #[test]
+    fn own_process_runs_and_a_child_ends() {
+        let own = ProcessWatch::new(std::process::id()).unwrap();
+        assert!(!own.has_ended());
+        assert!(start_ticks(std::process::id()).is_some());
+        assert!(ProcessWatch::new(0).unwrap().has_ended());
+
+        let mut child = std::process::Command::new("sleep").arg("600").spawn().unwrap();
+        let watch = ProcessWatch::new(child.id()).unwrap();
+        assert!(!watch.has_ended());
+        child.kill().unwrap();
+        while !watch.has_ended() {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        // Not reaped yet: a zombie has ended too.
+        assert_eq!(start_ticks(child.id()), None);
+        child.wait().unwrap();
+        assert!(ProcessWatch::new(child.id()).unwrap().has_ended());
+    }
+}

@@ -1,0 +1,129 @@
+//! How a rank waits for another one: a moment of spinning where there are cores to spare, a few yields, then sleep, with
+//! the run's hook called all the while. It bounds every wait; it does not know what is waited for.
+
+use std::time::{Duration, Instant};
+
+/// Called at least every [`HOOK_INTERVAL`] while a rank waits: gives a sign of life, and returns true to give up
+/// waiting (a peer died, the user asked to stop).
+pub type WaitHook = Box<dyn FnMut() -> bool>;
+
+/// Longest time between two calls of the hook while a rank waits.
+pub const HOOK_INTERVAL: Duration = Duration::from_millis(50);
+
+/// The hook is called when this much time has passed since its last call; a sleep of the same length later it is still
+/// within [`HOOK_INTERVAL`].
+const HOOK_DUE: Duration = Duration::from_millis(20);
+/// Time spent spinning before the first yield where every process has a core and one is left. Longer than a wake-up
+/// costs makes no sense.
+const SPIN: Duration = Duration::from_micros(30);
+/// Yields before sleeping: one hand-over between two processes that share a core usually needs no more.
+const YIELDS: u32 = 5;
+
+/// Why a wait ended without what was waited for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Stopped {
+    /// The deadline passed after this many seconds.
+    TimedOut { waited_s: f64 },
+    /// The hook asked for it.
+    Aborted,
+}
+
+/// The waiting habits of one rank.
+pub(super) struct Patience {
+    deadline: Duration,
+    spin: Duration,
+    hook: WaitHook,
+    hook_called: Instant,
+}
+
+impl Patience {
+    /// Waits at most `deadline` at a time; `processes` ranks share this machine's cores.
+    pub(super) fn new(deadline: Duration, processes: usize, hook: WaitHook) -> Patience {
+        let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
+        let spin = if cores > processes { SPIN } else { Duration::ZERO };
+        Patience { deadline, spin, hook, hook_called: Instant::now() }
+    }
+
+    /// Begins a wait.
+    pub(super) fn begin(&self) -> Wait {
+        Wait { start: Instant::now(), yields: 0 }
+    }
+
+    /// One miss of `wait`: spins or yields and returns `None`, or returns how long the caller may sleep before it looks
+    /// again.
+    pub(super) fn miss(&mut self, wait: &mut Wait) -> Result<Option<Duration>, Stopped> {
+        let now = Instant::now();
+        let waited = now - wait.start;
+        if waited < self.spin {
+            std::hint::spin_loop();
+            return Ok(None);
+        }
+        if now - self.hook_called >= HOOK_DUE {
+            self.hook_called = now;
+            if (self.hook)() {
+                return Err(Stopped::Aborted);
+            }
+        }
+        if waited >= self.deadline {
+            return Err(Stopped::TimedOut { waited_s: waited.as_secs_f64() });
+        }
+        if wait.yields < YIELDS {
+            wait.yields += 1;
+            std::thread::yield_now();
+            return Ok(None);
+        }
+        Ok(Some(HOOK_DUE.min(self.deadline - waited)))
+    }
+}
+
+/// A wait in progress.
+pub(super) struct Wait {
+    start: Instant,
+    yields: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+    use std::rc::Rc;
+
+    #[test]
+    fn a_wait_ends_at_the_deadline_and_calls_the_hook_before() {
+        let calls = Rc::new(Cell::new(0));
+        let counted = calls.clone();
+        let hook = Box::new(move || {
+            counted.set(counted.get() + 1);
+            false
+        });
+        let mut patience = Patience::new(Duration::from_millis(200), usize::MAX, hook);
+        let mut wait = patience.begin();
+        let mut yields = 0;
+        let stopped = loop {
+            match patience.miss(&mut wait) {
+                Ok(None) => yields += 1,
+                Ok(Some(limit)) => {
+                    assert!(limit <= HOOK_DUE);
+                    std::thread::sleep(limit);
+                }
+                Err(stopped) => break stopped,
+            }
+        };
+        assert!(matches!(stopped, Stopped::TimedOut { waited_s } if waited_s >= 0.2));
+        assert_eq!(yields, YIELDS);
+        assert!(calls.get() >= 2);
+    }
+
+    #[test]
+    fn the_hook_can_abort() {
+        let mut patience = Patience::new(Duration::from_secs(60), 1, Box::new(|| true));
+        let mut wait = patience.begin();
+        let stopped = loop {
+            match patience.miss(&mut wait) {
+                Ok(limit) => std::thread::sleep(limit.unwrap_or_default()),
+                Err(stopped) => break stopped,
+            }
+        };
+        assert_eq!(stopped, Stopped::Aborted);
+    }
+}

@@ -1,0 +1,420 @@
+//! Files of a run: exact bytes, round trips, and that nothing is lost or half-written when something goes wrong.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use loomtree::math::{Vec2, Vec3};
+use loomtree::mesh::TriangleMesh;
+use loomtree::output::*;
+use proptest::prelude::*;
+
+/// Two triangles that share an edge; vertex 1 lies on a seam.
+fn two_triangles() -> TriangleMesh {
+    let uv = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.25]].map(Vec2::from_array);
+    TriangleMesh {
+        positions: vec![
+            Vec3::new(0.0, 0.0, 0.0),
+            Vec3::new(1.0, 0.0, 0.1),
+            Vec3::new(1.0, -1.5, 1e-7),
+            Vec3::new(0.0, 1.0, 123456.79),
+        ],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        material_uv: vec![[uv[0], uv[1], uv[2]], [uv[0], uv[4], uv[3]]],
+    }
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+fn run_directory(folder: &tempfile::TempDir) -> RunDirectory {
+    RunDirectory::create(&folder.path().join("run"), Existing::Refuse).unwrap()
+}
+
+#[test]
+fn a_failing_writer_leaves_no_file_and_keeps_the_old_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("file");
+    let fail = |out: &mut dyn io::Write| {
+        out.write_all(&[7; 1 << 20])?;
+        Err(io::Error::other("disk on fire"))
+    };
+    let error = write_atomically(&path, fail).unwrap_err();
+    assert_eq!(error.to_string(), format!("cannot write {}: disk on fire", path.display()));
+    assert_eq!(names(folder.path()), Vec::<String>::new());
+
+    write_atomically(&path, |out| out.write_all(b"old")).unwrap();
+    write_atomically(&path, fail).unwrap_err();
+    assert_eq!(fs::read(&path).unwrap(), b"old");
+    assert_eq!(names(folder.path()), ["file"]);
+    let nowhere = write_atomically(&folder.path().join("no/such/file"), |_| Ok(())).unwrap_err();
+    assert!(nowhere.to_string().ends_with("No such file or directory (os error 2)"), "{nowhere}");
+}
+
+#[test]
+fn ply_of_two_triangles_is_these_bytes() {
+    let mesh = two_triangles();
+    let mut bytes = Vec::new();
+    ply::write(&mut bytes, &mut Vec::new(), &mesh.positions, &mesh.triangles).unwrap();
+    let mut expected = b"ply\nformat binary_little_endian 1.0\ncomment loomtree, metres\nelement vertex 4\n\
+        property float x\nproperty float y\nproperty float z\nelement face 2\n\
+        property list uchar int vertex_indices\nend_header\n"
+        .to_vec();
+    for p in &mesh.positions {
+        p.to_array().into_iter().for_each(|x| expected.extend(x.to_le_bytes()));
+    }
+    expected.extend([3, 0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0]);
+    expected.extend([3, 0, 0, 0, 0, 2, 0, 0, 0, 3, 0, 0, 0]);
+    assert_eq!(bytes, expected);
+    let read = ply::read(&bytes).unwrap();
+    assert_eq!((read.positions, read.triangles), (mesh.positions, mesh.triangles));
+    for length in 0..bytes.len() {
+        assert!(ply::read(&bytes[..length]).is_err(), "{length} of {} bytes were taken for a mesh", bytes.len());
+    }
+}
+
+#[test]
+fn obj_of_two_triangles_is_this_text() {
+    let mesh = two_triangles();
+    let texture = obj::TextureCoordinates::new(4, &mesh.triangles, &mesh.material_uv);
+    let mut bytes = Vec::new();
+    obj::write(&mut bytes, &mut Vec::new(), &mesh.positions, &mesh.triangles, Some(&texture)).unwrap();
+    let text = String::from_utf8(bytes).unwrap();
+    let expected = "v 0 0 0\nv 1 0 0.1\nv 1 -1.5 1e-7\nv 0 1 123456.79\n\
+        vt 0 0\nvt 1 0\nvt 1 1\nvt 0.5 0.25\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/4 4/5\n";
+    assert_eq!(text, expected);
+    let read = obj::read(text.as_bytes()).unwrap();
+    assert_eq!((read.positions, read.triangles), (mesh.positions, mesh.triangles));
+
+    let message = |text: &str| obj::read(text.as_bytes()).unwrap_err().to_string();
+    assert_eq!(message("v 0 0 0\nv 1 x 0"), "line 2 has a coordinate that is no number");
+    assert_eq!(message("v 0 0 0\nf 1 1 0"), "line 2 has vertex number 0 (they count from 1)");
+    assert_eq!(message("v 0 0 0\nf 1 1 2"), "triangle 0 (from 0) names a vertex beyond the 1 there are");
+}
+
+proptest! {
+    #[test]
+    fn frames_read_back_bit_by_bit(bits in prop::collection::vec(any::<[u32; 3]>(), 3..40)) {
+        let finite = |b: u32| Some(f32::from_bits(b)).filter(|x| x.is_finite()).unwrap_or(1.0);
+        let positions: Vec<Vec3> = bits.iter().map(|b| Vec3::from_array(b.map(finite))).collect();
+        let triangles: Vec<[u32; 3]> = (2..positions.len() as u32).map(|i| [0, i - 1, i]).collect();
+        let as_bits = |p: &[Vec3]| p.iter().map(|p| p.to_array().map(f32::to_bits)).collect::<Vec<_>>();
+        for write_and_read in [
+            |p: &[Vec3], t: &[[u32; 3]]| { let mut b = Vec::new(); obj::write(&mut b, &mut Vec::new(), p, t, None).unwrap(); obj::read(&b) },
+            |p: &[Vec3], t: &[[u32; 3]]| { let mut b = Vec::new(); ply::write(&mut b, &mut Vec::new(), p, t).unwrap(); ply::read(&b) },
+        ] {
+            let mesh = write_and_read(&positions, &triangles).unwrap();
+            prop_assert_eq!(as_bits(&mesh.positions), as_bits(&positions));
+            prop_assert_eq!(&mesh.triangles, &triangles);
+        }
+    }
+
+    #[test]
+    fn arbitrary_bytes_are_an_error_and_no_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), cut in 0usize..300) {
+        let mut ply_file = Vec::new();
+        ply::write(&mut ply_file, &mut Vec::new(), &[Vec3::ONE; 3], &[[0, 1, 2]]).unwrap();
+        let checkpoint = checkpoint_file(3);
+        prop_assert!(Checkpoint::from_bytes(&bytes).is_err());
+        for start in [&ply_file, &checkpoint] {
+            let mut file = start[..cut.min(start.len())].to_vec();
+            file.extend(&bytes);
+            // What comes out, if anything does, must be sound.
+            if let Ok(mesh) = ply::read(&file) {
+                prop_assert!(mesh.triangles.iter().flatten().all(|i| (*i as usize) < mesh.positions.len()));
+            }
+            if file != *start {
+                prop_assert!(Checkpoint::from_bytes(&file).is_err());
+            }
+        }
+        if let Ok(mesh) = obj::read(&bytes) {
+            prop_assert!(mesh.triangles.iter().flatten().all(|i| (*i as usize) < mesh.positions.len()));
+        }
+    }
+
+    #[test]
+    fn one_changed_bit_of_a_checkpoint_is_found(byte in 0usize..10_000, bit in 0u8..8) {
+        let mut file = checkpoint_file(5);
+        let at = byte % file.len();
+        file[at] ^= 1 << bit;
+        prop_assert!(Checkpoint::from_bytes(&file).is_err());
+    }
+
+    #[test]
+    fn a_recipe_keeps_the_scene_word_for_word(text in any::<String>()) {
+        let folder = tempfile::tempdir().unwrap();
+        let directory = run_directory(&folder);
+        let mut manifest = RunManifest::new(Path::new("/scenes/flag.toml"), &text, &toml::Table::new()).unwrap();
+        manifest.save(&directory).unwrap();
+        prop_assert_eq!(RunManifest::load(&directory).unwrap(), manifest);
+    }
+}
+
+fn checkpoint(step: u64) -> Checkpoint {
+    let positions: Vec<Vec3> = (0..step).map(|i| Vec3::new(i as f32, 0.5, -0.0)).collect();
+    Checkpoint { frame: 2, step, time_s: 0.25, fingerprint: 77, velocities: positions.clone(), positions }
+}
+
+fn checkpoint_file(step: u64) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    fs::read(checkpoint::write(folder.path(), &checkpoint(step)).unwrap()).unwrap()
+}
+
+#[test]
+fn the_newest_valid_checkpoint_is_found_and_three_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    assert!(checkpoint::latest(folder.path()).found.is_none());
+    for step in [10, 20, 30, 40] {
+        checkpoint::write(folder.path(), &checkpoint(step)).unwrap();
+    }
+    assert_eq!(names(folder.path()), ["step_00000020.ltc", "step_00000030.ltc", "step_00000040.ltc"]);
+    let (path, found) = checkpoint::latest(folder.path()).found.unwrap();
+    assert_eq!((path.file_name().unwrap().to_str(), found), (Some("step_00000040.ltc"), checkpoint(40)));
+
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() - 100]).unwrap();
+    fs::write(folder.path().join("step_00000035.ltc"), b"something else").unwrap();
+    let latest = checkpoint::latest(folder.path());
+    assert_eq!(latest.found.unwrap().1, checkpoint(30));
+    assert_eq!(latest.notes.len(), 2);
+    assert!(latest.notes[0].contains("step_00000040.ltc is skipped: it is cut off or damaged"), "{:?}", latest.notes);
+    assert!(latest.notes[1].contains("step_00000035.ltc is skipped: it is not a checkpoint"), "{:?}", latest.notes);
+
+    // Taken up from 30: the damaged later ones must not outlive or displace what is written now.
+    checkpoint::write(folder.path(), &checkpoint(32)).unwrap();
+    assert_eq!(names(folder.path()), ["step_00000020.ltc", "step_00000030.ltc", "step_00000032.ltc"]);
+}
+
+#[test]
+fn a_run_directory_is_refused_with_one_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run");
+    let refusal = |existing| RunDirectory::create(&path, existing).unwrap_err().to_string();
+    assert!(refusal(Existing::Resume).ends_with("holds no run to continue; leave out --resume to start one"));
+    assert!(!path.exists(), "a refusal left a folder");
+
+    fs::write(&path, b"").unwrap();
+    assert!(refusal(Existing::Refuse).contains("is a file, but a run needs a folder"));
+    fs::remove_file(&path).unwrap();
+    assert!(RunDirectory::open(folder.path()).unwrap_err().to_string().contains("is not a run directory"));
+
+    let directory = RunDirectory::create(&path, Existing::Refuse).unwrap();
+    assert!(matches!(RunDirectory::create(&path, Existing::Refuse), Err(DirectoryError::InUse(_))));
+    drop(directory);
+    fs::write(path.join("report.json"), b"{}").unwrap();
+    fs::write(path.join("frames/frame_000000.ply"), b"").unwrap();
+    fs::write(path.join("frames/.x.part"), b"").unwrap();
+    fs::write(path.join("notes.txt"), b"mine").unwrap();
+    assert!(refusal(Existing::Refuse).contains("already holds a run"));
+
+    drop(RunDirectory::create(&path, Existing::Resume).unwrap());
+    assert_eq!(names(&path.join("frames")), ["frame_000000.ply"]);
+    drop(RunDirectory::create(&path, Existing::Overwrite).unwrap());
+    assert_eq!(names(&path), ["checkpoint", "frames", "notes.txt"]);
+    assert_eq!(names(&path.join("frames")), Vec::<String>::new());
+}
+
+#[test]
+fn an_unwritable_folder_is_named() {
+    let error = RunDirectory::create(Path::new("/proc/no/run"), Existing::Refuse).unwrap_err();
+    assert!(matches!(error, DirectoryError::Unwritable { .. }), "{error}");
+    assert!(error.to_string().starts_with("cannot write to /proc/no/run: "), "{error}");
+}
+
+#[test]
+fn formats_are_read_or_explained() {
+    assert_eq!(parse_formats("ply, OBJ,ply"), Ok(vec![FrameFormat::Ply, FrameFormat::Obj]));
+    assert_eq!(parse_formats("pc2,usd"), Err(FormatError::Usd));
+    let unknown = parse_formats("stl").unwrap_err();
+    assert_eq!(unknown.to_string(), "--format \"stl\" is unknown; valid are obj, ply and pc2 (separated by commas)");
+    assert_eq!(parse_formats(""), Err(FormatError::Empty));
+}
+
+#[test]
+fn frames_of_every_format_hold_the_same_positions() {
+    let folder = tempfile::tempdir().unwrap();
+    let directory = run_directory(&folder);
+    let mesh = two_triangles();
+    let formats = [FrameFormat::Obj, FrameFormat::Ply, FrameFormat::Pc2];
+    let moved = |frame: u32| mesh.positions.iter().map(|p| *p + Vec3::splat(frame as f32)).collect::<Vec<_>>();
+    let mut writer = FrameWriter::new(&directory, &formats, &mesh, 0).unwrap();
+    for frame in 0..3 {
+        writer.write(frame, &mesh, &moved(frame)).unwrap();
+    }
+    writer.write_obstacle(2, &mesh.positions, &mesh.triangles).unwrap();
+    let bad = vec![Vec3::ZERO, Vec3::ZERO, Vec3::new(0.0, f32::NAN, 0.0), Vec3::ZERO];
+    let error = writer.write(3, &mesh, &bad).unwrap_err().to_string();
+    assert!(error.starts_with("frame 3 is not written: position of vertex 2 is [0, NaN, 0]"), "{error}");
+    assert!(
+        writer.write(5, &mesh, &moved(5)).unwrap_err().to_string().starts_with("frame 5 does not follow the 3 frames")
+    );
+    fs::remove_file(directory.frames().join("frame_000005.obj")).unwrap();
+    fs::remove_file(directory.frames().join("frame_000005.ply")).unwrap();
+
+    // Resumed at frame 2: frame 2 is made again, the others stay.
+    drop(writer);
+    let mut writer = FrameWriter::new(&directory, &formats, &mesh, 2).unwrap();
+    writer.write(2, &mesh, &moved(20)).unwrap();
+    writer.write(3, &mesh, &moved(3)).unwrap();
+
+    for extensions in [&["ply", "obj"][..], &["obj"], &[]] {
+        for entry in fs::read_dir(directory.frames()).unwrap().map(|e| e.unwrap().path()) {
+            let name = entry.file_name().unwrap().to_str().unwrap();
+            if name.starts_with("frame_") && !extensions.iter().any(|e| name.ends_with(e)) {
+                fs::remove_file(entry).unwrap();
+            }
+        }
+        let source = FrameSource::open(&directory).unwrap();
+        assert_eq!(source.numbers(), [0, 1, 2, 3]);
+        assert_eq!(source.read(1).unwrap().positions, moved(1));
+        assert_eq!(source.read(2).unwrap().positions, moved(20));
+        assert_eq!(source.read(3).unwrap(), FrameMesh { positions: moved(3), triangles: mesh.triangles.clone() });
+        assert_eq!(source.read_obstacle(2).unwrap().unwrap().positions, mesh.positions);
+        assert!(source.read_obstacle(1).unwrap().is_none());
+    }
+}
+
+#[test]
+fn a_point_cache_has_the_header_that_players_expect() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cloth.pc2");
+    let mut writer = pc2::Pc2Writer::open(&path, 2, 0).unwrap();
+    writer.write(0, &[Vec3::ZERO, Vec3::ONE]).unwrap();
+    let mut expected = b"POINTCACHE2\0".to_vec();
+    expected.extend([1, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x80, 0x3f, 1, 0, 0, 0]);
+    expected.extend([0; 12]);
+    expected.extend([0, 0, 0x80, 0x3f].repeat(3));
+    assert_eq!(fs::read(&path).unwrap(), expected);
+    // A sample that was cut off is not counted, and a file that lies about its length is an error.
+    fs::write(&path, &expected[..50]).unwrap();
+    assert!(pc2::read(&path, 0).unwrap_err().to_string().ends_with("frame 0 is missing or cut off"));
+    assert!(pc2::Pc2Writer::open(&path, 3, 1).is_err());
+}
+
+#[test]
+fn state_hash_has_a_known_value_and_feels_every_bit() {
+    // xxh3_64 of no bytes is the published 2d06800538d394c2.
+    assert_eq!(state_hash(&[], &[]), "2d06800538d394c2");
+    let positions = [Vec3::new(1.0, 2.0, 3.0), Vec3::new(-4.0, 0.5, 0.0)];
+    let velocities = [Vec3::ZERO, Vec3::new(0.0, 0.0, 9.0)];
+    let hash = state_hash(&positions, &velocities);
+    assert_eq!(hash, "4ce35b4d826ae86d");
+    assert_ne!(hash, state_hash(&velocities, &positions));
+    for vertex in 0..2 {
+        for bit in 0..96 {
+            let mut changed = positions;
+            let component = &mut changed[vertex][bit / 32];
+            *component = f32::from_bits(component.to_bits() ^ 1 << (bit % 32));
+            assert_ne!(state_hash(&changed, &velocities), hash, "bit {bit} of vertex {vertex}");
+        }
+    }
+    assert_ne!(state_hash(&[Vec3::ZERO], &[Vec3::ZERO]), state_hash(&[Vec3::ZERO], &[-Vec3::ZERO]));
+}
+
+fn step_record(step: u64) -> StepRecord {
+    let stage_seconds = StageSeconds { solve: 0.25, total: 0.5, ..StageSeconds::default() };
+    let memory_bytes_per_rank = vec![1000, 2000];
+    StepRecord {
+        step,
+        frame: step as u32,
+        iterations: 31,
+        residual: 0.0098,
+        stage_seconds,
+        memory_bytes_per_rank,
+        ..StepRecord::default()
+    }
+}
+
+fn frame_record(frame: u32) -> FrameRecord {
+    FrameRecord { frame, time_s: f64::from(frame) / 250.0, state_hash: "00ff".to_string() }
+}
+
+#[test]
+fn a_report_is_valid_from_the_start_and_resumes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.json");
+    let mut header = ReportHeader { scene: "flag \"x\"".to_string(), workers: 2, ..ReportHeader::now() };
+    header.set_gravity([0.0, 0.0, -9.8]);
+    let mut writer = ReportWriter::create(&path, header.clone()).unwrap();
+    let started = Report::load(&path).unwrap();
+    assert_eq!(started, Report { header: header.clone(), ..Report::default() });
+    assert_eq!((started.header.status, started.header.up_axis.as_str()), (Status::Running, "z"));
+    assert!(started.header.machine.cores > 0);
+
+    for step in 1..=4 {
+        writer.step(step_record(step));
+        writer.frame(frame_record(step as u32)).unwrap();
+    }
+    let finished = writer.finish(Status::Failed("rank 1 stopped answering".to_string())).unwrap();
+    assert_eq!(Report::load(&path).unwrap(), finished);
+    let json: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    assert_eq!(json["status"], "failed: rank 1 stopped answering");
+    assert_eq!(json["steps"][3]["stage_seconds"]["solve"], 0.25);
+    assert_eq!(json["frames"][0], serde_json::json!({"frame": 1, "time_s": 0.004, "state_hash": "00ff"}));
+
+    let again = ReportHeader { workers: 8, ..ReportHeader::now() };
+    let mut writer = ReportWriter::resume(&path, again, 2, 2).unwrap();
+    writer.step(StepRecord { residual: f64::NAN, ..step_record(3) });
+    writer.finish(Status::Done).unwrap();
+    let resumed = Report::load(&path).unwrap();
+    assert_eq!(resumed.frames, [frame_record(1), frame_record(2)]);
+    assert_eq!(resumed.steps[..2], [step_record(1), step_record(2)]);
+    assert!(resumed.steps[2].residual.is_nan());
+    assert_eq!(resumed.header.started_unix_s, header.started_unix_s);
+    assert_eq!((resumed.header.workers, resumed.header.resumed[0].workers, resumed.header.resumed[0].step), (8, 8, 2));
+
+    fs::write(&path, b"{\"scene\": 3}").unwrap();
+    let error = Report::load(&path).unwrap_err().to_string();
+    assert!(error.contains("is not a report of a run: invalid type: integer `3`, expected a string"), "{error}");
+}
+
+#[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+struct Flags {
+    workers: usize,
+    out: Option<String>,
+    format: Vec<FrameFormat>,
+}
+
+#[test]
+fn a_recipe_gives_back_flags_and_notices_changed_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let directory = run_directory(&folder);
+    let mesh = folder.path().join("sheet.obj");
+    fs::write(&mesh, b"v 0 0 0").unwrap();
+    let flags = Flags { workers: 4, out: None, format: vec![FrameFormat::Ply] };
+    let mut manifest = RunManifest::new(Path::new("/scenes/flag.JSON"), "{ // a scene\r\n}", &flags).unwrap();
+    manifest.add_input(&mesh).unwrap();
+    manifest.save(&directory).unwrap();
+    let loaded = RunManifest::load(&directory).unwrap();
+    assert_eq!(loaded, manifest);
+    assert_eq!(loaded.scene_file, "scene.json");
+    assert_eq!(loaded.flags::<Flags>().unwrap(), flags);
+    assert_eq!(loaded.changed_inputs(), Vec::<String>::new());
+    fs::write(&mesh, b"v 0 0 1").unwrap();
+    assert!(loaded.changed_inputs()[0].ends_with("sheet.obj has changed since the run was started"));
+
+    let text = fs::read_to_string(directory.manifest()).unwrap();
+    fs::write(directory.manifest(), text.replace("[flags]", "[falgs]")).unwrap();
+    let error = RunManifest::load(&directory).unwrap_err().to_string();
+    assert!(error.contains("run.toml, line ") && error.contains("unknown field `falgs`"), "{error}");
+    fs::write(directory.manifest(), text.replace("scene.json", "../../etc/passwd")).unwrap();
+    assert!(RunManifest::load(&directory).unwrap_err().to_string().contains("must be the name of a file"));
+}
+
+#[test]
+fn a_chart_is_svg_and_an_empty_one_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("chart.svg");
+    let series = |points: &[(f64, f64)]| plot::Series { name: "halo <b>".to_string(), points: points.to_vec() };
+    let points = [(1.0, 4.0), (2.0, f64::NAN), (4.0, 1.25)];
+    plot::line_chart(&path, "Step", "workers", "seconds", &[series(&points)]).unwrap();
+    let svg = fs::read_to_string(&path).unwrap();
+    assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
+    assert_eq!(svg.matches("<circle").count(), 2, "one dot per finite point");
+    assert!(svg.contains("halo &lt;b&gt;"));
+    let error = plot::line_chart(&path, "Step", "x", "y", &[series(&points[1..2])]).unwrap_err().to_string();
+    assert_eq!(error, "chart \"Step\" has nothing to show: no series has a finite point");
+}

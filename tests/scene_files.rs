@@ -1,0 +1,229 @@
+//! TOML scenes: the shipped ones, every field, and the sentence for every kind of mistake.
+
+use std::path::Path;
+
+use loomtree::math::Vec3;
+use loomtree::mesh::validate;
+use loomtree::scene::{Overrides, Scene, load, parse};
+
+fn read(text: &str) -> Result<Scene, String> {
+    parse(text, Path::new("scenes/x.toml"), &Overrides::default()).map_err(|error| error.to_string())
+}
+
+/// The sentence about a scene, without the file's name.
+fn fault(text: &str) -> String {
+    let sentence = read(text).expect_err("the scene is wrong");
+    sentence
+        .strip_prefix("scenes/x.toml")
+        .expect("a message names its file")
+        .trim_start_matches([',', ':', ' '])
+        .to_owned()
+}
+
+#[test]
+fn shipped_scenes_load_at_every_resolution() {
+    for name in ["flag", "hanging", "curtain", "free_fall"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes").join(name).with_extension("toml");
+        for triangles in [None, Some(1_000), Some(30_000), Some(1_200_000)] {
+            let overrides = Overrides { resolution: triangles, frames: triangles.map(|_| 3) };
+            let scene = load(&path, &overrides).unwrap();
+            assert_eq!((scene.name.as_str(), validate(&scene.mesh)), (name, Ok(())));
+            assert_eq!(scene.pins.is_empty(), name == "free_fall");
+            assert_eq!(scene.velocities.len(), scene.mesh.positions.len());
+            assert_eq!(scene.fabric_of_triangle.len(), scene.mesh.triangles.len());
+            if let Some(wanted) = triangles {
+                let off = scene.mesh.triangles.len() as f64 / wanted as f64 - 1.0;
+                assert!(off.abs() < 0.03, "{name}: {} triangles for {wanted}", scene.mesh.triangles.len());
+                assert_eq!(scene.settings.frames, 3);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_curtain_keeps_its_rings_and_slides_them() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/curtain.toml");
+    for resolution in [1_000, 20_000] {
+        let scene = load(&path, &Overrides { resolution: Some(resolution), frames: None }).unwrap();
+        assert_eq!(scene.pins.len(), 17);
+        let last = scene.pins.iter().map(|pin| scene.mesh.positions[pin.vertex as usize]).fold(Vec3::ZERO, Vec3::max);
+        assert_eq!(last, Vec3::new(3.0, 2.5, 0.0));
+        assert!(scene.motions[0].apply(3.5, last).distance(Vec3::new(1.2, 2.5, 0.0)) < 1e-6);
+    }
+}
+
+#[test]
+fn every_field_arrives() {
+    let scene = read(
+        r#"
+        [simulation]
+        step_s = 0.002
+        frame_s = 0.04
+        frames = 7
+        gravity_m_s2 = [0, 0, -1]
+        relative_tolerance = 1e-4
+        max_iterations = 9
+        thickness_m = 0.01
+        friction = 0.5
+        [air]
+        wind_m_s = [1, 2, 3]
+        drag_kg_m2_s = 0.25
+        [[fabric]]
+        name = "felt"
+        density_kg_m2 = 0.5
+        stretching_n_m = [100, 1, 90, 10]
+        bending_n_m = [[1, 2, 3, 4, 5], [1, 2, 3, 4, 5], [1, 2, 3, 4, 5]]
+        [[cloth]]
+        name = "one"
+        sheet = { size_m = [2, 1], triangles = 4 }
+        fabric = "felt"
+        thicken = 2
+        damping_s = 0.5
+        velocity_m_s = [0, 1, 0]
+        [[cloth]]
+        sheet = { size_m = [1, 1], triangles = 2 }
+        plane = "xz"
+        origin_m = [0, 5, 0]
+        rotate_deg = [90, 0, 0, 1]
+        [[pin]]
+        cloth = "one"
+        corners = ["top-left", "bottom-right"]
+        end_s = 3
+        [[pin]]
+        cloth = 1
+        sphere = { center_m = [0, 6, 0], radius_m = 0.1 }
+        start_s = 1
+        [[pin.motion]]
+        time_s = 2
+        translate_m = [1, 0, 0]
+        "#,
+    )
+    .unwrap();
+    let settings = &scene.settings;
+    assert_eq!((settings.step_s, settings.steps_per_frame, settings.frames), (0.002, 20, 7));
+    assert_eq!((settings.gravity_m_s2, settings.wind_m_s), (Vec3::NEG_Z, Vec3::new(1.0, 2.0, 3.0)));
+    assert_eq!((settings.air_density_kg_m3, settings.air_drag_kg_m2_s), (1.2, 0.25));
+    assert_eq!((settings.relative_tolerance, settings.max_iterations), (1e-4, 9));
+    assert_eq!((settings.thickness_m, settings.friction), (0.01, 0.5));
+    assert_eq!(scene.name, "x");
+    assert_eq!(scene.mesh.triangles, [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [6, 7, 9], [6, 9, 8]]);
+    assert_eq!(scene.fabric_of_triangle, [0, 0, 0, 0, 1, 1]);
+    assert_eq!((scene.fabrics[0].density_kg_m2, scene.fabrics[0].damping_s), (1.0, 0.5));
+    assert_eq!((scene.fabrics[0].stretching_n_m[5][2], scene.fabrics[0].bending_n_m[2][4]), (180.0, 10.0));
+    assert_eq!(scene.fabrics[1].name, "cotton");
+    assert_eq!((scene.velocities[5], scene.velocities[6]), (Vec3::Y, Vec3::ZERO));
+    // The level sheet's warp x turned a quarter about z points up.
+    assert!(scene.mesh.positions[7].distance(Vec3::new(0.0, 6.0, 0.0)) < 1e-6);
+    let pins: Vec<_> = scene.pins.iter().map(|pin| (pin.vertex, pin.motion, pin.start_s, pin.end_s)).collect();
+    assert_eq!(pins, [(2, None, 0.0, 3.0), (3, None, 0.0, 3.0), (7, Some(0), 1.0, f64::INFINITY)]);
+}
+
+const SHEET: &str = "[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8 }\n";
+
+#[test]
+fn mistakes_name_line_and_field() {
+    let with = |rest: &str| fault(&format!("{SHEET}{rest}"));
+    assert_eq!(fault(""), "field `cloth`: a scene needs at least one `[[cloth]]`");
+    assert_eq!(fault("a = "), "line 1: string values must be quoted, expected literal string");
+    assert_eq!(
+        with("\ncolour = 1"),
+        "line 4: field `cloth.colour`: unknown field; known here: name, sheet, mesh, material, plane, origin_m, rotate_deg, \
+         scale, fabric, thicken, damping_s, velocity_m_s"
+    );
+    assert_eq!(
+        with("fabric = \"coton\""),
+        "line 3: field `cloth.fabric`: `coton` is no known fabric; known: cotton, silk, denim, wool, nylon, membrane, or a .json file"
+    );
+    assert_eq!(with("fabric = 3"), "line 3: field `cloth.fabric`: must be a text, not 3");
+    assert_eq!(
+        with("fabric = \"no.json\""),
+        "line 3: field `cloth.fabric`: no file `no.json` beside the scene or in the working directory"
+    );
+    assert_eq!(
+        with("[simulation]\nthickness_m = -1"),
+        "line 4: field `simulation.thickness_m`: must be a number above 0, not -1"
+    );
+    assert_eq!(with("[simulation]\nstep_s = 0"), "line 4: field `simulation.step_s`: must be a number above 0, not 0");
+    assert_eq!(
+        with("[simulation]\nstep_s = nan"),
+        "line 4: field `simulation.step_s`: must be a number above 0, not nan"
+    );
+    assert_eq!(
+        with("[simulation]\nframe_s = 0.0055"),
+        "line 4: field `simulation.frame_s`: must be a whole number of steps of 0.004 s"
+    );
+    assert_eq!(
+        with("[simulation]\ngravity_m_s2 = [0, 1]"),
+        "line 4: field `simulation.gravity_m_s2`: must be an array of 3 numbers, not a value of type array"
+    );
+    assert_eq!(
+        with("[simulation]\nframes = -1"),
+        "line 4: field `simulation.frames`: must be a whole number from 0 to 10000000, not -1"
+    );
+    assert_eq!(
+        fault("[[cloth]]\nmesh = \"no.obj\""),
+        "line 2: field `cloth.mesh`: no file `no.obj` beside the scene or in the working directory"
+    );
+    assert_eq!(
+        fault("[[cloth]]\nname = \"a\""),
+        "line 1: field `cloth`: a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`"
+    );
+    assert_eq!(
+        fault("[[cloth]]\nsheet = { size_m = [1, -1] }"),
+        "line 2: field `cloth.sheet.size_m`: both sides must be above 0"
+    );
+    assert_eq!(
+        with("[[cloth]]\nname = \"b\""),
+        "line 3: field `cloth[1]`: a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`"
+    );
+}
+
+#[test]
+fn mistakes_of_pins_name_line_and_field() {
+    let with = |rest: &str| fault(&format!("{SHEET}[[pin]]\n{rest}"));
+    assert_eq!(
+        with(""),
+        "line 3: field `pin`: a pin needs exactly one of corners, edge, vertices, box_m, sphere, not 0"
+    );
+    assert_eq!(
+        with("corners = \"middle\""),
+        "line 4: field `pin.corners`: must be one of bottom-left, bottom-right, top-left, top-right, not \"middle\""
+    );
+    assert_eq!(with("vertices = [0, 9]"), "line 4: field `pin.vertices[1]`: must be a whole number from 0 to 8, not 9");
+    assert_eq!(with("box_m = [[5, 5, 5], [6, 6, 6]]"), "line 4: field `pin.box_m`: selects no vertex of `cloth 0`");
+    assert_eq!(with("corners = \"top-left\"\nevery = 2"), "line 5: field `pin.every`: belongs to a pin with an `edge`");
+    assert_eq!(with("edge = \"top\"\nstart_s = 2\nend_s = 1"), "line 6: field `pin.end_s`: must be after start_s = 2");
+    assert_eq!(
+        with("edge = \"top\"\nmotion = [{ time_s = 1 }, { time_s = 1 }]"),
+        "line 5: field `pin.motion[1].time_s`: must be later than that of the keyframe before"
+    );
+    assert_eq!(
+        with("edge = \"top\"\nmotion = [{ time_s = 1 }, { time_s = 2, rotate_deg = [360, 0, 1, 0] }]"),
+        "line 5: field `pin.motion[1].rotate_deg`: turns by 180 degrees or more since the keyframe before; add one between"
+    );
+    assert_eq!(
+        with("edge = \"top\"\n[[pin]]\ncorners = \"top-left\"\nmotion = [{ time_s = 1 }]"),
+        "line 3: field `pin`: vertex 6 is held by two pins at the same time that move it differently"
+    );
+}
+
+#[test]
+fn cloths_that_cross_at_the_start_are_refused() {
+    let crossing = "[[cloth]]\nname = \"b\"\nsheet = { size_m = [1, 1], triangles = 8 }\nplane = \"xz\"\norigin_m = [0.2, 0.3, 0.1]\n";
+    assert_eq!(
+        fault(&format!("{SHEET}{crossing}")),
+        "line 1: field `cloth`: triangle 1 of `cloth 0` and triangle 1 of `b` cross or touch at the start; move them apart"
+    );
+    read(&format!("{SHEET}{}", crossing.replace("0.1]", "-0.1]"))).unwrap();
+}
+
+#[test]
+fn files_that_are_no_scene() {
+    let refused = |path: &str| load(Path::new(path), &Overrides::default()).unwrap_err().to_string();
+    assert_eq!(refused("no/such.toml"), "no/such.toml: cannot be read: No such file or directory (os error 2)");
+    assert_eq!(refused("src"), "src: cannot be read: it is not a file");
+    assert_eq!(refused("Cargo.lock"), "Cargo.lock: a scene file ends in .toml (or .json for ARCSim's)");
+    let overrides = Overrides { resolution: Some(1), frames: None };
+    let error = parse(SHEET, Path::new("x.toml"), &overrides).unwrap_err().to_string();
+    assert_eq!(error, "x.toml: the resolution must be from 2 to 20000000 triangles, not 1");
+}

@@ -1,0 +1,628 @@
+//! Schedules and topologies from the outside: invariants for every size, golden files, modelled costs with known answers,
+//! shipped topology files, malformed files, and the `schedule` command. `LOOMTREE_BLESS=1` rewrites the golden files.
+
+use std::path::{Path, PathBuf};
+
+use loomtree::cli::schedule::{ScheduleArgs, ScheduleFormat, write_schedule};
+use loomtree::interconnect::{
+    Duplex, QueueNode, Schedule, ScheduleFault, ScheduleKind, Topology, check_schedule, direct, fat_tree,
+    modelled_cost, plan, ring, root_crossings,
+};
+use proptest::prelude::*;
+
+fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn node(source: usize, vector: usize) -> QueueNode {
+    QueueNode { source, vector }
+}
+
+// --- invariants -----------------------------------------------------------------------------------------------------
+
+#[test]
+fn ring_and_direct_hold_the_invariants_for_every_size() {
+    for gpus in 2..=64 {
+        check_schedule(&ring(gpus)).unwrap_or_else(|fault| panic!("ring of {gpus}: {fault}"));
+        check_schedule(&direct(gpus)).unwrap_or_else(|fault| panic!("direct of {gpus}: {fault}"));
+    }
+}
+
+#[test]
+fn fat_tree_holds_the_invariants_and_has_its_closed_form() {
+    for gpus in [1, 2, 4, 8, 16, 32, 64] {
+        let schedule = fat_tree(gpus).unwrap();
+        check_schedule(&schedule).unwrap_or_else(|fault| panic!("fat tree of {gpus}: {fault}"));
+        // The recursion unrolled by hand: the lowest bit of the stage is the width that is crossed in it.
+        for (rank, queue) in schedule.queues.iter().enumerate() {
+            for (stage, found) in (1usize..).zip(queue) {
+                let crossed = stage & stage.wrapping_neg();
+                assert_eq!(*found, node(rank ^ crossed, rank ^ stage), "n = {gpus}, rank {rank}, stage {stage}");
+            }
+        }
+    }
+}
+
+#[test]
+fn fat_tree_of_four_is_figure_4_of_the_paper() {
+    let queues = fat_tree(4).unwrap().queues;
+    assert_eq!(queues[0], [node(1, 1), node(2, 2), node(1, 3)]);
+    assert_eq!(queues[1], [node(0, 0), node(3, 3), node(0, 2)]);
+    assert_eq!(queues[2], [node(3, 3), node(0, 0), node(3, 1)]);
+    assert_eq!(queues[3], [node(2, 2), node(1, 1), node(2, 0)]);
+}
+
+#[test]
+fn fat_tree_sends_every_sub_vector_across_the_root_once_in_the_middle_stage() {
+    for gpus in [2, 4, 8, 16, 32, 64] {
+        let topology = Topology::default_for(gpus).unwrap();
+        let crossings = root_crossings(&fat_tree(gpus).unwrap(), &topology).unwrap();
+        for (stage, vectors) in (1..).zip(crossings) {
+            let mut vectors = vectors;
+            vectors.sort_unstable();
+            let expected: Vec<usize> = if stage == gpus / 2 { (0..gpus).collect() } else { Vec::new() };
+            assert_eq!(vectors, expected, "n = {gpus}, stage {stage}");
+        }
+    }
+}
+
+#[test]
+fn ring_crosses_the_root_with_one_transfer_each_way_in_every_stage() {
+    let topology = Topology::default_for(8).unwrap();
+    let crossings = root_crossings(&ring(8), &topology).unwrap();
+    assert!(crossings.len() == 7 && crossings.iter().all(|vectors| vectors.len() == 2), "{crossings:?}");
+}
+
+#[test]
+fn fat_tree_refuses_what_is_no_power_of_two() {
+    for gpus in [0, 3, 6, 63] {
+        let message = fat_tree(gpus).unwrap_err().to_string();
+        assert!(message.contains("power of two") && message.contains(&gpus.to_string()), "{message}");
+    }
+}
+
+#[test]
+fn one_rank_has_an_empty_queue() {
+    let alone = Schedule { gpus: 1, queues: vec![Vec::new()] };
+    assert_eq!(fat_tree(1).unwrap(), alone);
+    assert_eq!(ring(1), alone);
+    assert_eq!(direct(1), alone);
+    let planned = plan(ScheduleKind::Auto, &Topology::default_for(1).unwrap(), 1e6).unwrap();
+    assert_eq!((planned.schedule, planned.cost.total_s), (alone, 0.0));
+}
+
+#[test]
+fn every_broken_rule_is_named() {
+    let good = fat_tree(4).unwrap();
+    let broken = |change: fn(&mut Schedule)| {
+        let mut schedule = good.clone();
+        change(&mut schedule);
+        check_schedule(&schedule).unwrap_err()
+    };
+    assert_eq!(broken(|s| s.gpus = 5), ScheduleFault::QueueCount { gpus: 5, queues: 4 });
+    let short = broken(|s| drop(s.queues[2].pop()));
+    assert_eq!(short, ScheduleFault::StageCount { rank: 2, expected: 3, stages: 2 });
+    let nobody = broken(|s| s.queues[1][0] = QueueNode { source: 4, vector: 0 });
+    assert_eq!(nobody, ScheduleFault::NoSuchRank { stage: 1, rank: 1, source_rank: 4, vector: 0, gpus: 4 });
+    let twice = broken(|s| s.queues[1][0] = QueueNode { source: 1, vector: 1 });
+    assert_eq!(twice, ScheduleFault::SendsTwice { stage: 1, source_rank: 1 });
+    let early = broken(|s| s.queues[0].swap(0, 2));
+    assert_eq!(early, ScheduleFault::NotHeld { stage: 1, rank: 0, source_rank: 1, vector: 3 });
+    let again = broken(|s| s.queues[0][2] = QueueNode { source: 1, vector: 1 });
+    assert_eq!(again, ScheduleFault::ReceivedTwice { stage: 3, rank: 0, vector: 1 });
+    assert!(again.to_string().contains("stage 3 rank 0 receives v1"), "{again}");
+}
+
+#[test]
+fn handing_on_in_the_stage_of_receipt_is_not_held() {
+    // Rank 1 receives v0 in stage 1 and may not hand it on before stage 2.
+    let mut schedule = ring(3);
+    schedule.queues[2][0] = node(1, 0);
+    let expected = ScheduleFault::NotHeld { stage: 1, rank: 2, source_rank: 1, vector: 0 };
+    assert_eq!(check_schedule(&schedule), Err(expected));
+}
+
+// --- modelled cost --------------------------------------------------------------------------------------------------
+
+/// A balanced tree on which one sub-vector of 10^9 bytes takes one second per link.
+fn unit_tree(gpus: usize, duplex: Duplex) -> Topology {
+    Topology::balanced_tree(gpus, 1.0, 0.0, duplex).unwrap()
+}
+
+fn units(schedule: &Schedule, topology: &Topology) -> f64 {
+    modelled_cost(schedule, topology, 1e9).total_s
+}
+
+#[test]
+fn costs_on_the_uniform_tree_are_the_known_ones() {
+    for (gpus, fat_tree_units, ring_units, direct_units) in
+        [(2, 1.0, 1.0, 1.0), (4, 4.0, 3.0, 4.0), (8, 12.0, 7.0, 16.0), (16, 32.0, 15.0, 64.0)]
+    {
+        let tree = unit_tree(gpus, Duplex::Full);
+        assert_eq!(units(&fat_tree(gpus).unwrap(), &tree), fat_tree_units, "fat tree of {gpus}");
+        assert_eq!(units(&ring(gpus), &tree), ring_units, "ring of {gpus}");
+        assert_eq!(units(&direct(gpus), &tree), direct_units, "direct of {gpus}");
+    }
+}
+
+#[test]
+fn fat_tree_stage_costs_double_with_the_height_of_the_crossed_switch() {
+    let cost = modelled_cost(&fat_tree(8).unwrap(), &unit_tree(8, Duplex::Full), 1e9);
+    assert_eq!(cost.stage_s, [1.0, 2.0, 1.0, 4.0, 1.0, 2.0, 1.0]);
+}
+
+#[test]
+fn the_ring_meets_its_bound_on_every_balanced_tree() {
+    for gpus in 2..=64 {
+        assert_eq!(units(&ring(gpus), &unit_tree(gpus, Duplex::Full)), (gpus - 1) as f64, "ring of {gpus}");
+    }
+}
+
+#[test]
+fn half_duplex_links_carry_both_directions_one_after_the_other() {
+    // Each link of the tree is used once up and once down per stage.
+    assert_eq!(units(&ring(4), &unit_tree(4, Duplex::Half)), 6.0);
+    assert_eq!(units(&fat_tree(2).unwrap(), &unit_tree(2, Duplex::Half)), 2.0);
+}
+
+#[test]
+fn latency_is_that_of_the_whole_path_and_bandwidth_that_of_the_narrowest_link() {
+    let file = b"name='two'\nswitches=['s','t']\ngpus=[{id=0,name='a'},{id=1,name='b'}]\nlinks=[
+        {between=['a','s'],bandwidth_gb_s=4,latency_us=10,duplex='full'},
+        {between=['s','t'],bandwidth_gb_s=2,latency_us=20,duplex='full'},
+        {between=['t','b'],bandwidth_gb_s=4,latency_us=30,duplex='full'}]
+        device={name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}";
+    let topology = Topology::parse(file, "two").unwrap();
+    let cost = modelled_cost(&ring(2), &topology, 1e6);
+    assert!((cost.total_s - (60e-6 + 1e6 / 2e9)).abs() < 1e-15, "{cost:?}");
+}
+
+#[test]
+fn auto_takes_the_cheapest() {
+    let chosen = |topology: &Topology| plan(ScheduleKind::Auto, topology, 1e9).unwrap();
+    // All root crossings share one link on a uniform tree: the ring wins, for any number of ranks.
+    for gpus in 4..=64 {
+        let plan = chosen(&unit_tree(gpus, Duplex::Full));
+        assert_eq!((plan.kind, plan.cost.total_s), (ScheduleKind::Ring, (gpus - 1) as f64), "n = {gpus}");
+    }
+    // One switch with a link per GPU: nothing to gain from forwarding.
+    let dgx2 = Topology::read(&repository("topology/dgx2_16.toml")).unwrap();
+    assert_eq!(chosen(&dgx2).kind, ScheduleKind::Direct);
+    // A true fat tree with latencies that grow towards the root: crossing it once per sub-vector, all at once, is cheapest.
+    let fat =
+        b"name='fat'\nswitches=['r','l','m']\ngpus=[{id=0,name='a'},{id=1,name='b'},{id=2,name='c'},{id=3,name='d'}]
+        links=[{between=['r','l'],bandwidth_gb_s=200,latency_us=1e6,duplex='full'},
+        {between=['r','m'],bandwidth_gb_s=200,latency_us=1e6,duplex='full'},
+        {between=['l','a'],bandwidth_gb_s=100,latency_us=0,duplex='full'},
+        {between=['l','b'],bandwidth_gb_s=100,latency_us=0,duplex='full'},
+        {between=['m','c'],bandwidth_gb_s=100,latency_us=0,duplex='full'},
+        {between=['m','d'],bandwidth_gb_s=100,latency_us=0,duplex='full'}]
+        device={name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}";
+    assert_eq!(chosen(&Topology::parse(fat, "fat").unwrap()).kind, ScheduleKind::FatTree);
+}
+
+#[test]
+fn schedules_follow_the_tree_however_the_gpus_are_numbered() {
+    // Neighbours below one switch are 0 and 2, and 1 and 3.
+    let text = std::fs::read_to_string(repository("topology/pcie_4.toml")).unwrap();
+    let text = text.replace("id = 1, name = \"gpu1\"", "id = 2, name = \"gpu1\"");
+    let text = text.replace("id = 2, name = \"gpu2\"", "id = 1, name = \"gpu2\"");
+    let topology = Topology::parse(text.as_bytes(), "renumbered").unwrap();
+    assert_eq!(topology.leaf_order(), [0, 2, 1, 3]);
+    for (kind, root_transfers) in [(ScheduleKind::Ring, [2, 2, 2]), (ScheduleKind::FatTree, [0, 4, 0])] {
+        let plan = plan(kind, &topology, 1e6).unwrap();
+        check_schedule(&plan.schedule).unwrap();
+        let crossings = root_crossings(&plan.schedule, &topology).unwrap();
+        assert_eq!(crossings.iter().map(Vec::len).collect::<Vec<_>>(), root_transfers, "{kind}");
+    }
+}
+
+// --- topologies -----------------------------------------------------------------------------------------------------
+
+#[test]
+fn shipped_topologies_are_valid_and_take_every_schedule() {
+    for (file, gpus, root_links) in
+        [("pcie_2", 2, 2), ("pcie_4", 4, 2), ("pcie_8", 8, 2), ("pcie_16", 16, 2), ("dgx2_16", 16, 16)]
+    {
+        let topology = Topology::read(&repository(&format!("topology/{file}.toml"))).unwrap();
+        assert_eq!((topology.name(), topology.gpus()), (file, gpus));
+        assert!(topology.is_tree(), "{file}");
+        assert_eq!(topology.leaf_order(), (0..gpus).collect::<Vec<_>>(), "{file}");
+        let root = topology.root().unwrap();
+        assert_eq!(topology.links().iter().filter(|link| link.ends.contains(&root)).count(), root_links, "{file}");
+        for kind in ScheduleKind::ALL {
+            check_schedule(&plan(kind, &topology, 1e6).unwrap().schedule).unwrap();
+        }
+    }
+}
+
+#[test]
+fn shipped_pcie_trees_are_the_default_trees() {
+    for gpus in [2, 4, 8, 16] {
+        let shipped = Topology::read(&repository(&format!("topology/pcie_{gpus}.toml"))).unwrap();
+        let default = Topology::default_for(gpus).unwrap();
+        for from in 0..gpus {
+            for to in 0..gpus {
+                let numbers = |topology: &Topology| -> Vec<(f64, f64, Duplex)> {
+                    let link = |hop: &loomtree::interconnect::Hop| topology.links()[hop.link];
+                    let path = topology.path(from, to).iter().map(link);
+                    path.map(|link| (link.bandwidth_gb_s, link.latency_us, link.duplex)).collect()
+                };
+                assert_eq!(numbers(&shipped), numbers(&default), "{from} -> {to} of {gpus}");
+            }
+        }
+    }
+}
+
+#[test]
+fn default_topologies_exist_for_1_to_64_gpus_only() {
+    for gpus in 1..=64 {
+        let topology = Topology::default_for(gpus).unwrap();
+        assert_eq!((topology.gpus(), topology.leaf_order().len(), topology.is_tree()), (gpus, gpus, true));
+    }
+    for gpus in [0, 65, usize::MAX] {
+        let message = Topology::default_for(gpus).unwrap_err().to_string();
+        assert!(message.contains("1 to 64 workers") && message.contains(&gpus.to_string()), "{message}");
+    }
+}
+
+#[test]
+fn a_machine_can_be_used_with_fewer_workers() {
+    let eight = Topology::read(&repository("topology/pcie_8.toml")).unwrap();
+    let three = eight.with_first_gpus(3).unwrap();
+    assert_eq!((three.gpus(), three.path(0, 1).len(), three.path(0, 2).len()), (3, 2, 4));
+    check_schedule(&plan(ScheduleKind::Auto, &three, 1e6).unwrap().schedule).unwrap();
+    let message = eight.with_first_gpus(9).unwrap_err().to_string();
+    assert_eq!(message, "topology pcie_8 has 8 GPUs, so it cannot hold 9 workers: ask for 1 to 8");
+}
+
+/// Three GPUs in a row (0 - 1 - 2), wide links, and a narrow bus between all.
+fn row_of_gpus(extra: &str, bus: bool) -> Result<Topology, String> {
+    let bus_links = "{between=['s','a'],bandwidth_gb_s=5,latency_us=1,duplex='half'},
+        {between=['s','b'],bandwidth_gb_s=5,latency_us=1,duplex='half'},
+        {between=['s','c'],bandwidth_gb_s=5,latency_us=1,duplex='half'},";
+    let (switches, bus_links) = if bus { ("['s']", bus_links) } else { ("[]", "") };
+    let text = format!(
+        "name='row'\n{extra}\nswitches={switches}\ngpus=[{{id=0,name='a'}},{{id=1,name='b'}},{{id=2,name='c'}}]
+        links=[{bus_links}{{between=['a','b'],bandwidth_gb_s=50,latency_us=1,duplex='full'}},
+        {{between=['b','c'],bandwidth_gb_s=50,latency_us=1,duplex='full'}}]
+        device={{name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}}"
+    );
+    Topology::parse(text.as_bytes(), "row.toml").map_err(|error| error.to_string())
+}
+
+#[test]
+fn gpus_pass_transfers_on_only_where_the_file_says_so() {
+    let message = row_of_gpus("", false).unwrap_err();
+    assert!(message.starts_with("row.toml, line 4: GPU `a` reaches GPU `c` only through other GPUs"), "{message}");
+    let path = |topology: &Topology| topology.path(0, 2).iter().map(|hop| hop.link).collect::<Vec<_>>();
+    assert_eq!(path(&row_of_gpus("gpus_forward=true", false).unwrap()), [0, 1]);
+    // With the bus: over the bus (links 0 and 2), or over the wide links (3 and 4) if GPU b passes transfers on.
+    assert_eq!(path(&row_of_gpus("", true).unwrap()), [0, 2]);
+    assert_eq!(path(&row_of_gpus("gpus_forward=true", true).unwrap()), [3, 4]);
+    assert!(!row_of_gpus("", true).unwrap().is_tree());
+}
+
+#[test]
+fn malformed_topologies_get_one_sentence() {
+    let good = std::fs::read_to_string(repository("topology/pcie_2.toml")).unwrap();
+    let line_of = |text: &str| 1 + good[..good.find(text).expect("text of pcie_2.toml")].matches('\n').count();
+    let gpu1 = "id = 1, name = \"gpu1\"";
+    let link1 = "[\"switch0\", \"gpu1\"], bandwidth_gb_s = 12.0, latency_us = 2.0, duplex = \"full\"";
+    let cases: Vec<(&str, &str, String, &str)> = vec![
+        (
+            "= 12.0, latency",
+            "= 0.0, latency",
+            at(line_of("[\"switch0\", \"gpu0\"]")),
+            "link `switch0` - `gpu0`: bandwidth_gb_s must be within",
+        ),
+        ("= 12.0, latency", "= -3, latency", at(line_of("[\"switch0\", \"gpu0\"]")), "got -3"),
+        ("= 12.0, latency", "= nan, latency", at(line_of("[\"switch0\", \"gpu0\"]")), "bandwidth_gb_s"),
+        ("= 12.0, latency", "= inf, latency", at(line_of("[\"switch0\", \"gpu0\"]")), "bandwidth_gb_s"),
+        ("= 12.0, latency", "= \"fast\", latency", at(line_of("[\"switch0\", \"gpu0\"]")), "expected f64"),
+        (
+            "latency_us = 2.0",
+            "latency_us = -1.0",
+            at(line_of("[\"switch0\", \"gpu0\"]")),
+            "latency_us must be within 0",
+        ),
+        (
+            ", duplex = \"full\"",
+            ", duplex = \"both\"",
+            at(line_of("[\"switch0\", \"gpu0\"]")),
+            "`both`, expected `full` or `half`",
+        ),
+        (", duplex = \"full\"", "", at(line_of("[\"switch0\", \"gpu0\"]")), "missing field `duplex`"),
+        (
+            ", duplex = \"full\"",
+            ", duplex = \"full\", colour = 1",
+            at(line_of("[\"switch0\", \"gpu0\"]")),
+            "unknown field `colour`",
+        ),
+        (
+            "[\"switch0\", \"gpu1\"]",
+            "[\"switch9\", \"gpu1\"]",
+            at(line_of("[\"switch0\", \"gpu1\"]")),
+            "no switch or GPU named `switch9`",
+        ),
+        (
+            "[\"switch0\", \"gpu1\"]",
+            "[\"gpu1\", \"gpu1\"]",
+            at(line_of("[\"switch0\", \"gpu1\"]")),
+            "two different nodes",
+        ),
+        (
+            "[\"switch0\", \"gpu1\"]",
+            "[\"gpu0\", \"switch0\"]",
+            at(line_of("[\"switch0\", \"gpu1\"]")),
+            "already linked",
+        ),
+        ("[\"switch0\", \"gpu1\"]", "[\"gpu1\"]", at(line_of("[\"switch0\", \"gpu1\"]")), "invalid length 1"),
+        (
+            link1,
+            "[\"switch0\", \"gpu0\"], bandwidth_gb_s = 1, latency_us = 1, duplex = \"full\"",
+            at(line_of("[\"switch0\", \"gpu1\"]")),
+            "already linked",
+        ),
+        (
+            gpu1,
+            "id = 2, name = \"gpu1\"",
+            at(line_of(gpu1)),
+            "GPU `gpu1` has id 2, but the ids of 2 GPUs must be 0 to 1",
+        ),
+        (gpu1, "id = 0, name = \"gpu1\"", at(line_of(gpu1)), "GPUs `gpu0` and `gpu1` both have id 0"),
+        (gpu1, "id = -1, name = \"gpu1\"", at(line_of(gpu1)), "-1"),
+        (gpu1, "id = 1, name = \"gpu0\"", at(line_of(gpu1)), "`gpu0` is given twice"),
+        (gpu1, "id = 1, name = \"\"", at(line_of(gpu1)), "1 to 64 printable characters"),
+        (gpu1, "id = 1, name = \"switch0\"", at(line_of("switches =")), "`switch0` is given twice"),
+        ("[\"switch0\"]", "[\"switch0\", \"lost\"]", at(line_of("switches =")), "no links lead to switch `lost`"),
+        ("memory_gb = 12.0", "memory_gb = -12.0", at(line_of("[device]")), "device: memory_gb must be within"),
+        ("memory_gb = 12.0\n", "", at(line_of("[device]")), "missing field `memory_gb`"),
+        ("name = \"pcie_2\"", "name = pcie_2", at(line_of("name = \"pcie_2\"")), "string"),
+        ("name = \"pcie_2\"", "nam = \"pcie_2\"", at(line_of("name = \"pcie_2\"")), "unknown field `nam`"),
+    ];
+    for (from, to, place, expected) in cases {
+        let text = good.replacen(from, to, 1);
+        assert_ne!(text, good, "`{from}` is not in the file");
+        let message = Topology::parse(text.as_bytes(), "broken.toml").unwrap_err().to_string();
+        assert!(message.starts_with(&format!("broken.toml{place}: ")), "`{to}`: {message}");
+        assert!(message.contains(expected) && !message.contains('\n'), "`{to}`: {message}");
+    }
+}
+
+fn at(line: usize) -> String {
+    format!(", line {line}")
+}
+
+#[test]
+fn unusable_files_get_one_sentence() {
+    let message = |bytes: &[u8]| Topology::parse(bytes, "f").unwrap_err().to_string();
+    assert_eq!(message(b"name='a'\n\xff\xfe"), "f, line 2: a topology file must be UTF-8 text");
+    assert!(message(b"").contains("missing field `name`"), "{}", message(b""));
+    assert!(message(&vec![b'#'; (1 << 20) + 1]).contains("at most 1048576 bytes"));
+    let device = "device={name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}";
+    let none = message(format!("name='a'\ngpus=[]\n{device}").as_bytes());
+    assert_eq!(none, "f: gpus: a topology has 1 to 64 GPUs, this file has 0");
+    let gpus: Vec<String> = (0..65).map(|id| format!("{{id={id},name='g{id}'}}")).collect();
+    let many = message(format!("name='a'\ngpus=[{}]\n{device}", gpus.join(",")).as_bytes());
+    assert_eq!(many, "f: gpus: a topology has 1 to 64 GPUs, this file has 65");
+    let apart = message(format!("name='a'\ngpus=[\n{{id=1,name='x'}},\n{{id=0,name='y'}}]\n{device}").as_bytes());
+    assert_eq!(apart, "f, line 3: no links lead from GPU `y` to GPU `x`: every GPU must be reachable");
+    let missing = Topology::read(Path::new("no/such/topology.toml")).unwrap_err().to_string();
+    assert!(missing.starts_with("cannot read topology file no/such/topology.toml: "), "{missing}");
+}
+
+proptest! {
+    #[test]
+    fn arbitrary_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        // Random bytes are no topology: `name`, `gpus` and `device` are required.
+        prop_assert!(Topology::parse(&bytes, "f").is_err());
+    }
+
+    #[test]
+    fn arbitrary_text_never_panics(text in "[a-z0-9=\\[\\]{}\",.'\n _#-]{0,300}") {
+        prop_assert!(Topology::parse(text.as_bytes(), "f").is_err());
+    }
+
+    /// Valid TOML with the right fields and arbitrary values: an error, or a topology on which every schedule works.
+    #[test]
+    fn arbitrary_graphs_never_panic(
+        ids in proptest::collection::vec(0usize..6, 0..6),
+        switches in 0usize..4,
+        links in proptest::collection::vec((0usize..10, 0usize..10, any::<f64>(), 0.0f64..1e3, any::<bool>()), 0..14),
+        forward in any::<bool>(),
+    ) {
+        let name = |node: usize| if node < 6 { format!("g{node}") } else { format!("s{}", node - 6) };
+        let gpus: Vec<String> = ids.iter().map(|id| format!("{{id={id},name='g{id}'}}")).collect();
+        let switches: Vec<String> = (0..switches).map(|s| format!("'s{s}'")).collect();
+        let links: Vec<String> = links.iter().map(|(a, b, width, latency, full)| format!(
+            "{{between=['{}','{}'],bandwidth_gb_s={width:e},latency_us={latency:e},duplex='{}'}}",
+            name(*a), name(*b), if *full { "full" } else { "half" })).collect();
+        let text = format!(
+            "name='x'\ngpus_forward={forward}\nswitches=[{}]\ngpus=[{}]\nlinks=[{}]
+            device={{name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}}",
+            switches.join(","), gpus.join(","), links.join(","));
+        match Topology::parse(text.as_bytes(), "f") {
+            Err(error) => prop_assert!(!error.to_string().contains('\n')),
+            Ok(topology) => every_schedule_works(&topology)?,
+        }
+    }
+
+    /// Connected graphs: a random tree of switches, GPUs at random switches, some links more.
+    #[test]
+    fn every_connected_graph_takes_every_schedule(
+        parents in proptest::collection::vec(any::<usize>(), 0..8),
+        homes in proptest::collection::vec(any::<usize>(), 1..12),
+        shortcuts in proptest::collection::vec((any::<usize>(), any::<usize>()), 0..4),
+        width in 1e-3f64..1e3,
+    ) {
+        let switches = parents.len() + 1;
+        let mut pairs: Vec<(String, String)> = Vec::new();
+        for (child, parent) in (1..).zip(&parents) {
+            pairs.push((format!("s{child}"), format!("s{}", parent % child)));
+        }
+        for (gpu, home) in homes.iter().enumerate() {
+            pairs.push((format!("g{gpu}"), format!("s{}", home % switches)));
+        }
+        for (a, b) in &shortcuts {
+            let (a, b) = (format!("g{}", a % homes.len()), format!("g{}", b % homes.len()));
+            let linked = |(x, y): &(String, String)| (*x == a && *y == b) || (*x == b && *y == a);
+            if a != b && !pairs.iter().any(linked) {
+                pairs.push((a, b));
+            }
+        }
+        let list = |items: Vec<String>| items.join(",");
+        let text = format!(
+            "name='x'\nswitches=[{}]\ngpus=[{}]\nlinks=[{}]
+            device={{name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}}",
+            list((0..switches).map(|s| format!("'s{s}'")).collect()),
+            list((0..homes.len()).map(|g| format!("{{id={g},name='g{g}'}}")).collect()),
+            list(pairs.iter().enumerate().map(|(i, (a, b))| format!(
+                "{{between=['{a}','{b}'],bandwidth_gb_s={:e},latency_us={i},duplex='full'}}", width * (1 + i % 3) as f64
+            )).collect()));
+        let topology = Topology::parse(text.as_bytes(), "f").map_err(|error| TestCaseError::fail(error.to_string()))?;
+        every_schedule_works(&topology)?;
+    }
+}
+
+fn every_schedule_works(topology: &Topology) -> Result<(), TestCaseError> {
+    let order = topology.leaf_order();
+    let mut sorted = order.clone();
+    sorted.sort_unstable();
+    prop_assert_eq!(sorted, (0..topology.gpus()).collect::<Vec<_>>());
+    let auto = plan(ScheduleKind::Auto, topology, 1e6).expect("auto always finds one");
+    for kind in ScheduleKind::ALL {
+        let Ok(plan) = plan(kind, topology, 1e6) else {
+            prop_assert!(kind == ScheduleKind::FatTree && !topology.gpus().is_power_of_two());
+            continue;
+        };
+        prop_assert_eq!(check_schedule(&plan.schedule), Ok(()));
+        prop_assert!(plan.cost.total_s.is_finite() && auto.cost.total_s <= plan.cost.total_s * (1.0 + 1e-8));
+    }
+    Ok(())
+}
+
+// --- the command ----------------------------------------------------------------------------------------------------
+
+fn output(topology: &Path, schedule: ScheduleKind, format: ScheduleFormat) -> Result<String, loomtree::cli::CliError> {
+    let mut out = Vec::new();
+    let args = ScheduleArgs { topology: topology.to_owned(), schedule, format, rows: 600_000 };
+    write_schedule(&args, &mut out)?;
+    Ok(String::from_utf8(out).expect("the command writes text"))
+}
+
+/// A file with the balanced tree over `gpus` GPUs, for sizes that are not shipped.
+fn star_file(gpus: usize) -> tempfile::NamedTempFile {
+    let list = |item: &dyn Fn(usize) -> String| (0..gpus).map(item).collect::<Vec<_>>().join(",\n");
+    let text = format!(
+        "name='star'\nswitches=['s']\ngpus=[{}]\nlinks=[{}]\ndevice={{name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}}\n",
+        list(&|id| format!("{{id={id},name='g{id}'}}")),
+        list(&|id| format!("{{between=['s','g{id}'],bandwidth_gb_s=12,latency_us=2,duplex='full'}}")),
+    );
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), text).unwrap();
+    file
+}
+
+#[test]
+fn schedules_equal_the_golden_files() {
+    let cases = [(2, ScheduleKind::FatTree), (4, ScheduleKind::FatTree), (8, ScheduleKind::FatTree)];
+    let cases =
+        cases.into_iter().chain([(16, ScheduleKind::FatTree), (3, ScheduleKind::Ring), (4, ScheduleKind::Ring)]);
+    for (gpus, kind) in cases.chain([(3, ScheduleKind::Direct), (4, ScheduleKind::Direct)]) {
+        let star = star_file(gpus);
+        let shipped = repository(&format!("topology/pcie_{gpus}.toml"));
+        let topology = if kind == ScheduleKind::FatTree { shipped.as_path() } else { star.path() };
+        let found = output(topology, kind, ScheduleFormat::Json).unwrap();
+        let parsed: Schedule = serde_json::from_str(&found).expect("the command writes the JSON form of a schedule");
+        check_schedule(&parsed).unwrap();
+        let golden = repository(&format!("tests/golden/schedule/{kind}_{gpus}.json"));
+        if std::env::var_os("LOOMTREE_BLESS").is_some_and(|value| value == "1") {
+            std::fs::write(&golden, &found).unwrap();
+        }
+        let expected = std::fs::read_to_string(&golden).unwrap_or_else(|e| panic!("{}: {e}", golden.display()));
+        assert_eq!(found, expected, "{} (LOOMTREE_BLESS=1 rewrites it)", golden.display());
+    }
+}
+
+#[test]
+fn the_table_shows_cells_modelled_times_and_the_root() {
+    let text = output(&repository("topology/pcie_4.toml"), ScheduleKind::FatTree, ScheduleFormat::Text).unwrap();
+    let words = |head: &str| -> Vec<String> {
+        let line = text.lines().find(|line| line.starts_with(head)).unwrap_or_else(|| panic!("no `{head}` in\n{text}"));
+        line[head.len()..].split_whitespace().map(str::to_owned).collect()
+    };
+    assert_eq!(words("rank 0"), ["v1<-1", "v2<-2", "v3<-1"]);
+    assert_eq!(words("rank 3"), ["v2<-2", "v1<-1", "v0<-2"]);
+    // 150,000 rows of 12 bytes at 12 GB/s = 150 us, twice that across the root; 2 us per link of the path.
+    assert_eq!(words("modelled us"), ["154.0", "308.0", "154.0"]);
+    assert_eq!(words("cross root"), ["0", "4", "0"]);
+    assert!(text.contains("stage 2 crosses the root switch switch0") && text.contains("not measured"), "{text}");
+    assert!(text.contains("fat-tree         616.0 us   <- shown above"), "{text}");
+}
+
+#[test]
+fn the_table_of_one_gpu_and_of_many_is_readable() {
+    let one = tempfile::NamedTempFile::new().unwrap();
+    let text = "name='one'\ngpus=[{id=0,name='g'}]\ndevice={name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}";
+    std::fs::write(one.path(), text).unwrap();
+    let table = output(one.path(), ScheduleKind::Auto, ScheduleFormat::Text).unwrap();
+    assert!(table.contains("direct (chosen by modelled time): 0 stages"), "{table}");
+    let json = output(one.path(), ScheduleKind::Auto, ScheduleFormat::Json).unwrap();
+    assert_eq!(serde_json::from_str::<Schedule>(&json).unwrap(), ring(1));
+
+    let table = output(&repository("topology/pcie_16.toml"), ScheduleKind::Auto, ScheduleFormat::Text).unwrap();
+    assert!(table.contains("schedule ring (chosen by modelled time): 15 stages"), "{table}");
+    assert!(table.contains("every stage crosses the root switch switch0"), "{table}");
+    assert_eq!(table.lines().filter(|line| line.starts_with("rank 7 ")).count(), 2, "two blocks of stages\n{table}");
+    let widest = table.lines().map(str::len).max();
+    assert!(widest <= Some(150), "{widest:?}");
+}
+
+#[test]
+fn bad_input_exits_with_2_and_one_sentence() {
+    let star = star_file(3);
+    let refused = output(star.path(), ScheduleKind::FatTree, ScheduleFormat::Text).unwrap_err();
+    assert_eq!(refused.exit_code, 2);
+    let expected = "schedule fat-tree needs a power of two of GPUs and there are 3: use ring, direct or auto";
+    assert_eq!(refused.to_string(), format!("{}: {expected}", star.path().display()));
+    let missing = output(Path::new("no/such.toml"), ScheduleKind::Auto, ScheduleFormat::Json).unwrap_err();
+    assert_eq!(missing.exit_code, 2);
+}
+
+#[test]
+fn arguments_are_those_of_the_contract() {
+    #[derive(clap::Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: ScheduleArgs,
+    }
+    let parse = |line: &str| <Command as clap::Parser>::try_parse_from(line.split(' ')).map(|command| command.args);
+    let plain = parse("schedule t.toml").unwrap();
+    assert_eq!((plain.schedule, plain.format), (ScheduleKind::Auto, ScheduleFormat::Text));
+    let full = parse("schedule t.toml --schedule fat-tree --format json").unwrap();
+    assert_eq!((full.schedule, full.format), (ScheduleKind::FatTree, ScheduleFormat::Json));
+    assert!(parse("schedule t.toml --schedule best").is_err() && parse("schedule t.toml --rows 0").is_err());
+}
+
+/// A reader that has gone, or a full disk.
+struct Failing(std::io::ErrorKind);
+
+impl std::io::Write for Failing {
+    fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+        Err(self.0.into())
+    }
+    fn flush(&mut self) -> std::io::Result<()> {
+        Err(self.0.into())
+    }
+}
+
+#[test]
+fn a_closed_pipe_is_no_error_and_a_full_disk_is_one() {
+    let topology = repository("topology/pcie_2.toml");
+    let args = ScheduleArgs { topology, schedule: ScheduleKind::Auto, format: ScheduleFormat::Text, rows: 1000 };
+    assert_eq!(write_schedule(&args, &mut Failing(std::io::ErrorKind::BrokenPipe)), Ok(()));
+    let full = write_schedule(&args, &mut Failing(std::io::ErrorKind::StorageFull)).unwrap_err();
+    assert_eq!(full.exit_code, 1);
+    assert!(full.message.starts_with("cannot write the schedule: "), "{full}");
+}
