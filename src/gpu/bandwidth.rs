@@ -118,7 +118,7 @@ mod tests {
         executors.extend(crate::gpu::test_support::executor());
         for executor in &executors {
             let found = bandwidth_gb_s(executor, 1 << 20).unwrap();
-            assert!(found.copy_gb_s > 0.0 && found.read_gb_s > 0.0, "{}: {found:?}", executor.describe());
+            assert!(found.copy_gb_s > 0.0 && found.read_gb_s > 0.0, "{}: {found:?}", executor.device_name());
         }
     }
 }

@@ -5,6 +5,7 @@
 //! is executed any more and reads give zeros; [`super::Executor::take_fault`] tells.
 
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -16,6 +17,10 @@ use super::{GpuError, GpuStruct, self_test};
 
 /// Least bytes of a buffer. No struct of a kernel is larger, so an empty array can be bound as an array of any of them.
 pub(super) const LEAST_BYTES: u64 = 256;
+
+/// Windows of an array begin at multiples of this many items: 64 words are 256 bytes, the largest alignment that WebGPU
+/// lets an adapter ask for.
+pub const WINDOW_STEP: usize = 64;
 
 /// Runs kernels through wgpu.
 pub struct GpuExecutor {
@@ -110,19 +115,22 @@ impl GpuExecutor {
         &self.commands
     }
 
-    /// Most items of `item_bytes` bytes that one binding can show, rounded down so that windows of this many items
-    /// follow each other at offsets that can be bound.
+    /// Most items of `item_bytes` bytes (whole words) that one binding can show, rounded down to a multiple of
+    /// [`WINDOW_STEP`].
     pub fn window_items(&self, item_bytes: usize) -> usize {
-        let alignment = u64::from(self.limits.min_storage_buffer_offset_alignment).max(4);
-        // Fewest items that are a whole number of alignments, which are powers of two.
-        let step = alignment / alignment.min(1 << (item_bytes as u64).trailing_zeros().min(63));
-        let most = self.limits.max_storage_buffer_binding_size / item_bytes as u64;
-        (most / step * step) as usize
+        (self.limits.max_storage_buffer_binding_size as usize / item_bytes / WINDOW_STEP * WINDOW_STEP).max(WINDOW_STEP)
     }
 
-    /// Records what went wrong; the first report counts.
-    pub(super) fn raise(&self, text: String) {
-        self.fault.raise(text);
+    /// `0..len` as parts that can be bound, for arrays whose items have up to `item_bytes` bytes. Parts begin at multiples
+    /// of [`WINDOW_STEP`]. One empty part for an empty array.
+    pub fn windows(&self, len: usize, item_bytes: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+        let most = self.window_items(item_bytes);
+        (0..len.div_ceil(most).max(1)).map(move |i| i * most..((i + 1) * most).min(len))
+    }
+
+    /// Stops the executor: from now on it does nothing. `reason` is half a sentence for the user; the first one counts.
+    pub fn stop(&self, reason: String) {
+        self.fault.raise(reason);
     }
 
     /// What went wrong, if anything did.
@@ -134,7 +142,7 @@ impl GpuExecutor {
     pub(super) fn allocate(&self, bytes: u64) -> GpuArray {
         let mut size = bytes.max(LEAST_BYTES).next_multiple_of(16);
         if bytes > self.limits.max_buffer_size {
-            self.raise(format!(
+            self.stop(format!(
                 "an array of {bytes} bytes does not fit on {}, whose largest is {} bytes: use more workers",
                 self.summary.describe(),
                 self.limits.max_buffer_size
@@ -173,7 +181,7 @@ impl GpuExecutor {
         match Kernel::new(self, source) {
             Ok(kernel) => Some(kernels.entry(key).or_insert(Arc::new(kernel)).clone()),
             Err(error) => {
-                self.raise(error.to_string());
+                self.stop(error.to_string());
                 None
             }
         }
@@ -291,10 +299,13 @@ mod tests {
         let Some(executor) = test_support::executor() else { return };
         let gpu = device(&executor);
         for item_bytes in [4, 12, 16, 36, 100] {
-            let items = gpu.window_items(item_bytes) as u64;
-            let bytes = items * item_bytes as u64;
+            let items = gpu.window_items(item_bytes);
+            let bytes = (items * item_bytes) as u64;
             assert!(items > 0 && bytes <= gpu.limits.max_storage_buffer_binding_size);
             assert_eq!(bytes % u64::from(gpu.limits.min_storage_buffer_offset_alignment), 0, "{item_bytes}");
+            let windows: Vec<_> = gpu.windows(items + 1, item_bytes).collect();
+            assert_eq!(windows, [0..items, items..items + 1]);
+            assert_eq!(gpu.windows(0, item_bytes).collect::<Vec<_>>(), [0..0]);
         }
     }
 

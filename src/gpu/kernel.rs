@@ -247,7 +247,7 @@ impl Kernel {
             assert!(binding.writable || !slot.writable, "{}: {} must be bound as writable", self.name, slot.name);
             assert_eq!(binding.offset % alignment, 0, "{}: offset of {} cannot be bound", self.name, slot.name);
             if binding.size > gpu.limits().max_storage_buffer_binding_size {
-                gpu.raise(format!(
+                gpu.stop(format!(
                     "array {} of kernel {} has {} bytes, {} binds at most {}: use more workers",
                     slot.name,
                     self.name,

@@ -19,7 +19,7 @@ mod vec;
 pub use adapter::{AdapterKind, AdapterSummary, adapters};
 pub use bandwidth::{Bandwidth, bandwidth_gb_s};
 pub use cpu::CpuExecutor;
-pub use device::{Binding, GpuExecutor};
+pub use device::{Binding, GpuExecutor, WINDOW_STEP};
 pub use kernel::{ArraySlot, KernelError, KernelSource, Reflection, UniformSlot};
 pub(crate) use layout::gpu_struct;
 pub use layout::{GpuStruct, StructLayout};
@@ -76,7 +76,7 @@ impl Executor {
     }
 
     /// A device. `adapter` is a number from [`adapters`]; by default ranks take turns among the best ones, software only
-    /// where there is nothing else ([`Executor::describe`] says so).
+    /// where there is nothing else ([`Executor::device_name`] says so).
     pub fn gpu(adapter: Option<usize>, rank: usize) -> Result<Executor, GpuError> {
         GpuExecutor::open(adapter, rank).map(|gpu| Executor::Gpu(Box::new(gpu)))
     }
@@ -99,7 +99,7 @@ impl Executor {
     }
 
     /// Name with threads or adapter, for people.
-    pub fn describe(&self) -> String {
+    pub fn device_name(&self) -> String {
         match self {
             Executor::Cpu(cpu) => format!("cpu, {} thread{}", cpu.threads(), if cpu.threads() == 1 { "" } else { "s" }),
             Executor::Gpu(gpu) => format!("gpu, {}", gpu.adapter().describe()),

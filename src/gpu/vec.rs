@@ -119,10 +119,8 @@ impl<T: Pod> DeviceVec<T> {
     }
 
     /// Sets every item to zero; ordered with the kernels submitted before and after.
-    pub fn fill_zero(&mut self, _executor: &Executor) {
-        match &mut self.storage {
-            Storage::Cpu(own) => own.fill(T::zeroed()),
-        }
+    pub fn fill_zero(&mut self, executor: &Executor) {
+        self.clear_range(executor, 0, self.len());
     }
 
     /// The items, for CPU twins. Panics on a device array: a wrapper that gets here has matched on the wrong executor.
@@ -152,7 +150,7 @@ impl<T: Pod> DeviceVec<T> {
     }
 
     /// Items `start..start + len`, for a kernel that reads them; `start` is a multiple of
-    /// [`super::GpuExecutor::window_items`]. An array larger than the adapter can bind is seen through several.
+    /// [`super::WINDOW_STEP`]. An array larger than the adapter can bind is seen through several.
     pub fn window(&self, start: usize, len: usize) -> Binding<'_> {
         self.assert_within(start, len);
         let Storage::Gpu(array, _) = &self.storage else { panic!("{WRONG_EXECUTOR}") };
