@@ -38,13 +38,23 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(args) => cli::run::run(args, Launch::Spawn),
         Command::Schedule(args) => cli::schedule::run(args),
-        Command::Check(args) => cli::check::run(args),
+        Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
         Command::Render(args) => cli::render::run(args),
-        Command::Doctor(args) => cli::doctor::run(args, &[], triangles_of),
+        Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),
         Command::Worker(args) => cli::worker::run(args),
     };
     cli::exit_code(result)
+}
+
+/// Adapters by the number that --adapter takes.
+fn adapter_lines() -> Vec<String> {
+    let lines = loomtree::gpu::adapters().into_iter().enumerate().map(|(number, adapter)| {
+        let mib = |bytes: u64| bytes >> 20;
+        let (binding, buffer) = (mib(adapter.max_binding_bytes), mib(adapter.max_buffer_bytes));
+        format!("{number}: {}, at most {binding} MiB per binding, {buffer} MiB per buffer", adapter.describe())
+    });
+    lines.collect()
 }
 
 fn triangles_of(path: &std::path::Path) -> Result<usize, CliError> {

@@ -38,8 +38,8 @@ pub enum SetupError {
     #[error(transparent)]
     RowTooLong(#[from] crate::assembly::RowTooLong),
     /// The device refused.
-    #[error("{0}")]
-    Device(String),
+    #[error(transparent)]
+    Device(#[from] crate::gpu::GpuError),
 }
 
 /// Why a step failed.
@@ -148,8 +148,7 @@ impl Simulation {
         // Without contacts the pattern is fixed, so the Index Table is filled once, on the host.
         let threads = match &executor {
             Executor::Cpu(cpu) => cpu,
-            #[allow(unreachable_patterns)]
-            _ => &CpuExecutor::new(1),
+            Executor::Gpu(_) => &CpuExecutor::new(1),
         };
         let pattern = Pattern::new(threads, own.clone(), (&triangle_rows, &triangle_vertices), (&hinge_rows, &hinge_vertices))?;
         drop((triangle_vertices, hinge_vertices));
@@ -163,7 +162,7 @@ impl Simulation {
         };
         let (rows, local_len) = (own.len(), plan.local_rows * 3);
         let ex = &executor;
-        Ok(Simulation {
+        let simulation = Simulation {
             fabrics: DeviceVec::upload(ex, &arrays.fabrics),
             triangle_records: DeviceVec::zeros(ex, arrays.triangles.len() * TRIANGLE_RECORD_FLOATS),
             hinge_records: DeviceVec::zeros(ex, arrays.hinges.len() * HINGE_RECORD_FLOATS),
@@ -195,7 +194,11 @@ impl Simulation {
             executor,
             state_traffic: TrafficCounter::default(),
             recorder: Recorder::new(),
-        })
+        };
+        match simulation.executor.take_fault() {
+            Some(fault) => Err(fault.into()),
+            None => Ok(simulation),
+        }
     }
 
     /// Advances the own rows from step `step - 1` to `step` (counted from 1). `record`: keep the events of this step.
@@ -242,6 +245,9 @@ impl Simulation {
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates: their place.
 
+        if let Some(fault) = self.executor.take_fault() {
+            return Err(StepError::Device { step, message: fault.to_string() });
+        }
         seconds.total = clock.total();
         let state_bytes = std::mem::take(&mut self.state_traffic).received_bytes;
         Ok(StepStats {
@@ -346,7 +352,7 @@ impl Simulation {
 
     fn fill_matrix(&mut self) {
         let start = self.recorder.now();
-        let params = FillParams { gravity: self.settings.gravity_m_s2.to_array(), step_s: self.settings.step_s as f32, rows: self.own_rows as u32, padding: [0; 3] };
+        let params = FillParams { gravity: self.settings.gravity_m_s2.to_array(), step_s: self.settings.step_s as f32, rows: self.own_rows as u32 };
         self.fill.apply(&self.executor, &params, &self.fill_tables, &self.triangles, &self.triangle_records, &self.hinge_records, &self.masses, &self.pinned, &mut self.matrix, &mut self.rhs, &mut self.inverse_diagonal);
         let bytes = self.triangle_records.bytes() + self.hinge_records.bytes() + self.matrix.blocks as u64 * 36 + self.fill_tables.bytes();
         self.recorder.end(EventName::ValueFill, Activity::Compute, start, bytes, self.matrix.blocks as u64 * 90);
@@ -358,6 +364,9 @@ impl Simulation {
             PcgError::Transport(error) => return StepError::Transport(error),
             other => other.to_string(),
         };
+        if let Some(fault) = self.executor.take_fault() {
+            return StepError::Device { step, message: fault.to_string() };
+        }
         let (positions, velocities) = self.state();
         let rhs = self.rhs.read(&self.executor);
         let suspects = [

@@ -2,21 +2,22 @@
 //! same element records. The paper adds with atomics per element; here each row gathers from its sorted list, which gives the
 //! same bits for every rank count (docs/papers.md).
 
-use bytemuck::{Pod, Zeroable};
-
 use super::element_rows::ElementRows;
 use super::fill_cpu::{self, FillInputs};
-use super::layout::SellLayout;
+use super::layout::{LANES, SellLayout};
 use super::pattern::Pattern;
-use super::sell::SellMatrix;
-use crate::forces::TriangleElement;
-use crate::gpu::{DeviceVec, Executor};
+use super::sell::{BLOCK, SellMatrix};
+use crate::forces::{HINGE_RECORD_FLOATS, TRIANGLE_RECORD_FLOATS, TriangleElement};
+use crate::gpu::{DeviceVec, Executor, GpuExecutor, GpuStruct, KernelSource, gpu_struct};
 
 pub use super::fill_cpu::inverse_symmetric;
 
-/// Uniform of the fill.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
+static FILL: KernelSource = KernelSource::new::<FillPass>("assembly/fill.wgsl", include_str!("fill.wgsl"), "fill")
+    .with_libraries(&[include_str!("../forces/element.wgsl")])
+    .with_structs(&[TriangleElement::LAYOUT]);
+
+/// What all rows share.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FillParams {
     /// Acceleration of gravity, m/s^2.
     pub gravity: [f32; 3],
@@ -24,9 +25,34 @@ pub struct FillParams {
     pub step_s: f32,
     /// Own rows.
     pub rows: u32,
-    /// Fills the struct to a multiple of 16 bytes.
-    pub padding: [u32; 3],
 }
+
+gpu_struct! {
+    /// Uniform of one dispatch: what is bound, and whether earlier or later ones add to the same blocks.
+    struct FillPass {
+        gravity: [f32; 3],
+        step_s: f32,
+        rows: u32,
+        first_slot: u32,
+        slots: u32,
+        first_block: u32,
+        block_turns: u32,
+        first_triangle: u32,
+        triangles: u32,
+        first_hinge: u32,
+        hinges: u32,
+        passes: u32,
+        padding0: u32,
+        padding1: u32,
+    }
+}
+/// FIRST_PASS and LAST_PASS of the shader.
+const FIRST_PASS: u32 = 1;
+const LAST_PASS: u32 = 2;
+/// SHARE of the shader: invocations per row.
+const SHARE: usize = 16;
+/// Loop turns that one invocation of a kernel may take (the rule is in the prelude of all kernels).
+const TURNS_MAX: usize = 60_000;
 
 /// Where the contributions of every row come from and go to; fixed until the pattern changes.
 pub struct FillTables {
@@ -38,12 +64,19 @@ pub struct FillTables {
     hinge_offsets: DeviceVec<u32>,
     hinge_entries: DeviceVec<u32>,
     hinge_positions: DeviceVec<[u16; 4]>,
+    /// Blocks and contributions of the rows that have most.
+    most_blocks: usize,
+    most_contributions: usize,
 }
 
 impl FillTables {
     /// Uploads the tables.
     pub fn new(executor: &Executor, pattern: &Pattern, layout: &SellLayout, triangles: &ElementRows, hinges: &ElementRows) -> FillTables {
+        let length = |offsets: &[u32], row: usize| (offsets[row + 1] - offsets[row]) as usize;
+        let contributions = |row| length(&triangles.offsets, row) + length(&hinges.offsets, row);
         FillTables {
+            most_blocks: (0..pattern.rows()).map(|row| length(&pattern.offsets, row)).max().unwrap_or(0),
+            most_contributions: (0..pattern.rows()).map(contributions).max().unwrap_or(0),
             row_offsets: DeviceVec::upload(executor, &pattern.offsets),
             block_address: DeviceVec::upload(executor, &layout.block_address),
             triangle_offsets: DeviceVec::upload(executor, &triangles.offsets),
@@ -66,6 +99,23 @@ impl FillTables {
             + self.hinge_entries.bytes()
             + self.hinge_positions.bytes()
     }
+}
+
+/// Consecutive elements whose records one dispatch sees.
+struct Pass {
+    triangles: std::ops::Range<usize>,
+    hinges: std::ops::Range<usize>,
+}
+
+/// All triangles, then all hinges, in as few passes as the records need: the order in which a block adds them never changes.
+fn passes(gpu: &GpuExecutor, triangles: usize, hinges: usize) -> Vec<Pass> {
+    let mut triangle_parts: Vec<_> = gpu.windows(triangles, TRIANGLE_RECORD_FLOATS * 4).collect();
+    let mut hinge_parts: Vec<_> = gpu.windows(hinges, HINGE_RECORD_FLOATS * 4).collect();
+    // The last triangles and the first hinges fit into one.
+    let shared = Pass { triangles: triangle_parts.pop().unwrap_or(0..0), hinges: hinge_parts.remove(0) };
+    let before = triangle_parts.into_iter().map(|triangles| Pass { triangles, hinges: 0..0 });
+    let after = hinge_parts.into_iter().map(|hinges| Pass { triangles: 0..0, hinges });
+    before.chain([shared]).chain(after).collect()
 }
 
 /// The fill kernel on one executor.
@@ -97,6 +147,60 @@ impl Fill {
                     pinned: pinned.as_slice(),
                 };
                 fill_cpu::fill(cpu, params, &inputs, matrix.values.as_mut_slice(), rhs.as_mut_slice(), inverse_diagonal.as_mut_slice());
+            }
+            Executor::Gpu(gpu) => apply_on_device(gpu, params, tables, elements, triangle_records, hinge_records, masses, pinned, matrix, rhs, inverse_diagonal),
+        }
+    }
+}
+
+fn apply_on_device(gpu: &GpuExecutor, params: &FillParams, tables: &FillTables, elements: &DeviceVec<TriangleElement>, triangle_records: &DeviceVec<f32>, hinge_records: &DeviceVec<f32>, masses: &DeviceVec<f32>, pinned: &DeviceVec<u32>, matrix: &mut SellMatrix, rhs: &mut DeviceVec<f32>, inverse_diagonal: &mut DeviceVec<f32>) {
+    // An invocation goes through its row's contributions once for the force and once per block, which it reads and writes.
+    let contributions = tables.most_contributions;
+    let blocks_max = TURNS_MAX.saturating_sub(contributions) / (contributions + 2 * BLOCK);
+    if blocks_max == 0 {
+        gpu.stop(format!("a vertex belongs to {contributions} triangles and hinges, the gpu executor takes at most {}: use the cpu executor", TURNS_MAX / 2 - BLOCK));
+        return;
+    }
+    let turns = tables.most_blocks.div_ceil(SHARE);
+    let passes = passes(gpu, elements.len(), hinge_records.len() / HINGE_RECORD_FLOATS);
+    for part in &matrix.fill_parts {
+        for (index, pass) in passes.iter().enumerate() {
+            for first_turn in (0..turns).step_by(blocks_max) {
+                let uniform = FillPass {
+                    gravity: params.gravity,
+                    step_s: params.step_s,
+                    rows: params.rows,
+                    first_slot: part.slots.start as u32,
+                    slots: part.slots.len() as u32,
+                    first_block: (first_turn * SHARE) as u32,
+                    block_turns: (turns - first_turn).min(blocks_max) as u32,
+                    first_triangle: pass.triangles.start as u32,
+                    triangles: pass.triangles.len() as u32,
+                    first_hinge: pass.hinges.start as u32,
+                    hinges: pass.hinges.len() as u32,
+                    passes: if index == 0 { FIRST_PASS } else { 0 } | if index + 1 == passes.len() { LAST_PASS } else { 0 },
+                    padding0: 0,
+                    padding1: 0,
+                };
+                let bindings = [
+                    tables.row_offsets.binding(),
+                    tables.block_address.binding(),
+                    tables.triangle_offsets.binding(),
+                    tables.triangle_entries.binding(),
+                    tables.triangle_positions.binding(),
+                    tables.hinge_offsets.binding(),
+                    tables.hinge_entries.binding(),
+                    tables.hinge_positions.binding(),
+                    elements.window(pass.triangles.start, pass.triangles.len()),
+                    triangle_records.window(pass.triangles.start * TRIANGLE_RECORD_FLOATS, pass.triangles.len() * TRIANGLE_RECORD_FLOATS),
+                    hinge_records.window(pass.hinges.start * HINGE_RECORD_FLOATS, pass.hinges.len() * HINGE_RECORD_FLOATS),
+                    masses.binding(),
+                    pinned.binding(),
+                    matrix.values.window_mut(part.slots.start * LANES * BLOCK, part.slots.len() * LANES * BLOCK),
+                    rhs.binding_mut(),
+                    inverse_diagonal.binding_mut(),
+                ];
+                gpu.run(&FILL, &bindings, &uniform, u64::from(params.rows) * SHARE as u64);
             }
         }
     }

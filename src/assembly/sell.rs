@@ -37,12 +37,50 @@ pub struct SellMatrix {
     pub blocks: usize,
     /// Slots of each section, for byte counts.
     pub section_slots: Vec<usize>,
+    /// Blocks of the longest row.
+    pub longest_row: usize,
+    /// Per section, parts that a device can bind; one each on the cpu executor.
+    pub(crate) parts: Vec<Vec<SellPart>>,
+    /// The same for all sections together.
+    pub(crate) fill_parts: Vec<SellPart>,
+}
+
+/// Consecutive slices, and the slots they are stored in.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct SellPart {
+    pub(crate) slices: Range<u32>,
+    /// Rounded outwards to multiples of [`PART_STEP`], as far as there are slots.
+    pub(crate) slots: Range<usize>,
+}
+
+/// Slots of a part begin at multiples of this: then its columns and values begin at multiples of 64 words.
+const PART_STEP: usize = 4;
+
+/// Cuts `section` into parts of at most `slots_max` slots (a single slice may have more: the device then refuses it).
+fn parts(slice_offsets: &[u32], section: &Range<u32>, slots_max: usize) -> Vec<SellPart> {
+    let mut parts = Vec::new();
+    let mut first = section.start;
+    while first < section.end {
+        let start = slice_offsets[first as usize] as usize / PART_STEP * PART_STEP;
+        let fits = |end: u32| slice_offsets[end as usize] as usize <= start + slots_max;
+        let mut end = first + 1;
+        while end < section.end && fits(end + 1) {
+            end += 1;
+        }
+        parts.push(SellPart { slices: first..end, slots: start..slice_offsets[end as usize] as usize });
+        first = end;
+    }
+    parts
 }
 
 impl SellMatrix {
     /// A zero matrix with this layout.
     pub fn new(executor: &Executor, rows: usize, layout: &SellLayout) -> SellMatrix {
         let slot = |slice: u32| layout.slice_offsets[slice as usize] as usize;
+        let slots_max = match executor {
+            Executor::Cpu(_) => usize::MAX / 2,
+            Executor::Gpu(gpu) => gpu.window_items(LANES * BLOCK * size_of::<f32>()),
+        };
         SellMatrix {
             rows,
             sections: layout.sections.clone(),
@@ -51,6 +89,9 @@ impl SellMatrix {
             columns: DeviceVec::upload(executor, &layout.columns),
             values: DeviceVec::zeros(executor, layout.slots() * BLOCK),
             blocks: layout.block_address.len(),
+            longest_row: layout.slice_offsets.windows(2).map(|pair| (pair[1] - pair[0]) as usize).max().unwrap_or(0),
+            parts: layout.sections.iter().map(|section| parts(&layout.slice_offsets, section, slots_max)).collect(),
+            fill_parts: parts(&layout.slice_offsets, &(0..layout.slice_offsets.len() as u32 - 1), slots_max),
             section_slots: layout.sections.iter().map(|s| (slot(s.end) - slot(s.start)) * LANES).collect(),
         }
     }
@@ -63,5 +104,22 @@ impl SellMatrix {
     /// Device bytes of all tables.
     pub fn bytes(&self) -> u64 {
         self.row_of_lane.bytes() + self.slice_offsets.bytes() + self.columns.bytes() + self.values.bytes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_cover_a_section_and_fit() {
+        let offsets = [0, 3, 9, 14, 20, 21];
+        let all = parts(&offsets, &(0..5), 100);
+        assert_eq!(all, [SellPart { slices: 0..5, slots: 0..21 }]);
+        let some = parts(&offsets, &(1..5), 12);
+        let slices: Vec<_> = some.iter().map(|p| p.slices.clone()).collect();
+        assert_eq!(slices, [1..2, 2..4, 4..5]);
+        assert_eq!(some[1].slots, 8..20);
+        assert!(parts(&offsets, &(2..2), 12).is_empty());
     }
 }

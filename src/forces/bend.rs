@@ -9,7 +9,11 @@
 
 use super::bend_cpu;
 use super::element::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams};
-use crate::gpu::{DeviceVec, Executor};
+use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource};
+
+static BEND: KernelSource = KernelSource::new::<StepParams>("forces/bend.wgsl", include_str!("bend.wgsl"), "bend")
+    .with_libraries(&[include_str!("element.wgsl")])
+    .with_structs(&[FabricTable::LAYOUT, HingeElement::LAYOUT]);
 
 /// The bending kernel on one executor.
 pub struct Bend {}
@@ -25,6 +29,29 @@ impl Bend {
         assert_eq!(records.len(), elements.len() * HINGE_RECORD_FLOATS);
         match executor {
             Executor::Cpu(cpu) => bend_cpu::bend(cpu, params, fabrics.as_slice(), elements.as_slice(), positions.as_slice(), velocities.as_slice(), records.as_mut_slice()),
+            Executor::Gpu(gpu) => {
+                for window in gpu.windows(elements.len(), HINGE_RECORD_FLOATS * 4) {
+                    let (first, count) = (window.start, window.len());
+                    let bindings = [
+                        fabrics.binding(),
+                        elements.window(first, count),
+                        positions.binding(),
+                        velocities.binding(),
+                        records.window_mut(first * HINGE_RECORD_FLOATS, count * HINGE_RECORD_FLOATS),
+                    ];
+                    gpu.run(&BEND, &bindings, &StepParams { count: count as u32, ..*params }, count as u64);
+                }
+            }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shader_and_structs_agree() {
+        BEND.check().unwrap();
     }
 }

@@ -1,8 +1,7 @@
 //! Elements: what a kernel needs to know of a triangle or a hinge besides positions and velocities. Plain data that
 //! travels from the coordinator to the workers and to the device as it is.
 
-use bytemuck::{Pod, Zeroable};
-
+use crate::gpu::gpu_struct;
 use crate::math::{DVec2, Vec2, Vec3};
 use crate::scene::Fabric;
 
@@ -15,22 +14,22 @@ pub const TRIANGLE_RECORD_FLOATS: usize = 24;
 /// Length of a hinge record (layout: `bend`).
 pub const HINGE_RECORD_FLOATS: usize = 16;
 
-/// Stretch element: a triangle and its rest shape.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct TriangleElement {
-    /// Local vertex indices.
-    pub vertices: [u32; 3],
-    /// Index into the fabric table.
-    pub fabric: u32,
-    /// d(position)/d(warp) = sum over corners of weight * position; weights of corners 1 and 2 (corner 0: minus their sum), 1/m.
-    pub weights_u: [f32; 2],
-    /// The same for the weft.
-    pub weights_v: [f32; 2],
-    /// Rest area, m^2.
-    pub area_m2: f32,
-    /// Fills the struct to a multiple of 16 bytes.
-    pub padding: [f32; 3],
+gpu_struct! {
+    /// Stretch element: a triangle and its rest shape.
+    pub struct TriangleElement {
+        /// Local vertex indices.
+        pub vertices: [u32; 3],
+        /// Index into the fabric table.
+        pub fabric: u32,
+        /// d(position)/d(warp) = sum over corners of weight * position; weights of corners 1 and 2 (corner 0: minus their sum), 1/m.
+        pub weights_u: [f32; 2],
+        /// The same for the weft.
+        pub weights_v: [f32; 2],
+        /// Rest area, m^2.
+        pub area_m2: f32,
+        /// Fills the struct to a multiple of 16 bytes.
+        pub padding: [f32; 3],
+    }
 }
 
 impl TriangleElement {
@@ -41,54 +40,54 @@ impl TriangleElement {
     }
 }
 
-/// Bending element: an interior edge with the two triangles beside it.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct HingeElement {
-    /// Local vertex indices: edge start, edge end, opposite vertex of triangle 0, opposite vertex of triangle 1.
-    pub vertices: [u32; 4],
-    /// Bending stiffness (N m) times this = torsion stiffness of the hinge: l^2 / (4 a), a = area of both triangles.
-    pub shape: f32,
-    /// Curvature (1/m) = this * dihedral angle: l / a.
-    pub curvature_from_angle: f32,
-    /// Dihedral angle at rest, radians.
-    pub rest_angle: f32,
-    /// Fills the struct to a multiple of 16 bytes.
-    pub padding: f32,
-    /// Direction of the edge in material space on each side: 0 = warp, 1 = 45 degrees, 2 = weft.
-    pub bias: [f32; 2],
-    /// Fabric of each side.
-    pub fabric: [u32; 2],
+gpu_struct! {
+    /// Bending element: an interior edge with the two triangles beside it.
+    pub struct HingeElement {
+        /// Local vertex indices: edge start, edge end, opposite vertex of triangle 0, opposite vertex of triangle 1.
+        pub vertices: [u32; 4],
+        /// Bending stiffness (N m) times this = torsion stiffness of the hinge: l^2 / (4 a), a = area of both triangles.
+        pub shape: f32,
+        /// Curvature (1/m) = this * dihedral angle: l / a.
+        pub curvature_from_angle: f32,
+        /// Dihedral angle at rest, radians.
+        pub rest_angle: f32,
+        /// Fills the struct to a multiple of 16 bytes.
+        pub padding: f32,
+        /// Direction of the edge in material space on each side: 0 = warp, 1 = 45 degrees, 2 = weft.
+        pub bias: [f32; 2],
+        /// Fabric of each side.
+        pub fabric: [u32; 2],
+    }
 }
 
-/// What all elements of a step share; uniform of the element kernels.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct StepParams {
-    /// Step length, seconds.
-    pub step_s: f32,
-    /// Density of the air, kg/m^3.
-    pub air_density: f32,
-    /// Tangential drag, kg/(m^2 s).
-    pub air_drag: f32,
-    /// Number of elements.
-    pub count: u32,
-    /// Velocity of the air, m/s.
-    pub wind: [f32; 3],
-    /// Fills the struct to a multiple of 16 bytes.
-    pub padding: f32,
+gpu_struct! {
+    /// What all elements of a step share; uniform of the element kernels.
+    pub struct StepParams {
+        /// Step length, seconds.
+        pub step_s: f32,
+        /// Density of the air, kg/m^3.
+        pub air_density: f32,
+        /// Tangential drag, kg/(m^2 s).
+        pub air_drag: f32,
+        /// Number of elements.
+        pub count: u32,
+        /// Velocity of the air, m/s.
+        pub wind: [f32; 3],
+        /// Fills the struct to a multiple of 16 bytes.
+        pub padding: f32,
+    }
 }
 
-/// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping; 40 floats.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct FabricTable {
-    /// As [`Fabric::stretching_n_m`].
-    pub stretching: [[f32; 4]; 6],
-    /// As [`Fabric::bending_n_m`], row after row.
-    pub bending: [f32; 15],
-    /// Stiffness-proportional damping, seconds.
-    pub damping_s: f32,
+gpu_struct! {
+    /// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping; 40 floats.
+    pub struct FabricTable {
+        /// As [`Fabric::stretching_n_m`].
+        pub stretching: [[f32; 4]; 6],
+        /// As [`Fabric::bending_n_m`], row after row.
+        pub bending: [f32; 15],
+        /// Stiffness-proportional damping, seconds.
+        pub damping_s: f32,
+    }
 }
 
 impl From<&Fabric> for FabricTable {

@@ -12,7 +12,11 @@
 
 use super::element::{FabricTable, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement};
 use super::stretch_cpu;
-use crate::gpu::{DeviceVec, Executor};
+use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource};
+
+static STRETCH: KernelSource = KernelSource::new::<StepParams>("forces/stretch.wgsl", include_str!("stretch.wgsl"), "stretch")
+    .with_libraries(&[include_str!("element.wgsl")])
+    .with_structs(&[FabricTable::LAYOUT, TriangleElement::LAYOUT]);
 
 /// The stretch kernel on one executor.
 pub struct Stretch {}
@@ -28,6 +32,29 @@ impl Stretch {
         assert_eq!(records.len(), elements.len() * TRIANGLE_RECORD_FLOATS);
         match executor {
             Executor::Cpu(cpu) => stretch_cpu::stretch(cpu, params, fabrics.as_slice(), elements.as_slice(), positions.as_slice(), velocities.as_slice(), records.as_mut_slice()),
+            Executor::Gpu(gpu) => {
+                for window in gpu.windows(elements.len(), TRIANGLE_RECORD_FLOATS * 4) {
+                    let (first, count) = (window.start, window.len());
+                    let bindings = [
+                        fabrics.binding(),
+                        elements.window(first, count),
+                        positions.binding(),
+                        velocities.binding(),
+                        records.window_mut(first * TRIANGLE_RECORD_FLOATS, count * TRIANGLE_RECORD_FLOATS),
+                    ];
+                    gpu.run(&STRETCH, &bindings, &StepParams { count: count as u32, ..*params }, count as u64);
+                }
+            }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shader_and_structs_agree() {
+        STRETCH.check().unwrap();
     }
 }

@@ -19,9 +19,7 @@ impl CpuExecutor {
     /// An executor with `threads` threads (at least 1).
     pub fn new(threads: usize) -> CpuExecutor {
         let threads = threads.max(1);
-        let pool = (threads > 1)
-            .then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok())
-            .flatten();
+        let pool = (threads > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()).flatten();
         CpuExecutor { threads: if pool.is_some() { threads } else { 1 }, pool }
     }
 
@@ -54,7 +52,13 @@ impl CpuExecutor {
 
     /// As [`CpuExecutor::for_ranges`] over `out.len() / width` items of `width` values each; every call gets its range of
     /// items and the matching part of `out`.
-    pub fn for_ranges_mut<T: Send>(&self, out: &mut [T], width: usize, grain: usize, f: impl Fn(Range<usize>, &mut [T]) + Sync) {
+    pub fn for_ranges_mut<T: Send>(
+        &self,
+        out: &mut [T],
+        width: usize,
+        grain: usize,
+        f: impl Fn(Range<usize>, &mut [T]) + Sync,
+    ) {
         assert_eq!(out.len() % width, 0, "output is not a whole number of items");
         let items = out.len() / width;
         let base = SharedMut(out.as_mut_ptr());

@@ -1,7 +1,21 @@
 //! Advances the own rows by a solved step and sets prescribed rows.
 
 use super::advance_cpu;
-use crate::gpu::{DeviceVec, Executor};
+use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource, gpu_struct};
+
+static ADVANCE: KernelSource = KernelSource::new::<AdvanceParams>("integrator/advance.wgsl", include_str!("advance.wgsl"), "advance");
+static SCATTER: KernelSource = KernelSource::new::<ScatterParams>("integrator/scatter.wgsl", include_str!("scatter.wgsl"), "scatter")
+    .with_structs(&[ScatterEntry::LAYOUT]);
+
+gpu_struct! {
+    struct AdvanceParams { rows: u32, first: u32, step_s: f32 }
+}
+gpu_struct! {
+    struct ScatterParams { count: u32, first: u32 }
+}
+gpu_struct! {
+    struct ScatterEntry { row: u32, value: [f32; 3] }
+}
 
 /// The integrator's kernels on one executor.
 pub struct Advance {}
@@ -17,6 +31,10 @@ impl Advance {
         let own = own_start..own_start + dv.len();
         match executor {
             Executor::Cpu(cpu) => advance_cpu::advance(cpu, step_s, dv.as_slice(), &mut velocities.as_mut_slice()[own.clone()], &mut positions.as_mut_slice()[own]),
+            Executor::Gpu(gpu) => {
+                let params = AdvanceParams { rows: (dv.len() / 3) as u32, first: (own_start / 3) as u32, step_s };
+                gpu.run(&ADVANCE, &[dv.binding(), velocities.binding_mut(), positions.binding_mut()], &params, (dv.len() / 3) as u64);
+            }
         }
     }
 
@@ -24,6 +42,12 @@ impl Advance {
     pub fn scatter(&self, executor: &Executor, rows: &[u32], values: &[[f32; 3]], first: usize, out: &mut DeviceVec<f32>) {
         match executor {
             Executor::Cpu(_) => advance_cpu::scatter(rows, values, first, out.as_mut_slice()),
+            Executor::Gpu(gpu) => {
+                let entries: Vec<ScatterEntry> = rows.iter().zip(values).map(|(&row, &value)| ScatterEntry { row, value }).collect();
+                let entries = DeviceVec::upload(executor, &entries);
+                let params = ScatterParams { count: rows.len() as u32, first: (first / 3) as u32 };
+                gpu.run(&SCATTER, &[entries.binding(), out.binding_mut()], &params, rows.len() as u64);
+            }
         }
     }
 }

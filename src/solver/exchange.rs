@@ -2,6 +2,7 @@
 //! work queue: stage by stage, one sub-vector received per stage [Li et al. 2020, Sec. 3.1.2]. On one host a rank publishes
 //! once and every reader reads in place, so forwarding costs nothing and the node's source only names the modelled route.
 
+use super::gather::Gather;
 use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::partition::HaloPlan;
@@ -31,13 +32,14 @@ pub struct TrafficCounter {
 pub struct HaloExchange {
     plan: HaloPlan,
     queue: Vec<QueueNode>,
+    gather: Gather,
     staging: Vec<f32>,
 }
 
 impl HaloExchange {
     /// An exchange along `plan` in the order of `queue` (the own rank's work queue).
     pub fn new(plan: HaloPlan, queue: Vec<QueueNode>) -> HaloExchange {
-        HaloExchange { plan, queue, staging: Vec::new() }
+        HaloExchange { plan, queue, gather: Gather::default(), staging: Vec::new() }
     }
 
     /// The plan.
@@ -54,19 +56,8 @@ impl HaloExchange {
         let start = recorder.now();
         let (plan, width) = (&self.plan, 3 * vectors.len());
         let len = plan.publish_rows.len() * width;
-        match executor {
-            Executor::Cpu(_) => {
-                let slices: Vec<&[f32]> = vectors.iter().map(|v| v.as_slice()).collect();
-                transport.publish(len, &mut |out| {
-                    for (&row, out) in plan.publish_rows.iter().zip(out.chunks_exact_mut(width)) {
-                        let at = (plan.own.start + row as usize) * 3;
-                        for (v, out) in slices.iter().zip(out.chunks_exact_mut(3)) {
-                            out.copy_from_slice(&v[at..at + 3]);
-                        }
-                    }
-                })?;
-            }
-        }
+        let gather = &mut self.gather;
+        transport.publish(len, &mut |out| gather.apply(executor, &plan.publish_rows, plan.own.start, vectors, out))?;
         recorder.end(EventName::Publish, Activity::Transfer, start, len as u64 * 4, 0);
         Ok(())
     }

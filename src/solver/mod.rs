@@ -2,6 +2,8 @@
 //! reductions in a fixed order.
 
 pub mod exchange;
+mod gather;
+mod gather_cpu;
 pub mod pcg;
 pub mod pipelined;
 pub mod reduction;

@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use super::pipelined::PipelinedSpmv;
 use super::reduction::ReductionTree;
-use super::vector::VectorOps;
+use super::vector::{ChunkSums, VectorOps};
 use crate::assembly::SellMatrix;
 use crate::gpu::{DeviceVec, Executor};
 use crate::partition::RowPartition;
@@ -82,15 +82,14 @@ impl PcgVectors {
 pub struct Pcg {
     ops: VectorOps,
     tree: ReductionTree,
-    chunk_sums: Vec<[f64; 2]>,
-    dot_sums: Vec<f64>,
+    chunk_sums: Vec<ChunkSums>,
 }
 
 impl Pcg {
     /// A solver for rank `rank`'s rows.
     pub fn new(executor: &Executor, partition: &RowPartition, rank: usize) -> Pcg {
         let rows = partition.rows_of(rank).len();
-        Pcg { ops: VectorOps::new(executor, rows, partition.chunk_rows()), tree: ReductionTree::new(partition), chunk_sums: Vec::new(), dot_sums: Vec::new() }
+        Pcg { ops: VectorOps::new(executor, rows, partition.chunk_rows()), tree: ReductionTree::new(partition), chunk_sums: Vec::new() }
     }
 
     /// Solves A x = b for x = `vectors.x`. Rows with a zero `inverse_diagonal` keep their start value (pins). `nonzero_start`
@@ -101,8 +100,7 @@ impl Pcg {
         let mut products = 0;
         if nonzero_start {
             // w = A x0, through u because only u has halo rows.
-            let x0 = v.x.read(executor);
-            v.u.write_range(executor, own, &x0);
+            v.u.copy_range(executor, own, &v.x, 0, v.x.len());
             spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
             products += 1;
         } else {
@@ -111,7 +109,7 @@ impl Pcg {
         v.p.fill_zero(executor);
         v.s.fill_zero(executor);
         // r = b - A x0; u = M^-1 r; gamma = r.u
-        self.ops.start(executor, b, &v.w, inverse_diagonal, &mut v.r, &mut v.u, own, &mut self.chunk_sums);
+        self.ops.start(executor, b, &v.w, inverse_diagonal, &mut v.r, &mut v.u, own);
 
         let (mut gamma_old, mut alpha_old) = (1.0, 1.0);
         let mut start_residual = 0.0;
@@ -122,11 +120,11 @@ impl Pcg {
             products += 1;
             // delta = w.u, together with gamma = r.u and r.r of the last pass: one all-reduce
             let start = recorder.now();
-            self.ops.dot(executor, &v.w, &v.u, own, &mut self.dot_sums);
+            self.ops.dot(executor, &v.w, &v.u, own);
+            self.ops.sums(executor, &mut self.chunk_sums);
             recorder.end(EventName::VectorUpdate, Activity::Compute, start, v.w.bytes() * 2, v.w.len() as u64 * 2);
             let start = recorder.now();
-            let sums: Vec<[f64; 3]> = self.chunk_sums.iter().zip(&self.dot_sums).map(|(&[gamma, rr], &delta)| [gamma, rr, delta]).collect();
-            let [gamma, rr, delta] = self.tree.all_reduce(transport, &sums)?;
+            let [gamma, rr, delta] = self.tree.all_reduce(transport, &self.chunk_sums)?;
             recorder.end(EventName::AllReduce, Activity::Wait, start, 24, 0);
             if !(gamma.is_finite() && rr.is_finite() && delta.is_finite()) {
                 return Err(PcgError::NotFinite { iteration });
@@ -148,7 +146,7 @@ impl Pcg {
             }
             let alpha = gamma / curvature;
             let start = recorder.now();
-            self.ops.update(executor, alpha as f32, beta as f32, &v.w, inverse_diagonal, &mut v.u, own, &mut v.p, &mut v.s, &mut v.x, &mut v.r, &mut self.chunk_sums);
+            self.ops.update(executor, alpha as f32, beta as f32, &v.w, inverse_diagonal, &mut v.u, own, &mut v.p, &mut v.s, &mut v.x, &mut v.r);
             recorder.end(EventName::VectorUpdate, Activity::Compute, start, v.w.bytes() * 13, v.w.len() as u64 * 18);
             (gamma_old, alpha_old) = (gamma, alpha);
         }

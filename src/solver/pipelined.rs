@@ -60,6 +60,8 @@ impl PipelinedSpmv {
         self.halo.publish(executor, transport, &[&*u], recorder)?;
         let start = recorder.now();
         self.kernel.apply(executor, matrix, 0, false, u, y);
+        // A device works on these rows while the halo is received.
+        executor.flush();
         recorder.end(EventName::SpmvLocal, Activity::Compute, start, matrix.section_bytes(0), section_flops(matrix, 0));
         self.halo.receive(executor, transport, &mut [u], recorder, &mut self.traffic)?;
         let start = recorder.now();

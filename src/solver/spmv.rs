@@ -1,23 +1,38 @@
 //! Sparse matrix-vector product of one section of a rank's rows [Bell and Garland 2008; Li et al. 2020, Sec. 3.2.2].
 //! Knows nothing of ranks: `pipelined` decides which section is multiplied when.
 
+use std::cell::RefCell;
+
 use super::spmv_cpu;
-use crate::assembly::SellMatrix;
-use crate::gpu::{DeviceVec, Executor};
+use crate::assembly::sell::BLOCK;
+use crate::assembly::{LANES, SellMatrix};
+use crate::gpu::{Binding, DeviceVec, Executor, GpuExecutor, KernelSource, gpu_struct};
+
+static SPMV: KernelSource = KernelSource::new::<SpmvParams>("solver/spmv.wgsl", include_str!("spmv.wgsl"), "spmv");
+/// Loop turns that one invocation of a kernel may take (the rule is in the prelude of all kernels).
+const TURNS_MAX: usize = 60_000;
+
+gpu_struct! {
+    struct SpmvParams { first_slice: u32, lanes: u32, first_slot: u32, accumulate: u32 }
+}
 
 /// The SpMV kernel on one executor.
-pub struct Spmv {}
+pub struct Spmv {
+    /// Where a device finds an x that came in host memory.
+    upload: RefCell<Option<DeviceVec<f32>>>,
+}
 
 impl Spmv {
     /// Prepares the kernel.
     pub fn new(_executor: &Executor) -> Spmv {
-        Spmv {}
+        Spmv { upload: RefCell::new(None) }
     }
 
     /// y = A x, or y += A x with `accumulate`, for the rows of `section`. x: xyz per column; y: xyz per own row.
     pub fn apply(&self, executor: &Executor, matrix: &SellMatrix, section: usize, accumulate: bool, x: &DeviceVec<f32>, y: &mut DeviceVec<f32>) {
         match executor {
             Executor::Cpu(_) => self.apply_host(executor, matrix, section, accumulate, x.as_slice(), y),
+            Executor::Gpu(gpu) => multiply(gpu, matrix, section, accumulate, x.binding(), y),
         }
     }
 
@@ -27,6 +42,36 @@ impl Spmv {
         assert_eq!(y.len(), matrix.rows * 3);
         match executor {
             Executor::Cpu(cpu) => spmv_cpu::spmv(cpu, matrix.sections[section].clone(), accumulate, matrix.row_of_lane.as_slice(), matrix.slice_offsets.as_slice(), matrix.columns.as_slice(), matrix.values.as_slice(), x, y.as_mut_slice()),
+            Executor::Gpu(gpu) => {
+                let mut upload = self.upload.borrow_mut();
+                let device = match &mut *upload {
+                    Some(device) if device.len() == x.len() => device,
+                    other => other.insert(DeviceVec::zeros(executor, x.len())),
+                };
+                device.write_range(executor, 0, x);
+                multiply(gpu, matrix, section, accumulate, device.binding(), y);
+            }
         }
+    }
+}
+
+fn multiply(gpu: &GpuExecutor, matrix: &SellMatrix, section: usize, accumulate: bool, x: Binding<'_>, y: &mut DeviceVec<f32>) {
+    assert_eq!(y.len(), matrix.rows * 3);
+    if matrix.longest_row > TURNS_MAX {
+        gpu.stop(format!("a row has {} blocks, the gpu executor takes at most {TURNS_MAX}: use the cpu executor", matrix.longest_row));
+    }
+    for part in &matrix.parts[section] {
+        let (first, slots) = (part.slots.start, part.slots.len());
+        let bindings = [
+            matrix.row_of_lane.binding(),
+            matrix.slice_offsets.binding(),
+            matrix.columns.window(first * LANES, slots * LANES),
+            matrix.values.window(first * LANES * BLOCK, slots * LANES * BLOCK),
+            x,
+            y.binding_mut(),
+        ];
+        let lanes = part.slices.len() * LANES;
+        let params = SpmvParams { first_slice: part.slices.start, lanes: lanes as u32, first_slot: first as u32, accumulate: accumulate.into() };
+        gpu.run(&SPMV, &bindings, &params, lanes as u64);
     }
 }

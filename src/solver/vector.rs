@@ -1,52 +1,113 @@
-//! Vector kernels of PCG: start, dot product, fused update. Sums come back per chunk; `reduction` adds them.
+//! Vector kernels of PCG: start, dot product, fused update. Sums stay where they are made until [`VectorOps::sums`] fetches
+//! them, per chunk, in one read; `reduction` adds them.
 
 use super::vector_cpu;
-use crate::gpu::{DeviceVec, Executor};
+use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
+
+const TEXT: &str = include_str!("vector.wgsl");
+static START: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "start");
+static DOT: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "dot_product");
+static UPDATE: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "update");
+/// CHUNK_THREADS of the shader.
+const CHUNK_THREADS: u64 = 256;
+
+gpu_struct! {
+    struct VectorParams { rows: u32, chunk_rows: u32, u_first: u32, alpha: f32, beta: f32 }
+}
+
+/// Sums of a chunk: r . u, r . r, w . u.
+pub type ChunkSums = [f64; 3];
 
 /// The vector kernels on one executor, for a fixed number of own rows.
 pub struct VectorOps {
+    rows: usize,
     chunk_rows: usize,
-    chunks: usize,
+    /// Sums (r . u, r . r) and (w . u) of the cpu executor.
+    residual_sums: Vec<[f64; 2]>,
+    dot_sums: Vec<f64>,
+    /// The three sums of every chunk on a device.
+    device_sums: DeviceVec<f32>,
 }
 
 impl VectorOps {
     /// Kernels for `rows` own rows in chunks of `chunk_rows`.
-    pub fn new(_executor: &Executor, rows: usize, chunk_rows: usize) -> VectorOps {
-        VectorOps { chunk_rows, chunks: rows.div_ceil(chunk_rows) }
+    pub fn new(executor: &Executor, rows: usize, chunk_rows: usize) -> VectorOps {
+        let chunks = rows.div_ceil(chunk_rows);
+        VectorOps { rows, chunk_rows, residual_sums: vec![[0.0; 2]; chunks], dot_sums: vec![0.0; chunks], device_sums: DeviceVec::zeros(executor, chunks * 3) }
     }
 
     /// Number of own chunks.
     pub fn chunks(&self) -> usize {
-        self.chunks
+        self.dot_sums.len()
     }
 
-    /// w . u per chunk; `u_start` = first value of u that belongs to the own rows.
-    pub fn dot(&self, executor: &Executor, w: &DeviceVec<f32>, u: &DeviceVec<f32>, u_start: usize, sums: &mut Vec<f64>) {
-        sums.resize(self.chunks, 0.0);
+    /// Sums w . u; `u_start` = first value of u that belongs to the own rows.
+    pub fn dot(&mut self, executor: &Executor, w: &DeviceVec<f32>, u: &DeviceVec<f32>, u_start: usize) {
         match executor {
-            Executor::Cpu(cpu) => vector_cpu::dot(cpu, self.chunk_rows, w.as_slice(), &u.as_slice()[u_start..u_start + w.len()], sums),
+            Executor::Cpu(cpu) => vector_cpu::dot(cpu, self.chunk_rows, w.as_slice(), &u.as_slice()[u_start..u_start + w.len()], &mut self.dot_sums),
+            Executor::Gpu(gpu) => {
+                let (params, invocations) = self.dispatch(u_start, 0.0, 0.0);
+                gpu.run(&DOT, &[w.binding(), u.binding(), self.device_sums.binding_mut()], &params, invocations);
+            }
         }
     }
 
-    /// r = b - w (0 on pinned rows), u = inverse_diagonal * r; sums (r . u, r . r) per chunk.
-    pub fn start(&self, executor: &Executor, b: &DeviceVec<f32>, w: &DeviceVec<f32>, inverse_diagonal: &DeviceVec<f32>, r: &mut DeviceVec<f32>, u: &mut DeviceVec<f32>, u_start: usize, sums: &mut Vec<[f64; 2]>) {
-        sums.resize(self.chunks, [0.0; 2]);
+    /// r = b - w (0 on pinned rows), u = inverse_diagonal * r; sums r . u and r . r.
+    pub fn start(&mut self, executor: &Executor, b: &DeviceVec<f32>, w: &DeviceVec<f32>, inverse_diagonal: &DeviceVec<f32>, r: &mut DeviceVec<f32>, u: &mut DeviceVec<f32>, u_start: usize) {
         match executor {
             Executor::Cpu(cpu) => {
                 let own = u_start..u_start + b.len();
-                vector_cpu::start(cpu, self.chunk_rows, b.as_slice(), w.as_slice(), inverse_diagonal.as_slice(), r.as_mut_slice(), &mut u.as_mut_slice()[own], sums)
+                vector_cpu::start(cpu, self.chunk_rows, b.as_slice(), w.as_slice(), inverse_diagonal.as_slice(), r.as_mut_slice(), &mut u.as_mut_slice()[own], &mut self.residual_sums)
+            }
+            Executor::Gpu(gpu) => {
+                let (params, invocations) = self.dispatch(u_start, 0.0, 0.0);
+                let bindings = [b.binding(), w.binding(), inverse_diagonal.binding(), u.binding_mut(), r.binding_mut(), self.device_sums.binding_mut()];
+                gpu.run(&START, &bindings, &params, invocations);
             }
         }
     }
 
-    /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = inverse_diagonal * r; sums (r . u, r . r) per chunk.
-    pub fn update(&self, executor: &Executor, alpha: f32, beta: f32, w: &DeviceVec<f32>, inverse_diagonal: &DeviceVec<f32>, u: &mut DeviceVec<f32>, u_start: usize, p: &mut DeviceVec<f32>, s: &mut DeviceVec<f32>, x: &mut DeviceVec<f32>, r: &mut DeviceVec<f32>, sums: &mut Vec<[f64; 2]>) {
-        sums.resize(self.chunks, [0.0; 2]);
+    /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = inverse_diagonal * r; sums r . u and r . r.
+    pub fn update(&mut self, executor: &Executor, alpha: f32, beta: f32, w: &DeviceVec<f32>, inverse_diagonal: &DeviceVec<f32>, u: &mut DeviceVec<f32>, u_start: usize, p: &mut DeviceVec<f32>, s: &mut DeviceVec<f32>, x: &mut DeviceVec<f32>, r: &mut DeviceVec<f32>) {
         match executor {
             Executor::Cpu(cpu) => {
                 let own = u_start..u_start + w.len();
-                vector_cpu::update(cpu, self.chunk_rows, alpha, beta, w.as_slice(), inverse_diagonal.as_slice(), &mut u.as_mut_slice()[own], p.as_mut_slice(), s.as_mut_slice(), x.as_mut_slice(), r.as_mut_slice(), sums)
+                vector_cpu::update(cpu, self.chunk_rows, alpha, beta, w.as_slice(), inverse_diagonal.as_slice(), &mut u.as_mut_slice()[own], p.as_mut_slice(), s.as_mut_slice(), x.as_mut_slice(), r.as_mut_slice(), &mut self.residual_sums)
+            }
+            Executor::Gpu(gpu) => {
+                let (params, invocations) = self.dispatch(u_start, alpha, beta);
+                let bindings = [
+                    w.binding(),
+                    inverse_diagonal.binding(),
+                    u.binding_mut(),
+                    p.binding_mut(),
+                    s.binding_mut(),
+                    x.binding_mut(),
+                    r.binding_mut(),
+                    self.device_sums.binding_mut(),
+                ];
+                gpu.run(&UPDATE, &bindings, &params, invocations);
             }
         }
+    }
+
+    /// The sums of the last `start` or `update` and of the last `dot`, per own chunk. NaN after a fault of the device.
+    pub fn sums(&self, executor: &Executor, out: &mut Vec<ChunkSums>) {
+        out.clear();
+        match executor {
+            Executor::Cpu(_) => out.extend(self.residual_sums.iter().zip(&self.dot_sums).map(|(&[ru, rr], &wu)| [ru, rr, wu])),
+            Executor::Gpu(_) => {
+                out.extend(self.device_sums.read(executor).as_chunks::<3>().0.iter().map(|sums| sums.map(f64::from)));
+                if executor.take_fault().is_some() {
+                    out.fill([f64::NAN; 3]);
+                }
+            }
+        }
+    }
+
+    /// Parameters, and a workgroup per chunk.
+    fn dispatch(&self, u_start: usize, alpha: f32, beta: f32) -> (VectorParams, u64) {
+        let params = VectorParams { rows: self.rows as u32, chunk_rows: self.chunk_rows as u32, u_first: (u_start / 3) as u32, alpha, beta };
+        (params, self.chunks() as u64 * CHUNK_THREADS)
     }
 }

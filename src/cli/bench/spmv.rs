@@ -60,7 +60,7 @@ fn time_one_rank(bench: &SpmvBench, model: &GlobalModel) -> Result<(), CliError>
     let rate = bytes as f64 / middle / 1e9;
     let title = format!("one product, one rank, {} thread(s): {} rows, padding {:.3}", bench.common.threads, model.rows(), simulation.padding_ratio);
     let mut table = Table::new("spmv", title, vec!["rows", "median_ms", "min_ms", "bytes", "gb_s", "read_gb_s", "share_of_read"]);
-    table.push(vec![model.rows() as f64, middle * 1e3, best * 1e3, bytes as f64, rate, bandwidth.read, rate / bandwidth.read]);
+    table.push(vec![model.rows() as f64, middle * 1e3, best * 1e3, bytes as f64, rate, bandwidth.read_gb_s, rate / bandwidth.read_gb_s]);
     table.finish(bench.common.out.as_deref(), None)
 }
 

@@ -1,0 +1,218 @@
+// Value filling and right-hand side of a rank's rows; fill.rs says what is filled, fill_cpu.rs how. Sixteen invocations
+// share a row: each gathers the contributions to some of its blocks, in ascending element order, triangles before hinges.
+// needs ../forces/element.wgsl
+
+struct FillPass {
+    gravity: vec3<f32>,
+    step_s: f32,
+    rows: u32,
+    // Slots of the Value Table that are bound.
+    first_slot: u32,
+    slots: u32,
+    // First block of a row that this dispatch fills, and turns of sixteen blocks.
+    first_block: u32,
+    block_turns: u32,
+    // Elements whose records are bound.
+    first_triangle: u32,
+    triangles: u32,
+    first_hinge: u32,
+    hinges: u32,
+    // FIRST_PASS: nothing was added yet. LAST_PASS: nothing will be.
+    passes: u32,
+    padding0: u32,
+    padding1: u32,
+}
+
+const FIRST_PASS: u32 = 1u;
+const LAST_PASS: u32 = 2u;
+const LANES: u32 = 16u;
+const BLOCK: u32 = 9u;
+// Invocations per row.
+const SHARE: u32 = 16u;
+const NO_BLOCK: u32 = 0xffffffffu;
+
+@group(0) @binding(0) var<storage, read> row_offsets: array<u32>;
+@group(0) @binding(1) var<storage, read> block_address: array<u32>;
+@group(0) @binding(2) var<storage, read> triangle_offsets: array<u32>;
+@group(0) @binding(3) var<storage, read> triangle_entries: array<u32>;
+@group(0) @binding(4) var<storage, read> triangle_positions: array<vec2<u32>>;
+@group(0) @binding(5) var<storage, read> hinge_offsets: array<u32>;
+@group(0) @binding(6) var<storage, read> hinge_entries: array<u32>;
+@group(0) @binding(7) var<storage, read> hinge_positions: array<vec2<u32>>;
+@group(0) @binding(8) var<storage, read> elements: array<TriangleElement>;
+@group(0) @binding(9) var<storage, read> triangle_records: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read> hinge_records: array<vec4<f32>>;
+@group(0) @binding(11) var<storage, read> masses: array<f32>;
+@group(0) @binding(12) var<storage, read> pinned: array<u32>;
+@group(0) @binding(13) var<storage, read_write> values: array<f32>;
+@group(0) @binding(14) var<storage, read_write> rhs: array<Packed3>;
+@group(0) @binding(15) var<storage, read_write> inverse_diagonal: array<f32>;
+@group(0) @binding(16) var<uniform> params: FillPass;
+
+// The four positions of a contribution's corners in their row.
+fn unpacked_positions(words: vec2<u32>) -> vec4<u32> {
+    return vec4<u32>(words.x & 0xffffu, words.x >> 16u, words.y & 0xffffu, words.y >> 16u);
+}
+
+// left right', as columns.
+fn outer(left: vec3<f32>, right: vec3<f32>) -> mat3x3<f32> {
+    return mat3x3<f32>(left * right.x, left * right.y, left * right.z);
+}
+
+fn corner_weights(e: u32, corner: u32) -> vec2<f32> {
+    let u = elements[e].weights_u;
+    let v = elements[e].weights_v;
+    if (corner == 0u) {
+        return vec2<f32>(-(u.x + u.y), -(v.x + v.y));
+    }
+    return select(vec2<f32>(u.x, v.x), vec2<f32>(u.y, v.y), corner == 2u);
+}
+
+// Force of triangle e (its number among those bound) on its corner a.
+fn triangle_force(e: u32, a: u32) -> vec3<f32> {
+    let r3 = triangle_records[e * 6u + 3u];
+    let r4 = triangle_records[e * 6u + 4u];
+    let r5 = triangle_records[e * 6u + 5u];
+    let w = corner_weights(e, a);
+    return vec3<f32>(r3.w, r4.w, r5.w) - (r4.xyz * w.x + r5.xyz * w.y);
+}
+
+// Block (a, b) of triangle e.
+fn triangle_block(e: u32, a: u32, b: u32) -> mat3x3<f32> {
+    let r0 = triangle_records[e * 6u];
+    let r1 = triangle_records[e * 6u + 1u];
+    let r2 = triangle_records[e * 6u + 2u];
+    let r3 = triangle_records[e * 6u + 3u];
+    let xu = r0.xyz;
+    let xv = r1.xyz;
+    let warp = r0.w;
+    let cross_stiffness = r1.w;
+    let weft = r2.x;
+    let shear = r2.y;
+    let normal = cross(xu, xv);
+    let n = normal * (1.0 / max(sqrt(dot(normal, normal)), 1e-30));
+    let wa = corner_weights(e, a);
+    let wb = corner_weights(e, b);
+    let uu = wa.x * wb.x;
+    let uv = wa.x * wb.y;
+    let vu = wa.y * wb.x;
+    let vv = wa.y * wb.y;
+    let left = xu * (uu * warp + vv * shear) + xv * (uv * shear + vu * cross_stiffness);
+    let right = xu * (uv * cross_stiffness + vu * shear) + xv * (uu * shear + vv * weft);
+    let identity = uu * r2.z + (uv + vu) * r2.w + vv * r3.x + r3.z;
+    var block = outer(left, xu) + outer(right, xv) + outer(n * (r3.y - r3.z), n);
+    block[0].x += identity;
+    block[1].y += identity;
+    block[2].z += identity;
+    return block;
+}
+
+// Corner whose position is k, or NO_BLOCK.
+fn corner_at(positions: vec4<u32>, k: u32) -> u32 {
+    let hit = positions == vec4<u32>(k);
+    let late = select(select(NO_BLOCK, 3u, hit.w), 2u, hit.z);
+    return select(select(late, 1u, hit.y), 0u, hit.x);
+}
+
+// Inverse of a symmetric positive definite block as xx, xy, xz, yy, yz, zz, or zeros for a pinned row.
+fn store_inverse(row: u32, m: mat3x3<f32>) {
+    let a = cross(m[1], m[2]);
+    let b = cross(m[2], m[0]);
+    let c = cross(m[0], m[1]);
+    let scale = select(1.0 / dot(m[2], c), 0.0, pinned[row] != 0u);
+    let at = row * 6u;
+    inverse_diagonal[at] = a.x * scale;
+    inverse_diagonal[at + 1u] = b.x * scale;
+    inverse_diagonal[at + 2u] = c.x * scale;
+    inverse_diagonal[at + 3u] = b.y * scale;
+    inverse_diagonal[at + 4u] = c.y * scale;
+    inverse_diagonal[at + 5u] = c.z * scale;
+}
+
+fn fill_force(row: u32) {
+    var force = unpacked(rhs[row]);
+    if ((params.passes & FIRST_PASS) != 0u) {
+        force = params.gravity * masses[row];
+    }
+    for (var i = triangle_offsets[row]; i < triangle_offsets[row + 1u]; i++) {
+        let e = (triangle_entries[i] >> 2u) - params.first_triangle;
+        if (e < params.triangles) {
+            force += triangle_force(e, triangle_entries[i] & 3u);
+        }
+    }
+    for (var i = hinge_offsets[row]; i < hinge_offsets[row + 1u]; i++) {
+        let e = (hinge_entries[i] >> 2u) - params.first_hinge;
+        if (e < params.hinges) {
+            force -= hinge_records[e * 4u + (hinge_entries[i] & 3u)].xyz * hinge_records[e * 4u + 1u].w;
+        }
+    }
+    if ((params.passes & LAST_PASS) != 0u) {
+        force *= params.step_s;
+    }
+    rhs[row] = packed(force);
+}
+
+fn fill_block(row: u32, k: u32) {
+    let address = block_address[row_offsets[row] + k];
+    let slot = address / LANES - params.first_slot;
+    if (slot >= params.slots) {
+        return;
+    }
+    let at = slot * BLOCK * LANES + address % LANES;
+    var block = mat3x3<f32>();
+    if ((params.passes & FIRST_PASS) == 0u) {
+        for (var c = 0u; c < BLOCK; c++) {
+            block[c % 3u][c / 3u] = values[at + c * LANES];
+        }
+    }
+    var diagonal = false;
+    for (var i = triangle_offsets[row]; i < triangle_offsets[row + 1u]; i++) {
+        // A triangle has no fourth corner.
+        let corner = corner_at(vec4<u32>(unpacked_positions(triangle_positions[i]).xyz, NO_BLOCK), k);
+        let entry = triangle_entries[i];
+        if (corner != NO_BLOCK) {
+            diagonal = corner == (entry & 3u);
+            let e = (entry >> 2u) - params.first_triangle;
+            if (e < params.triangles) {
+                block += triangle_block(e, entry & 3u, corner);
+            }
+        }
+    }
+    for (var i = hinge_offsets[row]; i < hinge_offsets[row + 1u]; i++) {
+        let corner = corner_at(unpacked_positions(hinge_positions[i]), k);
+        let e = (hinge_entries[i] >> 2u) - params.first_hinge;
+        if (corner != NO_BLOCK && e < params.hinges) {
+            let scaled = hinge_records[e * 4u + (hinge_entries[i] & 3u)].xyz * hinge_records[e * 4u].w;
+            block += outer(scaled, hinge_records[e * 4u + corner].xyz);
+        }
+    }
+    if (diagonal && (params.passes & LAST_PASS) != 0u) {
+        block[0].x += masses[row];
+        block[1].y += masses[row];
+        block[2].z += masses[row];
+        store_inverse(row, block);
+    }
+    for (var c = 0u; c < BLOCK; c++) {
+        values[at + c * LANES] = block[c % 3u][c / 3u];
+    }
+}
+
+@compute @workgroup_size(WORKGROUP)
+fn fill(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let index = global_index(id, groups);
+    let row = index / SHARE;
+    if (row >= params.rows) {
+        return;
+    }
+    if (index % SHARE == 0u && params.first_block == 0u && params.first_slot == 0u) {
+        fill_force(row);
+    }
+    let length = row_offsets[row + 1u] - row_offsets[row];
+    var k = params.first_block + index % SHARE;
+    for (var turn = 0u; turn < params.block_turns; turn++) {
+        if (k < length) {
+            fill_block(row, k);
+        }
+        k += SHARE;
+    }
+}

@@ -1,0 +1,323 @@
+//! The wgpu executor: one device, its compiled kernels and bind groups.
+//!
+//! Everything asked of an executor happens in the order it was asked, whichever thread asked; nothing need start before
+//! [`GpuExecutor::flush`] or a read. After a fault (lost device, out of memory, a kernel that the driver refuses) nothing
+//! is executed any more and reads give zeros; [`super::Executor::take_fault`] tells.
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+
+use super::adapter::{self, AdapterSummary};
+use super::commands::{Commands, Dispatch, ReadPart};
+use super::fault::{Fault, locked};
+use super::kernel::{Kernel, KernelSource};
+use super::{GpuError, GpuStruct, self_test};
+
+/// Least bytes of a buffer. No struct of a kernel is larger, so an empty array can be bound as an array of any of them.
+pub(super) const LEAST_BYTES: u64 = 256;
+
+/// Windows of an array begin at multiples of this many items: 64 words are 256 bytes, the largest alignment that WebGPU
+/// lets an adapter ask for.
+pub const WINDOW_STEP: usize = 64;
+
+/// Runs kernels through wgpu.
+pub struct GpuExecutor {
+    device: wgpu::Device,
+    limits: wgpu::Limits,
+    summary: AdapterSummary,
+    commands: Commands,
+    fault: Arc<Fault>,
+    next_id: AtomicU64,
+    /// Compiled kernels by the address of their source.
+    kernels: Mutex<HashMap<usize, Arc<Kernel>>>,
+    bind_groups: Arc<BindGroups>,
+}
+
+/// Bind groups by kernel and windows. Those of an array go with it.
+#[derive(Default)]
+struct BindGroups(Mutex<HashMap<BindKey, wgpu::BindGroup>>);
+
+/// Kernel and (array, offset, size) of every binding.
+type BindKey = (u64, Vec<(u64, u64, u64)>);
+
+/// A buffer of the device.
+pub(super) struct GpuArray {
+    pub(super) buffer: wgpu::Buffer,
+    id: u64,
+    owner: Arc<BindGroups>,
+}
+
+impl Drop for GpuArray {
+    fn drop(&mut self) {
+        locked(&self.owner.0).retain(|(_, windows), _| windows.iter().all(|window| window.0 != self.id));
+    }
+}
+
+/// A part of an array, as a kernel sees it.
+#[derive(Clone, Copy)]
+pub struct Binding<'a> {
+    pub(super) array: &'a GpuArray,
+    pub(super) offset: u64,
+    pub(super) size: u64,
+    pub(super) writable: bool,
+}
+
+impl GpuExecutor {
+    /// Opens adapter number `adapter`, or the default one of `rank`, and tests that it computes what kernels rely on.
+    pub(super) fn open(adapter: Option<usize>, rank: usize) -> Result<GpuExecutor, GpuError> {
+        let (adapter, summary) = adapter::select(adapter, rank)?;
+        let limits = adapter.limits();
+        let request = wgpu::DeviceDescriptor {
+            label: Some("loomtree"),
+            required_limits: limits.clone(),
+            memory_hints: wgpu::MemoryHints::Performance,
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&request))
+            .map_err(|e| GpuError::Request { adapter: summary.describe(), reason: e.to_string() })?;
+        let fault = Arc::new(Fault::default());
+        let (on_error, on_lost, name) = (fault.clone(), fault.clone(), summary.describe());
+        device.on_uncaptured_error(Arc::new(move |error| on_error.raise(one_line(&error))));
+        device.set_device_lost_callback(move |reason, text| {
+            on_lost.raise(format!("device {name} was lost ({reason:?}: {text})"));
+        });
+        let commands = Commands::new(device.clone(), queue, fault.clone());
+        let executor = GpuExecutor {
+            device,
+            limits,
+            summary,
+            commands,
+            fault,
+            next_id: AtomicU64::new(1),
+            kernels: Mutex::default(),
+            bind_groups: Arc::default(),
+        };
+        self_test::run(&executor)?;
+        Ok(executor)
+    }
+
+    /// The adapter in use.
+    pub fn adapter(&self) -> &AdapterSummary {
+        &self.summary
+    }
+
+    pub(super) fn limits(&self) -> &wgpu::Limits {
+        &self.limits
+    }
+
+    pub(super) fn device(&self) -> &wgpu::Device {
+        &self.device
+    }
+
+    pub(super) fn commands(&self) -> &Commands {
+        &self.commands
+    }
+
+    /// Most items of `item_bytes` bytes (whole words) that one binding can show, rounded down to a multiple of
+    /// [`WINDOW_STEP`].
+    pub fn window_items(&self, item_bytes: usize) -> usize {
+        (self.limits.max_storage_buffer_binding_size as usize / item_bytes / WINDOW_STEP * WINDOW_STEP).max(WINDOW_STEP)
+    }
+
+    /// `0..len` as parts that can be bound, for arrays whose items have up to `item_bytes` bytes. Parts begin at multiples
+    /// of [`WINDOW_STEP`]. One empty part for an empty array.
+    pub fn windows(&self, len: usize, item_bytes: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+        let most = self.window_items(item_bytes);
+        (0..len.div_ceil(most).max(1)).map(move |i| i * most..((i + 1) * most).min(len))
+    }
+
+    /// Stops the executor: from now on it does nothing. `reason` is half a sentence for the user; the first one counts.
+    pub fn stop(&self, reason: String) {
+        self.fault.raise(reason);
+    }
+
+    /// What went wrong, if anything did.
+    pub(super) fn fault(&self) -> Option<GpuError> {
+        self.fault.text().map(GpuError::Fault)
+    }
+
+    /// A buffer of at least `bytes` bytes, zeroed. Never empty, so that it can be bound.
+    pub(super) fn allocate(&self, bytes: u64) -> GpuArray {
+        let mut size = bytes.max(LEAST_BYTES).next_multiple_of(16);
+        if bytes > self.limits.max_buffer_size {
+            self.stop(format!(
+                "an array of {bytes} bytes does not fit on {}, whose largest is {} bytes: use more workers",
+                self.summary.describe(),
+                self.limits.max_buffer_size
+            ));
+            size = LEAST_BYTES;
+        }
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
+        let descriptor = wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false };
+        GpuArray { buffer: self.device.create_buffer(&descriptor), id: self.new_id(), owner: self.bind_groups.clone() }
+    }
+
+    /// Runs kernel `source` on `bindings` (in the order of their numbers, parameters left out), with at least
+    /// `invocations` invocations. Panics if the bindings do not match the shader.
+    pub fn run<P: GpuStruct>(
+        &self,
+        source: &'static KernelSource,
+        bindings: &[Binding<'_>],
+        params: &P,
+        invocations: u64,
+    ) {
+        if let Some(kernel) = self.kernel(source) {
+            kernel.dispatch(self, bindings, params, invocations);
+        }
+    }
+
+    /// The compiled kernel, made on first use; None (and a fault) if that fails.
+    fn kernel(&self, source: &'static KernelSource) -> Option<Arc<Kernel>> {
+        if self.fault.raised() {
+            return None;
+        }
+        let mut kernels = locked(&self.kernels);
+        let key = std::ptr::from_ref(source) as usize;
+        if let Some(kernel) = kernels.get(&key) {
+            return Some(kernel.clone());
+        }
+        match Kernel::new(self, source) {
+            Ok(kernel) => Some(kernels.entry(key).or_insert(Arc::new(kernel)).clone()),
+            Err(error) => {
+                self.stop(error.to_string());
+                None
+            }
+        }
+    }
+
+    /// A number that no other array or kernel of this executor has.
+    pub(super) fn new_id(&self) -> u64 {
+        self.next_id.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Adds a dispatch of `groups` workgroups to the commands.
+    pub(super) fn dispatch(&self, kernel: &Kernel, bindings: &[Binding<'_>], params: &[u8], groups: [u32; 2]) {
+        if self.fault.raised() {
+            return;
+        }
+        let bind_group = self.bind_group(kernel, bindings);
+        let params = kernel.uniform.as_ref().map(|uniform| (params, uniform.size));
+        self.commands.dispatch(&Dispatch { pipeline: &kernel.pipeline, bind_group: &bind_group, params, groups });
+    }
+
+    /// The bind group of `kernel` for these windows.
+    fn bind_group(&self, kernel: &Kernel, bindings: &[Binding<'_>]) -> wgpu::BindGroup {
+        let entry = |binding, buffer, offset, size| {
+            let window = wgpu::BufferBinding { buffer, offset, size: wgpu::BufferSize::new(size) };
+            wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::Buffer(window) }
+        };
+        let make = || {
+            let mut entries: Vec<wgpu::BindGroupEntry<'_>> = kernel
+                .arrays
+                .iter()
+                .zip(bindings)
+                .map(|(slot, b)| entry(slot.binding, &b.array.buffer, b.offset, b.size))
+                .collect();
+            entries.extend(kernel.uniform.iter().map(|u| entry(u.binding, self.commands.arena(), 0, u.size)));
+            let label = Some(kernel.name);
+            self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label,
+                layout: &kernel.layout,
+                entries: &entries,
+            })
+        };
+        let key = (kernel.id, bindings.iter().map(|b| (b.array.id, b.offset, b.size)).collect());
+        locked(&self.bind_groups.0).entry(key).or_insert_with(make).clone()
+    }
+
+    /// Hands the commands so far to the device, without waiting for them.
+    pub fn flush(&self) {
+        self.commands.flush();
+    }
+
+    /// Waits until everything asked so far has been done.
+    pub fn finish(&self) {
+        self.commands.finish();
+    }
+}
+
+impl GpuArray {
+    /// Bytes from `offset` on, to be read into `out`.
+    pub(super) fn read_part<'a>(&'a self, offset: u64, out: &'a mut [u8]) -> ReadPart<'a> {
+        ReadPart { buffer: &self.buffer, offset, out }
+    }
+}
+
+/// The first line of an error, with what caused it.
+fn one_line(error: &wgpu::Error) -> String {
+    let text = match error {
+        wgpu::Error::OutOfMemory { .. } => {
+            "the device is out of memory: use more workers or a smaller scene".to_string()
+        }
+        other => other.to_string(),
+    };
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gpu::{DeviceVec, Executor, test_support};
+
+    fn device(executor: &Executor) -> &super::GpuExecutor {
+        let Executor::Gpu(gpu) = executor else { panic!("not a device") };
+        gpu
+    }
+
+    #[test]
+    fn a_lost_device_is_reported_and_nothing_hangs() {
+        let Some(executor) = test_support::executor() else { return };
+        let mut values = DeviceVec::upload(&executor, &[1u32, 2, 3]);
+        assert_eq!(values.read(&executor), [1, 2, 3]);
+        device(&executor).device.destroy();
+        assert_eq!(values.read(&executor), [0, 0, 0]);
+        let text = executor.take_fault().expect("a fault").to_string();
+        assert!(text.starts_with("the gpu executor stopped: "), "{text}");
+        // Whatever is asked now does nothing.
+        values.write_range(&executor, 0, &[5]);
+        let more = DeviceVec::<u32>::zeros(&executor, 10);
+        assert_eq!(more.read(&executor), [0; 10]);
+        executor.finish();
+        assert!(executor.take_fault().is_some());
+    }
+
+    #[test]
+    fn an_array_too_large_is_a_sentence() {
+        let Some(executor) = test_support::executor() else { return };
+        let most = device(&executor).limits.max_buffer_size;
+        let huge = DeviceVec::<[u32; 4]>::zeros(&executor, (most / 16 + 1) as usize);
+        let mut first = [[1u32; 4]];
+        huge.read_range(&executor, 0, &mut first);
+        assert_eq!(first, [[0; 4]]);
+        let text = executor.take_fault().expect("a fault").to_string();
+        assert!(text.contains(&most.to_string()) && text.contains("use more workers"), "{text}");
+    }
+
+    #[test]
+    fn windows_start_where_they_can_be_bound() {
+        let Some(executor) = test_support::executor() else { return };
+        let gpu = device(&executor);
+        for item_bytes in [4, 12, 16, 36, 100] {
+            let items = gpu.window_items(item_bytes);
+            let bytes = (items * item_bytes) as u64;
+            assert!(items > 0 && bytes <= gpu.limits.max_storage_buffer_binding_size);
+            assert_eq!(bytes % u64::from(gpu.limits.min_storage_buffer_offset_alignment), 0, "{item_bytes}");
+            let windows: Vec<_> = gpu.windows(items + 1, item_bytes).collect();
+            assert_eq!(windows, [0..items, items..items + 1]);
+            assert_eq!(gpu.windows(0, item_bytes).collect::<Vec<_>>(), [0..0]);
+        }
+    }
+
+    #[test]
+    fn arrays_that_are_gone_leave_nothing_behind() {
+        let Some(executor) = test_support::executor() else { return };
+        let values = DeviceVec::upload(&executor, &[1u32, 2, 3]);
+        let before = super::locked(&device(&executor).bind_groups.0).len();
+        let mut sums = DeviceVec::zeros(&executor, 3);
+        crate::gpu::primitives::exclusive_scan(&executor, &values, &mut sums);
+        assert_eq!(sums.read(&executor), [0, 1, 3]);
+        drop((values, sums));
+        assert_eq!(super::locked(&device(&executor).bind_groups.0).len(), before);
+    }
+}

@@ -1,0 +1,357 @@
+//! Kernels: WGSL text, what naga finds in it, and the compiled pipeline. Bindings, workgroup size and struct layouts are
+//! read from the shader, never repeated in Rust.
+
+use wgpu::naga;
+use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
+
+use super::device::{Binding, GpuExecutor};
+use super::layout::{self, GpuStruct, StructLayout};
+
+/// Text in front of every kernel.
+pub const PRELUDE: &str = include_str!("prelude.wgsl");
+/// Workgroups that a dispatch may have in one direction, on every adapter.
+const MAX_GROUPS: u64 = 65_535;
+
+/// One entry point of a WGSL file. Make it a `static`: an executor compiles each one once.
+pub struct KernelSource {
+    name: &'static str,
+    text: &'static str,
+    entry: &'static str,
+    libraries: &'static [&'static str],
+    params: &'static StructLayout,
+    structs: &'static [StructLayout],
+}
+
+impl KernelSource {
+    /// The kernel `entry` of the file `name` with contents `text`, which takes parameters `P` (`()` for none).
+    pub const fn new<P: GpuStruct>(name: &'static str, text: &'static str, entry: &'static str) -> KernelSource {
+        KernelSource { name, text, entry, libraries: &[], params: const { &P::LAYOUT }, structs: &[] }
+    }
+
+    /// With the contents of further files in front, in this order. The kernel's file names each one in a line
+    /// `// needs FILE` (path from its own folder), so that it can be checked by itself.
+    pub const fn with_libraries(self, libraries: &'static [&'static str]) -> KernelSource {
+        KernelSource { libraries, ..self }
+    }
+
+    /// With structs, other than the parameters, whose layout must be the same in Rust and WGSL.
+    pub const fn with_structs(self, structs: &'static [StructLayout]) -> KernelSource {
+        KernelSource { structs, ..self }
+    }
+
+    /// All text of the kernel.
+    fn assembled(&self) -> String {
+        let parts: Vec<&str> = [PRELUDE].into_iter().chain(self.libraries.iter().copied()).chain([self.text]).collect();
+        parts.join("\n")
+    }
+
+    /// Parses, validates and reflects the kernel; needs no adapter.
+    pub fn check(&self) -> Result<Reflection, KernelError> {
+        let fail = |reason| KernelError { kernel: format!("{}:{}", self.name, self.entry), reason };
+        let (module, info) = validate(&self.assembled(), self.text).map_err(fail)?;
+        let reflection = reflect(&module, &info, self.entry).map_err(fail)?;
+        let uniform_bytes = reflection.uniform.as_ref().map_or(0, |u| u.size);
+        if self.params.size as u64 != uniform_bytes {
+            return Err(fail(format!("takes {uniform_bytes} bytes of parameters, Rust passes {}", self.params.size)));
+        }
+        let params = (self.params.size > 0).then_some(self.params);
+        for layout in params.into_iter().chain(self.structs) {
+            layout::check(&module, layout).map_err(fail)?;
+        }
+        Ok(reflection)
+    }
+}
+
+/// A kernel that cannot be used, and why.
+#[derive(Debug, thiserror::Error)]
+#[error("kernel {kernel} is invalid: {reason}")]
+pub struct KernelError {
+    kernel: String,
+    reason: String,
+}
+
+/// An array that a kernel sees.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ArraySlot {
+    /// Name in the shader.
+    pub name: String,
+    /// Binding number in group 0.
+    pub binding: u32,
+    /// True if the shader may write it.
+    pub writable: bool,
+    /// Bytes from one item to the next.
+    pub stride: u64,
+}
+
+/// The parameters that a kernel takes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UniformSlot {
+    /// Binding number in group 0.
+    pub binding: u32,
+    /// Bytes.
+    pub size: u64,
+}
+
+/// What a kernel's text says about it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Reflection {
+    /// Arrays by ascending binding number.
+    pub arrays: Vec<ArraySlot>,
+    /// Parameters, if there are any.
+    pub uniform: Option<UniformSlot>,
+    /// Invocations per workgroup.
+    pub workgroup: u32,
+}
+
+/// Parses and validates WGSL that uses nothing beyond the portable language. `own` is the last part of `all`; the error
+/// counts lines from its start.
+fn validate(all: &str, own: &str) -> Result<(naga::Module, naga::valid::ModuleInfo), String> {
+    let front = all.lines().count() - own.lines().count();
+    let at = |location: Option<naga::SourceLocation>| match location.map(|l| l.line_number as usize) {
+        Some(line) if line > front => format!("line {}: ", line - front),
+        Some(line) => format!("line {line} of the text in front of it: "),
+        None => String::new(),
+    };
+    let module = naga::front::wgsl::parse_str(all).map_err(|e| format!("{}{}", at(e.location(all)), e.message()))?;
+    let checked = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+    let info = checked.map_err(|e| {
+        // The outer error only names the function; what is wrong with it is the innermost one.
+        let mut inner: &dyn std::error::Error = e.as_inner();
+        let mut text = inner.to_string();
+        while let Some(source) = inner.source() {
+            inner = source;
+            text = format!("{text}: {inner}");
+        }
+        format!("{}{text}", at(e.location(all)))
+    })?;
+    Ok((module, info))
+}
+
+fn reflect(module: &naga::Module, info: &naga::valid::ModuleInfo, entry: &str) -> Result<Reflection, String> {
+    let Some(index) = module.entry_points.iter().position(|e| e.name == entry && e.stage == naga::ShaderStage::Compute)
+    else {
+        return Err("no compute entry point of this name".to_string());
+    };
+    let used = info.get_entry_point(index);
+    let size = module.entry_points[index].workgroup_size;
+    let mut reflection = Reflection { arrays: Vec::new(), uniform: None, workgroup: size[0] };
+    if size[1] != 1 || size[2] != 1 {
+        return Err(format!("workgroups must be one-dimensional, not {size:?}"));
+    }
+    for (handle, variable) in module.global_variables.iter() {
+        let (Some(place), false) = (&variable.binding, used[handle].is_empty()) else { continue };
+        let name = variable.name.clone().unwrap_or_default();
+        if place.group != 0 {
+            return Err(format!("{name} is in group {}, only group 0 is used", place.group));
+        }
+        let inner = &module.types[variable.ty].inner;
+        match (variable.space, inner) {
+            (naga::AddressSpace::Storage { access }, naga::TypeInner::Array { stride, .. }) => {
+                let writable = access.contains(naga::StorageAccess::STORE);
+                reflection.arrays.push(ArraySlot {
+                    name,
+                    binding: place.binding,
+                    writable,
+                    stride: u64::from(*stride),
+                });
+            }
+            (naga::AddressSpace::Uniform, naga::TypeInner::Struct { span, .. }) => {
+                let slot = UniformSlot { binding: place.binding, size: u64::from(*span) };
+                if reflection.uniform.replace(slot).is_some() {
+                    return Err("more than one uniform".to_string());
+                }
+            }
+            _ => return Err(format!("{name} is neither a storage array nor a uniform struct")),
+        }
+    }
+    reflection.arrays.sort_by_key(|slot| slot.binding);
+    Ok(reflection)
+}
+
+/// A kernel compiled for one device.
+pub(super) struct Kernel {
+    pub(super) name: &'static str,
+    pub(super) id: u64,
+    pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) layout: wgpu::BindGroupLayout,
+    pub(super) arrays: Vec<ArraySlot>,
+    pub(super) uniform: Option<UniformSlot>,
+    params: &'static StructLayout,
+    workgroup: u32,
+}
+
+impl Kernel {
+    /// Compiles `source`. What the driver refuses becomes a fault of `gpu` instead.
+    pub(super) fn new(gpu: &GpuExecutor, source: &'static KernelSource) -> Result<Kernel, KernelError> {
+        let Reflection { arrays, uniform, workgroup } = source.check()?;
+        let limits = gpu.limits();
+        if arrays.len() > limits.max_storage_buffers_per_shader_stage as usize
+            || workgroup > limits.max_compute_invocations_per_workgroup
+        {
+            let reason =
+                format!("needs {} arrays and workgroups of {workgroup}, more than the adapter has", arrays.len());
+            return Err(KernelError { kernel: format!("{}:{}", source.name, source.entry), reason });
+        }
+        let entry = |binding, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+            count: None,
+        };
+        let mut entries: Vec<wgpu::BindGroupLayoutEntry> = arrays
+            .iter()
+            .map(|slot| entry(slot.binding, wgpu::BufferBindingType::Storage { read_only: !slot.writable }, false))
+            .collect();
+        entries.extend(uniform.iter().map(|slot| entry(slot.binding, wgpu::BufferBindingType::Uniform, true)));
+        let device = gpu.device();
+        let label = Some(source.entry);
+        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label,
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label,
+            source: wgpu::ShaderSource::Wgsl(source.assembled().into()),
+        });
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label,
+            layout: Some(&pipeline_layout),
+            module: &module,
+            entry_point: Some(source.entry),
+            // Every kernel writes its workgroup memory before it reads it.
+            compilation_options: wgpu::PipelineCompilationOptions {
+                zero_initialize_workgroup_memory: false,
+                ..Default::default()
+            },
+            cache: None,
+        });
+        let id = gpu.new_id();
+        Ok(Kernel { name: source.entry, id, pipeline, layout, arrays, uniform, params: source.params, workgroup })
+    }
+
+    /// Adds a dispatch with at least `invocations` invocations to the commands of `gpu`; none for 0. Panics if bindings
+    /// or parameters are not those of the shader: a mistake in the wrapper, whatever the scene.
+    pub(super) fn dispatch<P: GpuStruct>(
+        &self,
+        gpu: &GpuExecutor,
+        bindings: &[Binding<'_>],
+        params: &P,
+        invocations: u64,
+    ) {
+        assert_eq!(*self.params, P::LAYOUT, "{}: parameters of another kernel", self.name);
+        assert_eq!(bindings.len(), self.arrays.len(), "{}: number of arrays", self.name);
+        let alignment = u64::from(gpu.limits().min_storage_buffer_offset_alignment);
+        for (binding, slot) in bindings.iter().zip(&self.arrays) {
+            assert!(binding.writable || !slot.writable, "{}: {} must be bound as writable", self.name, slot.name);
+            assert_eq!(binding.offset % alignment, 0, "{}: offset of {} cannot be bound", self.name, slot.name);
+            if binding.size > gpu.limits().max_storage_buffer_binding_size {
+                gpu.stop(format!(
+                    "array {} of kernel {} has {} bytes, {} binds at most {}: use more workers",
+                    slot.name,
+                    self.name,
+                    binding.size,
+                    gpu.adapter().describe(),
+                    gpu.limits().max_storage_buffer_binding_size
+                ));
+            }
+        }
+        let groups = invocations.div_ceil(u64::from(self.workgroup));
+        if groups > 0 {
+            gpu.dispatch(self, bindings, bytemuck::bytes_of(params), spread(groups));
+        }
+    }
+}
+
+/// `groups` workgroups as x * y, each at most 65,535, with few left over.
+fn spread(groups: u64) -> [u32; 2] {
+    let y = groups.div_ceil(MAX_GROUPS);
+    assert!(y <= MAX_GROUPS, "{groups} workgroups in one dispatch");
+    [groups.div_ceil(y) as u32, y as u32]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::layout::gpu_struct;
+    use std::path::{Path, PathBuf};
+
+    gpu_struct! {
+        struct Params { count: u32, factor: f32 }
+    }
+
+    const SAMPLE: &str = "
+        struct Params { count: u32, factor: f32 }
+        @group(0) @binding(3) var<uniform> params: Params;
+        @group(0) @binding(1) var<storage, read_write> out: array<f32>;
+        @group(0) @binding(0) var<storage, read> values: array<Packed3>;
+        @group(0) @binding(2) var<storage, read> unused: array<u32>;
+        @compute @workgroup_size(WORKGROUP)
+        fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+            let i = global_index(id, groups);
+            if (i < params.count) { out[i] = values[i].x * params.factor; }
+        }";
+
+    #[test]
+    fn bindings_and_sizes_come_from_the_text() {
+        let source = KernelSource::new::<Params>("sample.wgsl", SAMPLE, "main");
+        let found = source.check().unwrap();
+        let slot = |name: &str, binding, writable, stride| ArraySlot { name: name.into(), binding, writable, stride };
+        assert_eq!(found.arrays, [slot("values", 0, false, 12), slot("out", 1, true, 4)]);
+        assert_eq!(found.uniform, Some(UniformSlot { binding: 3, size: 8 }));
+        assert_eq!(found.workgroup, 128);
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        let error = |source: KernelSource| source.check().unwrap_err().to_string();
+        assert!(error(KernelSource::new::<Params>("s.wgsl", SAMPLE, "other")).contains("no compute entry point"));
+        assert!(error(KernelSource::new::<()>("s.wgsl", SAMPLE, "main")).contains("8 bytes of parameters"));
+        assert!(
+            error(KernelSource::new::<()>("s.wgsl", "\nfn broken( {", "main"))
+                .contains("s.wgsl:main is invalid: line 2: ")
+        );
+        let bad = "@compute @workgroup_size(1) fn main() {\n let x: u32 = 1.5; }";
+        assert!(error(KernelSource::new::<()>("s.wgsl", bad, "main")).contains("line 2: "));
+    }
+
+    #[test]
+    fn dispatches_spread_over_two_directions() {
+        assert_eq!(spread(1), [1, 1]);
+        assert_eq!(spread(65_535), [65_535, 1]);
+        assert_eq!(spread(65_536), [32_768, 2]);
+        let [x, y] = spread(1 << 26);
+        assert!(u64::from(x) * u64::from(y) >= 1 << 26 && u64::from(x) <= MAX_GROUPS);
+    }
+
+    /// Files ending in `.wgsl` under `folder`.
+    fn shaders(folder: &Path, found: &mut Vec<PathBuf>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                shaders(&path, found);
+            } else if path.extension().is_some_and(|e| e == "wgsl") {
+                found.push(path);
+            }
+        }
+    }
+
+    #[test]
+    fn every_shader_of_the_package_is_valid() {
+        let mut found = Vec::new();
+        shaders(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut found);
+        assert!(found.iter().any(|p| p.ends_with("gpu/prelude.wgsl")));
+        for path in found.iter().filter(|p| !p.ends_with("gpu/prelude.wgsl")) {
+            let text = std::fs::read_to_string(path).unwrap();
+            let mut parts = vec![PRELUDE.to_string()];
+            for needed in text.lines().filter_map(|line| line.strip_prefix("// needs ")) {
+                parts.push(std::fs::read_to_string(path.with_file_name(needed.trim())).unwrap());
+            }
+            parts.push(text.clone());
+            if let Err(reason) = validate(&parts.join("\n"), &text) {
+                panic!("{}: {reason}", path.display());
+            }
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! Packs the rows that other ranks read into a message. On a device: one kernel per vector, then one read.
+
+use super::gather_cpu;
+use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
+
+static GATHER: KernelSource = KernelSource::new::<GatherParams>("solver/gather.wgsl", include_str!("gather.wgsl"), "gather");
+
+gpu_struct! {
+    struct GatherParams { count: u32, first: u32, planes: u32, plane: u32 }
+}
+
+/// The gather kernel on one executor, for fixed rows.
+#[derive(Default)]
+pub struct Gather {
+    /// Rows and message on a device; made on first use, as large as it takes.
+    device: Option<(DeviceVec<u32>, DeviceVec<f32>)>,
+}
+
+impl Gather {
+    /// message[row of `rows`][vector] = the row's three values. Own rows begin at row `first` of the vectors; the rows must be
+    /// the same in every call.
+    pub fn apply(&mut self, executor: &Executor, rows: &[u32], first: usize, vectors: &[&DeviceVec<f32>], message: &mut [f32]) {
+        let planes = vectors.len();
+        assert_eq!(message.len(), rows.len() * planes * 3);
+        match executor {
+            Executor::Cpu(_) => {
+                let slices: Vec<&[f32]> = vectors.iter().map(|v| v.as_slice()).collect();
+                gather_cpu::gather(rows, first, &slices, message);
+            }
+            Executor::Gpu(gpu) => {
+                if self.device.as_ref().is_none_or(|(_, packed)| packed.len() < message.len()) {
+                    self.device = Some((DeviceVec::upload(executor, rows), DeviceVec::zeros(executor, message.len())));
+                }
+                let Some((device_rows, packed)) = &mut self.device else { return };
+                for (plane, vector) in vectors.iter().enumerate() {
+                    let params = GatherParams { count: rows.len() as u32, first: first as u32, planes: planes as u32, plane: plane as u32 };
+                    gpu.run(&GATHER, &[device_rows.binding(), vector.binding(), packed.binding_mut()], &params, rows.len() as u64);
+                }
+                packed.read_range(executor, 0, message);
+            }
+        }
+    }
+}

@@ -1,0 +1,132 @@
+// The vector work of a PCG iteration; vector_cpu.rs has the formulas. One workgroup per chunk of rows: its sums do not
+// depend on how many chunks the rank has. Each invocation sums its rows, then the workgroup adds along a fixed tree.
+
+struct VectorParams {
+    rows: u32,
+    chunk_rows: u32,
+    // Own rows begin here in u.
+    u_first: u32,
+    alpha: f32,
+    beta: f32,
+}
+
+const CHUNK_THREADS: u32 = 256u;
+// Sums of a chunk: r.u, r.r, w.u.
+const SUMS: u32 = 3u;
+
+@group(0) @binding(0) var<storage, read> b: array<Packed3>;
+@group(0) @binding(1) var<storage, read> w: array<Packed3>;
+@group(0) @binding(2) var<storage, read> inverse_diagonal: array<f32>;
+@group(0) @binding(3) var<storage, read_write> u: array<Packed3>;
+@group(0) @binding(4) var<storage, read_write> p: array<Packed3>;
+@group(0) @binding(5) var<storage, read_write> s: array<Packed3>;
+@group(0) @binding(6) var<storage, read_write> x: array<Packed3>;
+@group(0) @binding(7) var<storage, read_write> r: array<Packed3>;
+@group(0) @binding(8) var<storage, read> u_read: array<Packed3>;
+@group(0) @binding(9) var<storage, read_write> sums: array<f32>;
+@group(0) @binding(10) var<uniform> params: VectorParams;
+
+var<workgroup> partial: array<vec2<f32>, CHUNK_THREADS>;
+
+fn chunk_sum(local: u32, own: vec2<f32>) -> vec2<f32> {
+    partial[local] = own;
+    workgroupBarrier();
+    for (var step = CHUNK_THREADS / 2u; step > 0u; step /= 2u) {
+        if (local < step) {
+            partial[local] += partial[local + step];
+        }
+        workgroupBarrier();
+    }
+    return partial[0];
+}
+
+// inverse_diagonal * r for one row; sets r to 0 on a pinned row, which has a zero inverse.
+fn precondition(row: u32, residual: ptr<function, vec3<f32>>) -> vec3<f32> {
+    let at = row * 6u;
+    let xx = inverse_diagonal[at];
+    let xy = inverse_diagonal[at + 1u];
+    let xz = inverse_diagonal[at + 2u];
+    let yy = inverse_diagonal[at + 3u];
+    let yz = inverse_diagonal[at + 4u];
+    let zz = inverse_diagonal[at + 5u];
+    if (xx == 0.0) {
+        *residual = vec3<f32>(0.0);
+    }
+    let v = *residual;
+    return vec3<f32>(xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z, xz * v.x + yz * v.y + zz * v.z);
+}
+
+// Rows of a chunk: first and end.
+fn chunk_range(chunk: u32) -> vec2<u32> {
+    let first = min(chunk * params.chunk_rows, params.rows);
+    return vec2<u32>(first, min(first + params.chunk_rows, params.rows));
+}
+
+@compute @workgroup_size(CHUNK_THREADS)
+fn start(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let chunk = group_index(group, groups);
+    let rows = chunk_range(chunk);
+    var own = vec2<f32>(0.0);
+    for (var row = rows.x + local; row < rows.y; row += CHUNK_THREADS) {
+        var residual = unpacked(b[row]) - unpacked(w[row]);
+        let z = precondition(row, &residual);
+        r[row] = packed(residual);
+        u[params.u_first + row] = packed(z);
+        own += vec2<f32>(dot(residual, z), dot(residual, residual));
+    }
+    let sum = chunk_sum(local, own);
+    if (local == 0u && rows.x < rows.y) {
+        sums[chunk * SUMS] = sum.x;
+        sums[chunk * SUMS + 1u] = sum.y;
+    }
+}
+
+@compute @workgroup_size(CHUNK_THREADS)
+fn dot_product(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let chunk = group_index(group, groups);
+    let rows = chunk_range(chunk);
+    var own = vec2<f32>(0.0);
+    for (var row = rows.x + local; row < rows.y; row += CHUNK_THREADS) {
+        own.x += dot(unpacked(w[row]), unpacked(u_read[params.u_first + row]));
+    }
+    let sum = chunk_sum(local, own);
+    if (local == 0u && rows.x < rows.y) {
+        sums[chunk * SUMS + 2u] = sum.x;
+    }
+}
+
+@compute @workgroup_size(CHUNK_THREADS)
+fn update(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let chunk = group_index(group, groups);
+    let rows = chunk_range(chunk);
+    var own = vec2<f32>(0.0);
+    for (var row = rows.x + local; row < rows.y; row += CHUNK_THREADS) {
+        let direction = unpacked(u[params.u_first + row]) + params.beta * unpacked(p[row]);
+        let image = unpacked(w[row]) + params.beta * unpacked(s[row]);
+        p[row] = packed(direction);
+        s[row] = packed(image);
+        x[row] = packed(unpacked(x[row]) + params.alpha * direction);
+        var residual = unpacked(r[row]) - params.alpha * image;
+        let z = precondition(row, &residual);
+        r[row] = packed(residual);
+        u[params.u_first + row] = packed(z);
+        own += vec2<f32>(dot(residual, z), dot(residual, residual));
+    }
+    let sum = chunk_sum(local, own);
+    if (local == 0u && rows.x < rows.y) {
+        sums[chunk * SUMS] = sum.x;
+        sums[chunk * SUMS + 1u] = sum.y;
+    }
+}
