@@ -242,6 +242,7 @@ impl<R: BufRead> Body<R> {
         })
     }
 
+    /// Reads the next line that is not empty.
     fn ascii_record(&mut self, element: &ElementDef) -> Result<Record, String> {
         loop {
             self.words.clear();
@@ -255,8 +256,8 @@ impl<R: BufRead> Body<R> {
             }
         }
         let mut words = self.words.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty()).map(|word| {
-            let text = String::from_utf8_lossy(&word[..word.len().min(40)]);
-            text.parse::<f64>().map_err(|_| format!("`{text}` is not a number"))
+            let number = std::str::from_utf8(word).ok().and_then(|text| text.parse::<f64>().ok());
+            number.ok_or_else(|| format!("`{}` is not a number", String::from_utf8_lossy(&word[..word.len().min(40)])))
         });
         let mut next = || words.next().unwrap_or_else(|| Err("the line has too few values".into()));
         let mut record = Record::new();
@@ -265,8 +266,11 @@ impl<R: BufRead> Body<R> {
                 PropertyType::Scalar(_) => record.set(name, next()?),
                 PropertyType::List(..) => {
                     let count = next()?;
-                    let values: Result<Vec<f64>, String> = (0..count as u64).map(|_| next()).collect();
-                    record.set_list(name, values?.into_iter());
+                    let mut values = Vec::new();
+                    for _ in 0..count as u64 {
+                        values.push(next()?);
+                    }
+                    record.set_list(name, values.into_iter());
                 }
             }
         }

@@ -83,13 +83,16 @@ pub(super) fn check_surface(positions: &[Vec3], triangles: &[[u32; 3]]) -> Resul
     if let Some(t) = triangles.iter().position(is_flat) {
         return Err(MeshFault::ZeroArea(t + 1));
     }
-    check_edges(triangles)?;
+    check_edges(triangles, positions.len())?;
     Ok(used)
 }
 
 /// Sorts the directed edges; 8 bytes each, because this is the largest array while a mesh is read.
-fn check_edges(triangles: &[[u32; 3]]) -> Result<(), MeshFault> {
-    let mut edges: Vec<u64> = triangles
+fn check_edges(triangles: &[[u32; 3]], vertices: usize) -> Result<(), MeshFault> {
+    // There are v (v - 1) directed edges, each good for one triangle: more triangles repeat one, and the first so many
+    // show it. This bounds the memory for a file that repeats short faces.
+    let enough = triangles.len().min(vertices.saturating_mul(vertices - 1) / 3 + 1);
+    let mut edges: Vec<u64> = triangles[..enough]
         .iter()
         .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
         .map(|(from, to)| u64::from(from.min(to)) << 33 | u64::from(from.max(to)) << 1 | u64::from(from > to))
