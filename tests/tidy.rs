@@ -6,11 +6,13 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// Longest file in lines. The aim is 400; past this limit a file is split.
 const LINES_MAX: usize = 600;
 /// Where the project's own text lies, besides the files at the top.
-const FOLDERS: [&str; 10] = ["src", "bin", "tests", "examples", "benches", "docs", "scenes", "topology", "scripts", ".ci"];
+const FOLDERS: [&str; 10] =
+    ["src", "bin", "tests", "examples", "benches", "docs", "scenes", "topology", "scripts", ".ci"];
 
 /// A text file of the project; `path` is relative to the root, with slashes.
 struct Source {
@@ -38,7 +40,9 @@ impl Source {
 
 /// `use crate::x`, `crate::x::y` and `super::super::x` that name a module below the file's own in `order`.
 fn upward_imports(file: &Source, order: &[String]) -> Vec<String> {
-    let Some(inside) = file.path.strip_prefix("src/").and_then(|path| path.strip_suffix(".rs")) else { return Vec::new() };
+    let Some(inside) = file.path.strip_prefix("src/").and_then(|path| path.strip_suffix(".rs")) else {
+        return Vec::new();
+    };
     let parts: Vec<&str> = inside.split('/').filter(|part| *part != "mod").collect();
     let Some(own) = order.iter().position(|name| name == parts[0]) else { return Vec::new() };
     let code = blank(&file.text);
@@ -52,8 +56,13 @@ fn upward_imports(file: &Source, order: &[String]) -> Vec<String> {
     for (at, _) in code.match_indices(&climb) {
         used.extend(names_after(&code, at + climb.len()));
     }
-    let below = used.into_iter().filter(|(_, name)| order.iter().position(|other| other == name).is_some_and(|i| i > own));
-    below.map(|(at, name)| file.finding(at, &format!("{} imports {name}, which stands below it in src/lib.rs", order[own]))).collect()
+    let below =
+        used.into_iter().filter(|(_, name)| order.iter().position(|other| other == name).is_some_and(|i| i > own));
+    below
+        .map(|(at, name)| {
+            file.finding(at, &format!("{} imports {name}, which stands below it in src/lib.rs", order[own]))
+        })
+        .collect()
 }
 
 /// First path segments at `at`: one name, or those of a `{..}` group.
@@ -85,22 +94,22 @@ fn names_after(code: &str, at: usize) -> Vec<(usize, String)> {
 /// Module names in the order of `src/lib.rs`.
 fn module_order(lib: &str) -> Vec<String> {
     let code = blank(lib);
-    let declared = |line: &str| line.trim().trim_start_matches("pub ").strip_prefix("mod ")?.strip_suffix(';').map(str::to_string);
+    let declared =
+        |line: &str| line.trim().trim_start_matches("pub ").strip_prefix("mod ")?.strip_suffix(';').map(str::to_string);
     code.lines().filter_map(declared).collect()
 }
 
-/// A kernel `x.wgsl` without its host wrapper `x.rs` or its native twin `x_cpu.rs`. Files whose name says `prelude` hold
-/// what several kernels share.
+/// A kernel `x.wgsl` without its host wrapper `x.rs` or its native twin `x_cpu.rs`. Shader text without an entry point is
+/// shared by kernels and needs neither; probes of the executor itself (`src/gpu/*.wgsl`) simulate nothing and need no twin.
 fn lonely_kernels(files: &[Source]) -> Vec<String> {
     let paths: BTreeSet<&str> = files.iter().map(|file| file.path.as_str()).collect();
     let mut findings = Vec::new();
-    for path in &paths {
-        let Some(stem) = path.strip_suffix(".wgsl").filter(|stem| stem.starts_with("src/") && !stem.ends_with("prelude")) else { continue };
-        for sibling in [format!("{stem}.rs"), format!("{stem}_cpu.rs")] {
-            if !paths.contains(sibling.as_str()) {
-                findings.push(format!("{path}: {sibling} is missing"));
-            }
-        }
+    for file in files.iter().filter(|file| file.text.contains("@compute")) {
+        let Some(stem) = file.path.strip_suffix(".wgsl").filter(|stem| stem.starts_with("src/")) else { continue };
+        let probe = stem.strip_prefix("src/gpu/").is_some_and(|name| !name.contains('/'));
+        let siblings = [Some(format!("{stem}.rs")), (!probe).then(|| format!("{stem}_cpu.rs"))];
+        let missing = siblings.into_iter().flatten().filter(|sibling| !paths.contains(sibling.as_str()));
+        findings.extend(missing.map(|sibling| format!("{}: {sibling} is missing", file.path)));
     }
     findings
 }
@@ -123,10 +132,14 @@ fn unfinished(file: &Source) -> Vec<String> {
     let code = blank(&file.text);
     let mut findings = Vec::new();
     for word in ["todo!", "unimplemented!", "#[ignore"] {
-        findings.extend(code.match_indices(word).map(|(at, _)| file.finding(at, &format!("{word} is not for committed code"))));
+        findings.extend(
+            code.match_indices(word).map(|(at, _)| file.finding(at, &format!("{word} is not for committed code"))),
+        );
     }
     if file.path.starts_with("src/") {
-        findings.extend(code.match_indices("allow(dead_code").map(|(at, _)| file.finding(at, "dead code is removed, not allowed")));
+        findings.extend(
+            code.match_indices("allow(dead_code").map(|(at, _)| file.finding(at, "dead code is removed, not allowed")),
+        );
     }
     findings
 }
@@ -147,7 +160,10 @@ fn unknown_citations(file: &Source, bibliography: &str) -> Vec<String> {
         let rest = &file.text[open + 1..];
         let Some(close) = rest.find(']').filter(|close| *close < 300) else { continue };
         // A citation may go over a line's end inside a comment.
-        let flat: Vec<&str> = rest[..close].split_whitespace().filter(|word| !matches!(*word, "//" | "///" | "//!" | "#" | "*")).collect();
+        let flat: Vec<&str> = rest[..close]
+            .split_whitespace()
+            .filter(|word| !matches!(*word, "//" | "///" | "//!" | "#" | "*"))
+            .collect();
         for key in flat.join(" ").split(';').flat_map(keys_of) {
             if !bibliography.contains(&format!("{{{key},")) {
                 findings.push(file.finding(open, &format!("docs/references.bib has no entry {key}")));
@@ -160,16 +176,27 @@ fn unknown_citations(file: &Source, bibliography: &str) -> Vec<String> {
 /// Bibliography keys of one citation: "Narain et al. 2012, 2013" -> narain2012, narain2013; nothing if it is none.
 fn keys_of(citation: &str) -> Vec<String> {
     let citation = citation.trim();
-    let is_year = |word: &str| word.len() == 4 && (word.starts_with("19") || word.starts_with("20")) && word.bytes().all(|b| b.is_ascii_digit());
+    let is_year = |word: &str| {
+        word.len() == 4
+            && (word.starts_with("19") || word.starts_with("20"))
+            && word.bytes().all(|b| b.is_ascii_digit())
+    };
     let words: Vec<&str> = citation.split(' ').map(|word| word.trim_end_matches(',')).collect();
     let Some(first_year) = words.iter().position(|word| is_year(word)) else { return Vec::new() };
-    let name = |word: &str| word.starts_with(char::is_uppercase) && word.len() > 1 && word.chars().all(|c| c.is_alphabetic() || c == '-');
+    let name = |word: &str| {
+        word.starts_with(char::is_uppercase) && word.len() > 1 && word.chars().all(|c| c.is_alphabetic() || c == '-')
+    };
     let joins = |word: &str| matches!(word, "et" | "al." | "and" | "&") || name(word);
     if first_year == 0 || !name(words[0]) || !words[..first_year].iter().all(|word| joins(word)) {
         return Vec::new();
     }
     let surname = words[0].to_lowercase();
     words[first_year..].iter().take_while(|word| is_year(word)).map(|year| format!("{surname}{year}")).collect()
+}
+
+/// Commands without an example in the README.
+fn missing_commands<'a>(readme: &str, commands: &[&'a str]) -> Vec<&'a str> {
+    commands.iter().copied().filter(|name| !readme.contains(&format!("`loomtree {name} "))).collect()
 }
 
 /// Paths that exist on one machine only.
@@ -211,14 +238,21 @@ fn blank(text: &str) -> String {
 /// End of the comment, string or character that begins at `i`; `i` if none does.
 fn end_of_token(bytes: &[u8], i: usize) -> usize {
     let rest = &bytes[i..];
-    let find = |needle: &[u8], from: usize| rest[from..].windows(needle.len()).position(|w| w == needle).map(|p| from + p);
+    let find =
+        |needle: &[u8], from: usize| rest[from..].windows(needle.len()).position(|w| w == needle).map(|p| from + p);
     if rest.starts_with(b"//") {
         return i + find(b"\n", 0).unwrap_or(rest.len());
     }
     if rest.starts_with(b"/*") {
         let (mut depth, mut at) = (1, 2);
         while depth > 0 && at < rest.len() {
-            let (step, change) = if rest[at..].starts_with(b"/*") { (2, 1) } else if rest[at..].starts_with(b"*/") { (2, -1) } else { (1, 0) };
+            let (step, change) = if rest[at..].starts_with(b"/*") {
+                (2, 1)
+            } else if rest[at..].starts_with(b"*/") {
+                (2, -1)
+            } else {
+                (1, 0)
+            };
             depth += change;
             at += step;
         }
@@ -267,7 +301,8 @@ fn project() -> Vec<Source> {
         }
     }
     paths.sort();
-    let relative = |path: &Path| path.strip_prefix(root).map(|p| p.to_string_lossy().replace('\\', "/")).unwrap_or_default();
+    let relative =
+        |path: &Path| path.strip_prefix(root).map(|p| p.to_string_lossy().replace('\\', "/")).unwrap_or_default();
     // .git is a file in a linked checkout and holds a path by design.
     let own = paths.iter().filter(|path| relative(path) != ".git");
     own.filter_map(|path| Some(Source { path: relative(path), text: fs::read_to_string(path).ok()? })).collect()
@@ -285,7 +320,8 @@ fn assert_tidy(rule: impl Fn(&Source) -> Vec<String>) {
 }
 
 fn text_of(path: &str) -> String {
-    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path))
+        .unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
 // ---- the tree ----
@@ -329,6 +365,17 @@ fn no_file_names_a_path_of_one_machine() {
     assert_tidy(machine_paths);
 }
 
+#[test]
+fn the_readme_shows_every_command() {
+    let help = Command::new(env!("CARGO_BIN_EXE_loomtree")).arg("--help").output().expect("the program starts");
+    let help = String::from_utf8_lossy(&help.stdout);
+    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let commands: Vec<&str> =
+        listed.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").collect();
+    assert!(commands.contains(&"run"), "the help was not understood:\n{help}");
+    assert_eq!(missing_commands(&text_of("README.md"), &commands), [""; 0], "README.md has no example of them");
+}
+
 // ---- the rules on bad snippets ----
 
 fn order() -> Vec<String> {
@@ -339,7 +386,10 @@ fn order() -> Vec<String> {
 fn upward_imports_are_found() {
     assert_eq!(order(), ["math", "gpu", "solver", "output"]);
     let found = |path: &str, text: &str| upward_imports(&Source::new(path, text), &order());
-    assert_eq!(found("src/gpu/vec.rs", "//! x\nuse crate::solver::Pcg;\n"), ["src/gpu/vec.rs:2: gpu imports solver, which stands below it in src/lib.rs"]);
+    assert_eq!(
+        found("src/gpu/vec.rs", "//! x\nuse crate::solver::Pcg;\n"),
+        ["src/gpu/vec.rs:2: gpu imports solver, which stands below it in src/lib.rs"]
+    );
     assert_eq!(found("src/gpu.rs", "use crate::{math, solver::{Pcg, gpu}, output};").len(), 2);
     assert_eq!(found("src/gpu/mod.rs", "fn f() -> crate::output::Frame {}").len(), 1);
     assert_eq!(found("src/gpu/vec.rs", "use super::super::solver;").len(), 1);
@@ -350,8 +400,13 @@ fn upward_imports_are_found() {
 
 #[test]
 fn lonely_kernels_are_found() {
-    let files = ["src/solver/spmv.wgsl", "src/solver/spmv.rs", "src/gpu/prelude.wgsl"].map(|path| Source::new(path, ""));
-    assert_eq!(lonely_kernels(&files), ["src/solver/spmv.wgsl: src/solver/spmv_cpu.rs is missing"]);
+    let kernels = ["src/solver/spmv.wgsl", "src/solver/spmv.rs", "src/gpu/probe.wgsl"];
+    let mut files: Vec<Source> = kernels.iter().map(|path| Source::new(path, "@compute fn main() {}")).collect();
+    files.push(Source::new("src/gpu/prelude.wgsl", "fn helper() {}"));
+    assert_eq!(
+        lonely_kernels(&files),
+        ["src/solver/spmv.wgsl: src/solver/spmv_cpu.rs is missing", "src/gpu/probe.wgsl: src/gpu/probe.rs is missing"]
+    );
 }
 
 #[test]
@@ -377,13 +432,25 @@ fn long_files_are_found() {
 
 #[test]
 fn unknown_citations_are_found() {
-    let found = |text: &str| unknown_citations(&Source::new("src/a.rs", text), "@article{li2020,\n@article{narain2012,\n");
+    let found =
+        |text: &str| unknown_citations(&Source::new("src/a.rs", text), "@article{li2020,\n@article{narain2012,\n");
     // Years apart from names, so that these are no citations of this file.
     let with_year = |text: &str| text.replace("YEAR", "2020").replace("OTHER", "2012");
-    assert_eq!(found(&with_year("//! x [Li et al. YEAR, Sec. 3]\n//! [Nobody and Else YEAR,\n//! Fig. 2]")), ["src/a.rs:2: docs/references.bib has no entry nobody2020"]);
-    assert_eq!(found(&with_year("[Narain et al. OTHER, YEAR]")), ["src/a.rs:1: docs/references.bib has no entry narain2020"]);
+    assert_eq!(
+        found(&with_year("//! x [Li et al. YEAR, Sec. 3]\n//! [Nobody and Else YEAR,\n//! Fig. 2]")),
+        ["src/a.rs:2: docs/references.bib has no entry nobody2020"]
+    );
+    assert_eq!(
+        found(&with_year("[Narain et al. OTHER, YEAR]")),
+        ["src/a.rs:1: docs/references.bib has no entry narain2020"]
+    );
     assert_eq!(found(&with_year("[Li et al. YEAR; Missing OTHER]")).len(), 1);
     assert!(found("let a = [1, 2020]; [x.y](z 2020) [Vec; 2020] [See 12 of 2020]").is_empty());
+}
+
+#[test]
+fn missing_commands_are_found() {
+    assert_eq!(missing_commands("| `run` | `loomtree run x.toml` |", &["run", "doctor"]), ["doctor"]);
 }
 
 #[test]
