@@ -176,10 +176,12 @@ fn unknown_citations(file: &Source, bibliography: &str) -> Vec<String> {
 /// Bibliography keys of one citation: "Narain et al. 2012, 2013" -> narain2012, narain2013; nothing if it is none.
 fn keys_of(citation: &str) -> Vec<String> {
     let citation = citation.trim();
+    // 2020, or 2020b for a second paper of that name and year.
     let is_year = |word: &str| {
-        word.len() == 4
-            && (word.starts_with("19") || word.starts_with("20"))
-            && word.bytes().all(|b| b.is_ascii_digit())
+        let digits = word.strip_suffix(|c: char| c.is_ascii_lowercase()).unwrap_or(word);
+        digits.len() == 4
+            && (digits.starts_with("19") || digits.starts_with("20"))
+            && digits.bytes().all(|b| b.is_ascii_digit())
     };
     let words: Vec<&str> = citation.split(' ').map(|word| word.trim_end_matches(',')).collect();
     let Some(first_year) = words.iter().position(|word| is_year(word)) else { return Vec::new() };
@@ -197,6 +199,12 @@ fn keys_of(citation: &str) -> Vec<String> {
 /// Commands without an example in the README.
 fn missing_commands<'a>(readme: &str, commands: &[&'a str]) -> Vec<&'a str> {
     commands.iter().copied().filter(|name| !readme.contains(&format!("`loomtree {name} "))).collect()
+}
+
+/// Names in the first column of a Markdown table, among `known`, in the order of their rows.
+fn rows_of<'a>(markdown: &'a str, known: &[String]) -> Vec<&'a str> {
+    let name = |line: &'a str| line.strip_prefix("| `")?.split_once("` |").map(|(name, _)| name);
+    markdown.lines().filter_map(name).filter(|name| known.iter().any(|other| other == name)).collect()
 }
 
 /// Paths that exist on one machine only.
@@ -376,6 +384,12 @@ fn the_readme_shows_every_command() {
     assert_eq!(missing_commands(&text_of("README.md"), &commands), [""; 0], "README.md has no example of them");
 }
 
+#[test]
+fn the_architecture_page_shows_every_module_in_order() {
+    let order = module_order(&text_of("src/lib.rs"));
+    assert_eq!(rows_of(&text_of("ARCHITECTURE.md"), &order), order, "table of modules in ARCHITECTURE.md");
+}
+
 // ---- the rules on bad snippets ----
 
 fn order() -> Vec<String> {
@@ -445,12 +459,19 @@ fn unknown_citations_are_found() {
         ["src/a.rs:1: docs/references.bib has no entry narain2020"]
     );
     assert_eq!(found(&with_year("[Li et al. YEAR; Missing OTHER]")).len(), 1);
+    assert_eq!(found(&with_year("[Li et al. YEARb]")), ["src/a.rs:1: docs/references.bib has no entry li2020b"]);
     assert!(found("let a = [1, 2020]; [x.y](z 2020) [Vec; 2020] [See 12 of 2020]").is_empty());
 }
 
 #[test]
 fn missing_commands_are_found() {
     assert_eq!(missing_commands("| `run` | `loomtree run x.toml` |", &["run", "doctor"]), ["doctor"]);
+}
+
+#[test]
+fn missing_and_misplaced_modules_are_found() {
+    let table = "| Module | |\n|---|---|\n| `gpu` | x |\n| `math` | x |\n| `coming` | x |\n";
+    assert_eq!(rows_of(table, &order()), ["gpu", "math"]);
 }
 
 #[test]
