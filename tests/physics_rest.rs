@@ -1,0 +1,178 @@
+//! Shapes at rest with known answers: a hanging strip, a catenary, a cantilever under its own weight, a fabric stiffer along
+//! the warp than along the weft. The cloth is released and steps are long, so that backward Euler itself brings it to rest;
+//! nothing here is about the way there.
+
+mod support;
+
+use loomtree::math::Vec3;
+use loomtree::scene::Scene;
+use support::physics::{DOWN, GRAVITY_M_S2, OneRank, TIGHT, strip, uniform_fabric};
+use support::scene;
+
+/// Elongation of a strip of `length_m` hung by its end, warp or weft along gravity, m.
+fn elongation(stretching_n_m: [f64; 4], density_kg_m2: f64, length_m: f32, weft: bool) -> f64 {
+    let cells = 20;
+    let mut mesh = strip(cells, length_m / cells as f32, Vec3::NEG_Z);
+    if weft {
+        mesh.material_uv.iter_mut().flatten().for_each(|p| *p = loomtree::math::Vec2::new(-p.y, p.x));
+    }
+    let mut scene = scene(mesh, uniform_fabric(stretching_n_m, 0.0, density_kg_m2), &[0, 1], 0.02, DOWN);
+    scene.settings.relative_tolerance = TIGHT;
+    let mut cloth = OneRank::new(&scene);
+    cloth.settle(1e-6, 400);
+    let tip = &cloth.positions()[2 * cells..];
+    assert!((tip[0].z - tip[1].z).abs() < 0.01 * (tip[0].z + length_m).abs(), "the end stays level: {tip:?}");
+    f64::from(-0.5 * (tip[0].z + tip[1].z) - length_m)
+}
+
+/// Strain grows linearly from the free end: tip elongation (rho g h) L^2 / (2 E h) for Poisson's ratio 0.
+#[test]
+fn a_hanging_strip_stretches_by_its_weight() {
+    // The largest strain of 0.2 % makes a Green-strain material stiffer by as much; f32 positions add 0.01 %.
+    const RELATIVE: f64 = 5e-3;
+    let (eh, density, length) = (1000.0, 0.2, 1.0);
+    let expected = density * f64::from(GRAVITY_M_S2) * length * length / (2.0 * eh);
+    let measured = elongation([eh, 0.0, eh, 2.0 * eh], density, length as f32, false);
+    assert!((measured / expected - 1.0).abs() < RELATIVE, "{measured} m instead of {expected} m");
+}
+
+#[test]
+fn a_stiff_warp_stretches_less_by_the_ratio_of_the_table() {
+    // As above: finite strain.
+    const RELATIVE: f64 = 1e-2;
+    let table = [800.0, 0.0, 200.0, 150.0];
+    let ratio = elongation(table, 0.1, 0.5, true) / elongation(table, 0.1, 0.5, false);
+    assert!((ratio / (table[0] / table[2]) - 1.0).abs() < RELATIVE, "{ratio}");
+}
+
+/// Root of a function that changes its sign between `low` and `high`.
+fn bisect(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> f64 {
+    let rising = f(high) > 0.0;
+    for _ in 0..200 {
+        let middle = 0.5 * (low + high);
+        if (f(middle) > 0.0) == rising { high = middle } else { low = middle }
+    }
+    0.5 * (low + high)
+}
+
+/// A strip without bending stiffness held at both ends hangs in a catenary: z = a cosh(x / a), L = 2 a sinh(S / 2a).
+#[test]
+fn a_strip_held_at_both_ends_hangs_in_a_catenary() {
+    // Of the span: tension stretches the strip by at most 0.1 %, and 40 chords are shorter than the arc by 0.02 %.
+    const OF_SPAN: f64 = 3e-3;
+    let (cells, span_m, density, eh) = (40, 1.0, 0.1, 2000.0);
+    for length_m in [1.05, 1.2, 1.5, 2.0] {
+        let mut mesh = strip(cells, (length_m / cells as f64) as f32, Vec3::X);
+        // Start: an arc of a circle through both supports.
+        let half_angle = bisect(1e-6, 3.1, |angle| angle.sin() / angle - span_m / length_m);
+        let radius = length_m / (2.0 * half_angle);
+        let arc = |i: usize| length_m * ((i / 2) as f64 / cells as f64 - 0.5);
+        for (i, x) in mesh.positions.iter_mut().enumerate() {
+            let angle = arc(i) / radius;
+            (x.x, x.z) = ((radius * angle.sin()) as f32, (radius * (half_angle.cos() - angle.cos())) as f32);
+        }
+        let ends = [0, 1, 2 * cells as u32, 2 * cells as u32 + 1];
+        let mut scene = scene(mesh, uniform_fabric([eh, 0.0, eh, 2.0 * eh], 0.0, density), &ends, 0.1, DOWN);
+        scene.settings.relative_tolerance = TIGHT;
+        scene.settings.max_iterations = 2000;
+        let mut cloth = OneRank::new(&scene);
+        cloth.settle(1e-4, 300);
+
+        let a = bisect(0.05, 20.0, |a| 2.0 * a * (span_m / (2.0 * a)).sinh() - length_m);
+        for (i, x) in cloth.positions().iter().enumerate() {
+            let s = arc(i);
+            let (expected_x, expected_z) = (a * (s / a).asinh(), a.hypot(s) - a.hypot(0.5 * length_m));
+            let error = (f64::from(x.x) - expected_x).hypot(f64::from(x.z) - expected_z);
+            assert!(error < OF_SPAN * span_m, "length {length_m} m, vertex {i}: {error} m from the catenary");
+        }
+    }
+}
+
+/// Tip of a heavy elastica clamped level, D theta'' = -w (L - s) cos theta, theta(0) = 0, theta'(L) = 0, by shooting with
+/// classical Runge-Kutta: (x, drop) over L for Gamma = w L^3 / D.
+fn heavy_elastica(gamma: f64) -> [f64; 2] {
+    let shoot = |curvature: f64| {
+        let steps = 2000;
+        let h = 1.0 / f64::from(steps);
+        let rate = |s: f64, y: [f64; 4]| [y[1], -gamma * (1.0 - s) * y[0].cos(), y[0].cos(), y[0].sin()];
+        let mut y = [0.0, curvature, 0.0, 0.0];
+        for i in 0..steps {
+            let s = f64::from(i) * h;
+            let along = |k: [f64; 4], by: f64| std::array::from_fn(|c| y[c] + by * k[c]);
+            let k1 = rate(s, y);
+            let k2 = rate(s + 0.5 * h, along(k1, 0.5 * h));
+            let k3 = rate(s + 0.5 * h, along(k2, 0.5 * h));
+            let k4 = rate(s + h, along(k3, h));
+            y = std::array::from_fn(|c| y[c] + h / 6.0 * (k1[c] + 2.0 * k2[c] + 2.0 * k3[c] + k4[c]));
+        }
+        y
+    };
+    // The moment at the clamp of the undeformed strip is the largest possible one.
+    let y = shoot(bisect(0.0, 0.5 * gamma + 1e-9, |curvature| shoot(curvature)[1]));
+    [y[2], y[3]]
+}
+
+#[test]
+fn the_heavy_elastica_agrees_with_the_published_table() {
+    let Some(data) = std::env::var_os("LOOMTREE_TEST_DATA") else {
+        println!("skipped: LOOMTREE_TEST_DATA is not set");
+        return;
+    };
+    let table = std::path::Path::new(&data).join("reference-curves/heavy_elastica_cantilever.csv");
+    let text = std::fs::read_to_string(&table).unwrap();
+    for line in text.lines().skip(1).step_by(10) {
+        let row: Vec<f64> = line.split(',').map(|v| v.parse().unwrap()).collect();
+        // Gamma, x / L, drop / L. Beyond 100 a strip hangs almost straight down.
+        if row[0] < 100.0 {
+            let [x, drop] = heavy_elastica(row[0]);
+            assert!((x - row[1]).abs() < 1e-6 && (drop - row[2]).abs() < 1e-6, "Gamma {}: {x} {drop}", row[0]);
+        }
+    }
+}
+
+const CANTILEVER_M: f64 = 0.25;
+const CANTILEVER_KG_M2: f64 = 0.2;
+
+/// A strip with two pairs of vertices held: the hinge over the second pair stands for the curvature between the middles of the
+/// cells beside it, so the clamp lies in the middle of the first cell and `cells` - 1/2 cells are free.
+fn cantilever(cells: usize, gamma: f64) -> (Scene, f64) {
+    let cell_m = CANTILEVER_M / (cells as f64 - 0.5);
+    // Hinges across the strip on a grid of cell h: torsion stiffness ke l^2 / (4a) with l = h, a = h^2, that is ke / 4, at the
+    // angle kappa h; energy per area ke kappa^2 / 8 = D kappa^2 / 2, hence ke = 4 D. Diagonals do not fold in a cylinder.
+    let flexural_n_m = CANTILEVER_KG_M2 * f64::from(GRAVITY_M_S2) * CANTILEVER_M.powi(3) / gamma;
+    let eh = 400.0;
+    let fabric = uniform_fabric([eh, 0.0, eh, 2.0 * eh], 4.0 * flexural_n_m, CANTILEVER_KG_M2);
+    let mut scene = scene(strip(cells, cell_m as f32, Vec3::X), fabric, &[0, 1, 2, 3], 0.1, DOWN);
+    scene.settings.relative_tolerance = TIGHT;
+    scene.settings.max_iterations = 2000;
+    (scene, cell_m)
+}
+
+#[test]
+fn a_cantilever_converges_to_the_heavy_elastica() {
+    // Of the drop, at 8, 16 and 32 cells; the error of the chords falls with the square of the cell.
+    const DROP_RELATIVE: [f64; 3] = [3e-2, 1e-2, 5e-3];
+    const CHORD_DEG: f64 = 0.3;
+    for gamma in [1.0, 8.0, 30.0] {
+        let [x, drop] = heavy_elastica(gamma);
+        let mut errors = Vec::new();
+        for (cells, bound) in [8, 16, 32].into_iter().zip(DROP_RELATIVE) {
+            let (scene, cell_m) = cantilever(cells, gamma);
+            let mut cloth = OneRank::new(&scene);
+            cloth.settle(1e-4, 300);
+            let positions = cloth.positions();
+            let tip = (positions[2 * cells].as_dvec3() + positions[2 * cells + 1].as_dvec3()) * 0.5;
+            let measured = [(tip.x - 0.5 * cell_m) / CANTILEVER_M, -tip.z / CANTILEVER_M];
+            let error = measured[1] / drop - 1.0;
+            println!("Gamma {gamma}, {cells} cells: drop {:.5} L, {:+.3} %", measured[1], 100.0 * error);
+            assert!(error.abs() < bound, "Gamma {gamma}, {cells} cells: drop {} L instead of {drop} L", measured[1]);
+            if cells == 32 {
+                let chord_deg = |x: f64, drop: f64| drop.atan2(x).to_degrees();
+                let off = chord_deg(measured[0], measured[1]) - chord_deg(x, drop);
+                assert!(off.abs() < CHORD_DEG, "Gamma {gamma}: chord off by {off} deg");
+            }
+            errors.push(error.abs());
+        }
+        assert!(errors[2] < errors[0], "Gamma {gamma}: refining does not help: {errors:?}");
+    }
+}
