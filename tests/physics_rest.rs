@@ -73,7 +73,8 @@ fn a_strip_held_at_both_ends_hangs_in_a_catenary() {
             (x.x, x.z) = ((radius * angle.sin()) as f32, (radius * (half_angle.cos() - angle.cos())) as f32);
         }
         let ends = [0, 1, 2].map(|i| [i, (ACROSS * cells) as u32 + i]);
-        let mut scene = scene(mesh, uniform_fabric([eh, 0.0, eh, 2.0 * eh], 0.0, density), ends.as_flattened(), 0.02, DOWN);
+        let mut scene =
+            scene(mesh, uniform_fabric([eh, 0.0, eh, 2.0 * eh], 0.0, density), ends.as_flattened(), 0.02, DOWN);
         scene.settings.relative_tolerance = TO_REST;
         scene.settings.air_drag_kg_m2_s = 2.0 * density * SWING_RAD_S;
         let mut cloth = OneRank::new(&scene);
@@ -144,37 +145,48 @@ fn cantilever(cells: usize, gamma: f64) -> (Scene, f64) {
     let eh = 400.0;
     let fabric = uniform_fabric([eh, 0.0, eh, 2.0 * eh], 4.0 * flexural_n_m, CANTILEVER_KG_M2);
     let mut scene = scene(strip(cells, cell_m as f32, Vec3::X), fabric, &[0, 1, 2, 3, 4, 5], 0.03, DOWN);
-    scene.settings.relative_tolerance = TO_REST;
+    // Tighter than elsewhere: next to the membrane's rounding noise the bending moments are small.
+    scene.settings.relative_tolerance = 1e-5;
     scene.settings.max_iterations = 1000;
     scene.settings.air_drag_kg_m2_s = 2.0 * CANTILEVER_KG_M2 * SWING_RAD_S;
     (scene, cell_m)
 }
 
-#[test]
-fn a_cantilever_converges_to_the_heavy_elastica() {
-    // Of the drop, at 8, 16 and 32 cells; the error of the chords falls with the square of the cell.
-    const DROP_RELATIVE: [f64; 3] = [3e-2, 1e-2, 5e-3];
+/// The drop at 5, 10 and 20 cells against the heavy elastica; the chord angle at the finest.
+fn refine_cantilever(gamma: f64) {
+    // Chords instead of a curve, hinges at held corners, up to 0.1 % of stretching and as much of a rest of motion.
+    const DROP_RELATIVE: [f64; 3] = [6e-2, 1.5e-2, 6e-3];
     const CHORD_DEG: f64 = 0.3;
-    for gamma in [1.0, 8.0, 30.0] {
-        let [x, drop] = heavy_elastica(gamma);
-        let mut errors = Vec::new();
-        for (cells, bound) in [8, 16, 32].into_iter().zip(DROP_RELATIVE) {
-            let (scene, cell_m) = cantilever(cells, gamma);
-            let mut cloth = OneRank::new(&scene);
-            cloth.settle(1e-4, 300);
-            let positions = cloth.positions();
-            let tip = positions[ACROSS * cells + 1].as_dvec3();
-            let measured = [(tip.x - 0.5 * cell_m) / CANTILEVER_M, -tip.z / CANTILEVER_M];
-            let error = measured[1] / drop - 1.0;
-            println!("Gamma {gamma}, {cells} cells: drop {:.5} L, {:+.3} %", measured[1], 100.0 * error);
-            assert!(error.abs() < bound, "Gamma {gamma}, {cells} cells: drop {} L instead of {drop} L", measured[1]);
-            if cells == 32 {
-                let chord_deg = |x: f64, drop: f64| drop.atan2(x).to_degrees();
-                let off = chord_deg(measured[0], measured[1]) - chord_deg(x, drop);
-                assert!(off.abs() < CHORD_DEG, "Gamma {gamma}: chord off by {off} deg");
-            }
-            errors.push(error.abs());
-        }
-        assert!(errors[2] < errors[0], "Gamma {gamma}: refining does not help: {errors:?}");
+    let [x, drop] = heavy_elastica(gamma);
+    let mut errors = [0.0; 3];
+    for (i, cells) in [5, 10, 20].into_iter().enumerate() {
+        let (scene, cell_m) = cantilever(cells, gamma);
+        let mut cloth = OneRank::new(&scene);
+        cloth.settle(1e-4, 400);
+        let tip = cloth.positions()[ACROSS * cells + 1].as_dvec3();
+        let measured = [(tip.x - 0.5 * cell_m) / CANTILEVER_M, -tip.z / CANTILEVER_M];
+        errors[i] = measured[1] / drop - 1.0;
+        println!("Gamma {gamma}, {cells} cells: drop {:.5} L, {:+.3} %", measured[1], 100.0 * errors[i]);
+        assert!(errors[i].abs() < DROP_RELATIVE[i], "Gamma {gamma}, {cells} cells: {} L, not {drop} L", measured[1]);
+        let off_deg = (measured[1].atan2(measured[0]) - drop.atan2(x)).to_degrees();
+        assert!(i < 2 || off_deg.abs() < CHORD_DEG, "Gamma {gamma}: chord off by {off_deg} deg");
     }
+    assert!(errors[2].abs() < 0.5 * errors[0].abs(), "Gamma {gamma}: refining does not help: {errors:?}");
+}
+
+/// Small deflections: the drop is Gamma / 8 L but for 1.2 %, so a wrong factor of the bending stiffness shows as itself.
+#[test]
+fn a_stiff_cantilever_converges_to_the_heavy_elastica() {
+    refine_cantilever(1.0);
+}
+
+/// The angle of 41.5 degrees of Peirce's cantilever test.
+#[test]
+fn a_bent_cantilever_converges_to_the_heavy_elastica() {
+    refine_cantilever(8.0);
+}
+
+#[test]
+fn a_hanging_cantilever_converges_to_the_heavy_elastica() {
+    refine_cantilever(30.0);
 }

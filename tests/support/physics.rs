@@ -79,7 +79,11 @@ impl OneRank {
     pub fn step(&mut self) -> StepStats {
         self.steps += 1;
         let stats = self.simulation.step(&mut self.transport, self.steps, false).unwrap();
-        assert!(stats.converged, "step {}: residual {} after {} iterations", self.steps, stats.residual, stats.iterations);
+        assert!(
+            stats.converged,
+            "step {}: residual {} after {} iterations",
+            self.steps, stats.residual, stats.iterations
+        );
         stats
     }
 
