@@ -129,9 +129,9 @@ pub fn run(
     Ok(())
 }
 
-/// Values of the longest message: three per vertex of the longest row block.
+/// Values of the longest message: position and velocity of every vertex of the longest row block.
 fn longest_message(vertices: usize, workers: usize) -> usize {
-    vertices.div_ceil(workers).saturating_mul(3)
+    vertices.div_ceil(workers).saturating_mul(6)
 }
 
 /// What a cloth of `triangles` needs. A large triangle mesh has half as many vertices as triangles (and a few more along

@@ -4,7 +4,7 @@
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
 use crate::integrator::pins::RankPin;
 use crate::math::{Vec2, Vec3};
-use crate::mesh::{hinges, locality_order};
+use crate::mesh::{hinges, locality_order, ordering_coordinates};
 use crate::scene::{Motion, Scene, Settings};
 
 /// The cloth in global order.
@@ -35,7 +35,7 @@ impl GlobalModel {
     /// Orders the vertices and builds the elements. The scene has passed its checks.
     pub fn new(scene: &Scene) -> GlobalModel {
         let mesh = &scene.mesh;
-        let original_from_global = locality_order(&ordering_coordinates(scene));
+        let original_from_global = locality_order(&ordering_coordinates(mesh));
         let mut global_from_original = vec![0u32; original_from_global.len()];
         for (global, &original) in original_from_global.iter().enumerate() {
             global_from_original[original as usize] = global as u32;
@@ -89,23 +89,6 @@ impl GlobalModel {
     pub fn rows(&self) -> usize {
         self.masses.len()
     }
-}
-
-/// What the order is made from: material coordinates of a single sheet (independent of how it is draped at the start),
-/// else start positions.
-fn ordering_coordinates(scene: &Scene) -> Vec<Vec3> {
-    let mesh = &scene.mesh;
-    let mut uv: Vec<Option<Vec2>> = vec![None; mesh.positions.len()];
-    for (corners, coordinates) in mesh.triangles.iter().zip(&mesh.material_uv) {
-        for (&v, &p) in corners.iter().zip(coordinates) {
-            match uv[v as usize] {
-                None => uv[v as usize] = Some(p),
-                Some(q) if q == p => {}
-                Some(_) => return mesh.positions.clone(),
-            }
-        }
-    }
-    uv.iter().map(|p| p.map_or(Vec3::ZERO, |p| Vec3::new(p.x, p.y, 0.0))).collect()
 }
 
 fn rest_area(uv: &[Vec2; 3]) -> f64 {

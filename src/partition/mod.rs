@@ -26,11 +26,9 @@ impl RowPartition {
     /// Splits `rows` rows over `ranks` ranks. Panics unless `1 <= ranks <= rows` (callers check user input first).
     pub fn new(rows: usize, ranks: usize) -> RowPartition {
         assert!(ranks >= 1 && ranks <= rows, "{ranks} ranks cannot share {rows} rows");
-        let mut chunk_rows = rows.div_ceil(CHUNKS_MAX).max(1);
-        // Tiny systems: more ranks than chunks would leave ranks without rows.
-        while rows.div_ceil(chunk_rows) < ranks {
-            chunk_rows -= 1;
-        }
+        let chunk_rows = rows.div_ceil(CHUNKS_MAX);
+        // More than CHUNKS_MAX / 2 chunks, or one per row: enough for every rank to own rows.
+        assert!(ranks <= CHUNKS_MAX / 2, "{ranks} ranks are too many");
         RowPartition { rows, chunk_rows, ranks }
     }
 

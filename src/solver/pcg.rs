@@ -15,6 +15,9 @@ use crate::partition::RowPartition;
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
+/// Size of rounding errors in p'Ap relative to its terms: f32 vectors, recurrences over hundreds of iterations.
+const ROUNDING: f64 = 1e-4;
+
 /// When to stop.
 #[derive(Clone, Copy, Debug)]
 pub struct PcgParams {
@@ -142,7 +145,12 @@ impl Pcg {
             let beta = if iteration == 0 { 0.0 } else { gamma / gamma_old };
             let curvature = if iteration == 0 { delta } else { delta - beta * gamma / alpha_old };
             if curvature <= 0.0 {
-                return Err(PcgError::NotPositiveDefinite { iteration, curvature });
+                // The recurrence for p'Ap cancels; a negative value of the size of its rounding says that f32 has given what it
+                // can for this matrix, not that the matrix is indefinite.
+                if curvature.abs() > ROUNDING * delta {
+                    return Err(PcgError::NotPositiveDefinite { iteration, curvature });
+                }
+                return Ok(PcgInfo { iterations: iteration, relative_residual: relative, converged, start_residual, products });
             }
             let alpha = gamma / curvature;
             let start = recorder.now();
