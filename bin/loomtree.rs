@@ -1,1 +1,63 @@
-fn main(){}
+//! The front door: parses the command line, calls the library, maps errors to exit codes.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use loomtree::cli::{self, CliError};
+use loomtree::coordinator::Launch;
+
+/// Distributed simulator for very large cloth: one worker process per (simulated) GPU.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Simulate a scene on N workers
+    Run(cli::run::RunArgs),
+    /// Show the work queues for a topology
+    Schedule(cli::schedule::ScheduleArgs),
+    /// Check a scene or a mesh
+    Check(cli::check::CheckArgs),
+    /// Draw the frames of a run as PNG
+    Render(cli::render::RenderArgs),
+    /// Show adapters, cores, shared memory and what dead runs have left
+    Doctor(cli::doctor::DoctorArgs),
+    /// Measure this program on this machine
+    Bench(cli::bench::BenchArgs),
+    /// A worker process; started by `loomtree run`
+    #[command(hide = true)]
+    Worker(cli::worker::WorkerArgs),
+}
+
+fn main() -> ExitCode {
+    cli::start_log();
+    let result = match Arguments::parse().command {
+        Command::Run(args) => cli::run::run(args, Launch::Spawn),
+        Command::Schedule(args) => cli::schedule::run(args),
+        Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
+        Command::Render(args) => cli::render::run(args),
+        Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
+        Command::Bench(args) => cli::bench::run(args),
+        Command::Worker(args) => cli::worker::run(args),
+    };
+    cli::exit_code(result)
+}
+
+/// Adapters by the number that --adapter takes.
+fn adapter_lines() -> Vec<String> {
+    let lines = loomtree::gpu::adapters().into_iter().enumerate().map(|(number, adapter)| {
+        let mib = |bytes: u64| bytes >> 20;
+        let (binding, buffer) = (mib(adapter.max_binding_bytes), mib(adapter.max_buffer_bytes));
+        format!("{number}: {}, at most {binding} MiB per binding, {buffer} MiB per buffer", adapter.describe())
+    });
+    lines.collect()
+}
+
+fn triangles_of(path: &std::path::Path) -> Result<usize, CliError> {
+    let scene = loomtree::scene::load(path, &Default::default()).map_err(CliError::bad_input)?;
+    Ok(scene.mesh.triangles.len())
+}

@@ -90,6 +90,8 @@ pub struct StepStats {
     pub state_bytes: u64,
     /// Bytes of device memory this rank holds.
     pub memory_bytes: u64,
+    /// Peak resident memory of this process, bytes; 0 where the system does not tell.
+    pub resident_bytes: u64,
     /// Stage times.
     pub seconds: StageSeconds,
 }
@@ -217,10 +219,12 @@ impl Simulation {
         // 3. Assembly elements.
         self.element_records();
         clock.lap(&mut seconds.elements);
+        transport.alive()?;
 
         // 4. Matrix, right-hand side, preconditioner of the own rows.
         self.fill_matrix();
         clock.lap(&mut seconds.value_fill);
+        transport.alive()?;
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.vectors.x.fill_zero(&self.executor);
@@ -255,8 +259,26 @@ impl Simulation {
             spmv_bytes: self.spmv.traffic.received_bytes,
             state_bytes,
             memory_bytes: self.memory_bytes(),
+            resident_bytes: peak_resident_bytes(),
             seconds,
         })
+    }
+
+    /// Times `repeat` products of the current matrix on a single rank: seconds of each, and the bytes that one moves.
+    pub fn time_products(&mut self, repeat: u32) -> Result<(Vec<f64>, u64), TransportError> {
+        let mut alone = crate::transport::SoloTransport::new(Box::new(|| false));
+        let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
+        let mut seconds = Vec::new();
+        for _ in 0..=repeat {
+            let start = Instant::now();
+            self.spmv.apply(&self.executor, &mut alone, &self.matrix, &mut self.vectors.u, &mut y, &mut self.recorder)?;
+            self.executor.finish();
+            seconds.push(start.elapsed().as_secs_f64());
+        }
+        // The first one warms up.
+        seconds.remove(0);
+        let bytes = (0..self.matrix.sections.len()).map(|section| self.matrix.section_bytes(section)).sum::<u64>() + y.bytes();
+        Ok((seconds, bytes))
     }
 
     /// Own rows' positions and velocities, xyz in global order.
@@ -359,6 +381,13 @@ impl Simulation {
         }
         StepError::Solve { step, cause }
     }
+}
+
+/// High-water mark of this process's resident memory.
+fn peak_resident_bytes() -> u64 {
+    let Ok(status) = std::fs::read_to_string("/proc/self/status") else { return 0 };
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    line.and_then(|line| line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok()).map_or(0, |kilobytes| kilobytes * 1024)
 }
 
 /// Splits a step's time into stages.

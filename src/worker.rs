@@ -12,8 +12,9 @@ use crate::gpu::Executor;
 use crate::model::{RankArrays, RankModel};
 use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Simulation, StepError};
-use crate::transport::message::{MessageError, decode, encode};
-use crate::transport::{ControlError, ControlWorker, IceoryxOptions, IceoryxTransport, InProcessTransport, RunError, RunName, Transport};
+use crate::transport::{
+    ControlError, ControlWorker, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName, SoloTransport, Transport, decode, encode,
+};
 
 /// How long a worker waits for the coordinator when it starts or reports, seconds.
 const COORDINATOR_PATIENCE: Duration = Duration::from_secs(60);
@@ -163,9 +164,7 @@ fn failure_of(error: StepError) -> WorkerFailure {
 fn connect(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup) -> Result<Box<dyn Transport>, WorkerError> {
     let hook = inbox.clone();
     if setup.ranks == 1 {
-        let mut alone = InProcessTransport::group(1);
-        let mut transport = alone.pop().expect("a group of one");
-        transport.set_on_wait(Box::new(move || hook.should_stop()));
+        let transport = SoloTransport::new(Box::new(move || hook.should_stop()));
         return Ok(Box::new(transport));
     }
     let options = IceoryxOptions { rank, ranks: setup.ranks, max_len: setup.max_message_values, deadline: Duration::from_secs_f64(setup.patience_s), on_wait: Box::new(move || hook.should_stop()) };

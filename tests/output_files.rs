@@ -142,15 +142,6 @@ proptest! {
         file[at] ^= 1 << bit;
         prop_assert!(Checkpoint::from_bytes(&file).is_err());
     }
-
-    #[test]
-    fn a_recipe_keeps_the_scene_word_for_word(text in any::<String>()) {
-        let folder = tempfile::tempdir().unwrap();
-        let directory = run_directory(&folder);
-        let mut manifest = RunManifest::new(Path::new("/scenes/flag.toml"), &text, &toml::Table::new()).unwrap();
-        manifest.save(&directory).unwrap();
-        prop_assert_eq!(RunManifest::load(&directory).unwrap(), manifest);
-    }
 }
 
 fn checkpoint(step: u64) -> Checkpoint {
@@ -292,116 +283,6 @@ fn a_point_cache_has_the_header_that_players_expect() {
     fs::write(&path, &expected[..50]).unwrap();
     assert!(pc2::read(&path, 0).unwrap_err().to_string().ends_with("frame 0 is missing or cut off"));
     assert!(pc2::Pc2Writer::open(&path, 3, 1).is_err());
-}
-
-#[test]
-fn state_hash_has_a_known_value_and_feels_every_bit() {
-    // xxh3_64 of no bytes is the published 2d06800538d394c2.
-    assert_eq!(state_hash(&[], &[]), "2d06800538d394c2");
-    let positions = [Vec3::new(1.0, 2.0, 3.0), Vec3::new(-4.0, 0.5, 0.0)];
-    let velocities = [Vec3::ZERO, Vec3::new(0.0, 0.0, 9.0)];
-    let hash = state_hash(&positions, &velocities);
-    assert_eq!(hash, "4ce35b4d826ae86d");
-    assert_ne!(hash, state_hash(&velocities, &positions));
-    for vertex in 0..2 {
-        for bit in 0..96 {
-            let mut changed = positions;
-            let component = &mut changed[vertex][bit / 32];
-            *component = f32::from_bits(component.to_bits() ^ 1 << (bit % 32));
-            assert_ne!(state_hash(&changed, &velocities), hash, "bit {bit} of vertex {vertex}");
-        }
-    }
-    assert_ne!(state_hash(&[Vec3::ZERO], &[Vec3::ZERO]), state_hash(&[Vec3::ZERO], &[-Vec3::ZERO]));
-}
-
-fn step_record(step: u64) -> StepRecord {
-    let stage_seconds = StageSeconds { solve: 0.25, total: 0.5, ..StageSeconds::default() };
-    let memory_bytes_per_rank = vec![1000, 2000];
-    StepRecord {
-        step,
-        frame: step as u32,
-        iterations: 31,
-        residual: 0.0098,
-        stage_seconds,
-        memory_bytes_per_rank,
-        ..StepRecord::default()
-    }
-}
-
-fn frame_record(frame: u32) -> FrameRecord {
-    FrameRecord { frame, time_s: f64::from(frame) / 250.0, state_hash: "00ff".to_string() }
-}
-
-#[test]
-fn a_report_is_valid_from_the_start_and_resumes() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("report.json");
-    let mut header = ReportHeader { scene: "flag \"x\"".to_string(), workers: 2, ..ReportHeader::now() };
-    header.set_gravity([0.0, 0.0, -9.8]);
-    let mut writer = ReportWriter::create(&path, header.clone()).unwrap();
-    let started = Report::load(&path).unwrap();
-    assert_eq!(started, Report { header: header.clone(), ..Report::default() });
-    assert_eq!((started.header.status, started.header.up_axis.as_str()), (Status::Running, "z"));
-    assert!(started.header.machine.cores > 0);
-
-    for step in 1..=4 {
-        writer.step(step_record(step));
-        writer.frame(frame_record(step as u32)).unwrap();
-    }
-    let finished = writer.finish(Status::Failed("rank 1 stopped answering".to_string())).unwrap();
-    assert_eq!(Report::load(&path).unwrap(), finished);
-    let json: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-    assert_eq!(json["status"], "failed: rank 1 stopped answering");
-    assert_eq!(json["steps"][3]["stage_seconds"]["solve"], 0.25);
-    assert_eq!(json["frames"][0], serde_json::json!({"frame": 1, "time_s": 0.004, "state_hash": "00ff"}));
-
-    let again = ReportHeader { workers: 8, ..ReportHeader::now() };
-    let mut writer = ReportWriter::resume(&path, again, 2, 2).unwrap();
-    writer.step(StepRecord { residual: f64::NAN, ..step_record(3) });
-    writer.finish(Status::Done).unwrap();
-    let resumed = Report::load(&path).unwrap();
-    assert_eq!(resumed.frames, [frame_record(1), frame_record(2)]);
-    assert_eq!(resumed.steps[..2], [step_record(1), step_record(2)]);
-    assert!(resumed.steps[2].residual.is_nan());
-    assert_eq!(resumed.header.started_unix_s, header.started_unix_s);
-    assert_eq!((resumed.header.workers, resumed.header.resumed[0].workers, resumed.header.resumed[0].step), (8, 8, 2));
-
-    fs::write(&path, b"{\"scene\": 3}").unwrap();
-    let error = Report::load(&path).unwrap_err().to_string();
-    assert!(error.contains("is not a report of a run: invalid type: integer `3`, expected a string"), "{error}");
-}
-
-#[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-struct Flags {
-    workers: usize,
-    out: Option<String>,
-    format: Vec<FrameFormat>,
-}
-
-#[test]
-fn a_recipe_gives_back_flags_and_notices_changed_files() {
-    let folder = tempfile::tempdir().unwrap();
-    let directory = run_directory(&folder);
-    let mesh = folder.path().join("sheet.obj");
-    fs::write(&mesh, b"v 0 0 0").unwrap();
-    let flags = Flags { workers: 4, out: None, format: vec![FrameFormat::Ply] };
-    let mut manifest = RunManifest::new(Path::new("/scenes/flag.JSON"), "{ // a scene\r\n}", &flags).unwrap();
-    manifest.add_input(&mesh).unwrap();
-    manifest.save(&directory).unwrap();
-    let loaded = RunManifest::load(&directory).unwrap();
-    assert_eq!(loaded, manifest);
-    assert_eq!(loaded.scene_file, "scene.json");
-    assert_eq!(loaded.flags::<Flags>().unwrap(), flags);
-    assert_eq!(loaded.changed_inputs(), Vec::<String>::new());
-    fs::write(&mesh, b"v 0 0 1").unwrap();
-    assert!(loaded.changed_inputs()[0].ends_with("sheet.obj has changed since the run was started"));
-
-    let text = fs::read_to_string(directory.manifest()).unwrap();
-    fs::write(directory.manifest(), text.replace("[flags]", "[falgs]")).unwrap();
-    let error = RunManifest::load(&directory).unwrap_err().to_string();
-    assert!(error.contains("run.toml, line ") && error.contains("unknown field `falgs`"), "{error}");
-    fs::write(directory.manifest(), text.replace("scene.json", "../../etc/passwd")).unwrap();
-    assert!(RunManifest::load(&directory).unwrap_err().to_string().contains("must be the name of a file"));
 }
 
 #[test]

@@ -189,7 +189,10 @@ fn mistakes_of_pins_name_line_and_field() {
         with("corners = \"middle\""),
         "line 4: field `pin.corners`: must be one of bottom-left, bottom-right, top-left, top-right, not \"middle\""
     );
-    assert_eq!(with("vertices = [0, 9]"), "line 4: field `pin.vertices[1]`: must be a whole number from 0 to 8, not 9");
+    assert_eq!(
+        with("vertices = [0, 9]"),
+        "line 4: field `pin.vertices[1]`: `cloth 0` has no vertex 9 (they count from 0)"
+    );
     assert_eq!(with("box_m = [[5, 5, 5], [6, 6, 6]]"), "line 4: field `pin.box_m`: selects no vertex of `cloth 0`");
     assert_eq!(with("corners = \"top-left\"\nevery = 2"), "line 5: field `pin.every`: belongs to a pin with an `edge`");
     assert_eq!(with("edge = \"top\"\nstart_s = 2\nend_s = 1"), "line 6: field `pin.end_s`: must be after start_s = 2");
@@ -221,7 +224,7 @@ fn cloths_that_cross_at_the_start_are_refused() {
 fn files_that_are_no_scene() {
     let refused = |path: &str| load(Path::new(path), &Overrides::default()).unwrap_err().to_string();
     assert_eq!(refused("no/such.toml"), "no/such.toml: cannot be read: No such file or directory (os error 2)");
-    assert_eq!(refused("src"), "src: cannot be read: it is not a file");
+    assert_eq!(refused("src"), "src: a scene file ends in .toml (or .json for ARCSim's)");
     assert_eq!(refused("Cargo.lock"), "Cargo.lock: a scene file ends in .toml (or .json for ARCSim's)");
     let overrides = Overrides { resolution: Some(1), frames: None };
     let error = parse(SHEET, Path::new("x.toml"), &overrides).unwrap_err().to_string();

@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
 
 use loomtree::transport::{
-    ALL_GATHER_MAX, IceoryxOptions, IceoryxTransport, InProcessTransport, RunName, Transport, TransportError,
+    ALL_GATHER_MAX, ControlCoordinator, ControlWorker, IceoryxOptions, IceoryxTransport, InProcessTransport, RunName,
+    Transport, TransportError, required_shared_memory_bytes,
 };
 
 /// Most values of a message in these tests.
@@ -315,6 +316,33 @@ conformance!(
     silent_peer,
     wrong_calls,
 );
+
+/// What a run takes of the shared memory is what was said before the start.
+#[test]
+fn iceoryx_needs_the_shared_memory_that_was_announced() {
+    use std::os::unix::fs::MetadataExt;
+    for (ranks, max_len) in [(1, 1), (3, 1), (2, 200_000), (8, 50)] {
+        let (run, _member) = RunName::create("memory test").unwrap();
+        let _coordinator = ControlCoordinator::create(&run, ranks).unwrap();
+        let job = |rank: usize| {
+            let run = run.clone();
+            Box::new(move || {
+                let _control = ControlWorker::connect(&run, rank, PATIENT).unwrap();
+                let options = IceoryxOptions { max_len, ..options(rank, ranks, PATIENT) };
+                let mut transport = IceoryxTransport::connect(&run, options).unwrap();
+                let files = run.shared_memory_files().into_iter();
+                let taken = files.filter_map(|(path, _)| Some(path.metadata().ok()?.blocks() * 512)).sum::<u64>();
+                transport.barrier().unwrap();
+                taken
+            }) as Job<u64>
+        };
+        let taken = on_threads((0..ranks).map(job).collect()).into_iter().max().unwrap();
+        let announced = required_shared_memory_bytes(ranks, max_len);
+        assert!(taken <= announced, "{ranks} ranks took {taken} bytes, {announced} were announced");
+        assert!(announced <= taken * 3 / 2, "{ranks} ranks took only {taken} bytes, {announced} were announced");
+        assert!(taken >= (ranks * 3 * max_len * 4) as u64);
+    }
+}
 
 /// The hook of a waiting rank is called all the while and can end the wait.
 #[test]

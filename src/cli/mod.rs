@@ -1,7 +1,12 @@
 //! Command line: one file per command; `bin/` only calls in here.
 
+pub mod bench;
+pub mod check;
+pub mod doctor;
 pub mod render;
+pub mod run;
 pub mod schedule;
+pub mod worker;
 
 /// A command that ended without its result: what to print to stderr and how to exit.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -31,3 +36,23 @@ impl std::fmt::Display for CliError {
 }
 
 impl std::error::Error for CliError {}
+
+/// Maps the result of a command to its exit code; prints the sentence of an error.
+pub fn exit_code(result: Result<(), CliError>) -> std::process::ExitCode {
+    match result {
+        Ok(()) => std::process::ExitCode::SUCCESS,
+        Err(error) => {
+            if !error.message.is_empty() {
+                eprintln!("error: {error}");
+            }
+            std::process::ExitCode::from(error.exit_code)
+        }
+    }
+}
+
+/// Log lines go to stderr; `LOOMTREE_LOG` sets what is shown (default: warnings).
+pub fn start_log() {
+    let filter = tracing_subscriber::EnvFilter::try_from_env("LOOMTREE_LOG").unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("loomtree=warn"));
+    // A second call (tests) keeps the first log.
+    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().try_init();
+}

@@ -1,4 +1,4 @@
-//! `loomtree schedule`: shows the work queues for a topology file. Its times are modelled from the file, never measured.
+//! `loomtree schedule`: shows the work queues for a topology file. Its times are modelled from the file, not measured.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -124,7 +124,7 @@ fn write_text(
     }
     writeln!(
         out,
-        "modelled total (from the file's bandwidths and latencies, not measured), vector of {} rows, {:.3} MB per sub-vector:",
+        "modelled total (from the file, not measured) for {} rows in sub-vectors of {:.3} MB:",
         args.rows,
         sub_vector_bytes * 1e-6
     )?;

@@ -72,8 +72,8 @@ pub enum ScheduleFault {
     },
 }
 
-/// Checks that a schedule can be carried out and leaves every rank with every sub-vector: n-1 stages, one receive and one
-/// send per rank and stage, every source holds what it sends when the stage begins, nothing is received twice.
+/// Checks that a schedule can be carried out and leaves every rank with every sub-vector: n-1 stages, one receive and
+/// one send per rank and stage, every source holds what it sends when the stage begins, nothing is received twice.
 pub fn check_schedule(schedule: &Schedule) -> Result<(), ScheduleFault> {
     let gpus = schedule.gpus;
     if schedule.queues.len() != gpus {

@@ -25,8 +25,8 @@ struct Load {
 /// Modelled cost of `schedule` on `topology` if every sub-vector has `sub_vector_bytes` bytes.
 ///
 /// A transfer occupies every link of its path in its direction; a half-duplex link counts both directions as one.
-/// With B = bytes of a sub-vector, k_l = transfers of the stage on link l, w_l = its bandwidth and L_l = the longest sum
-/// of latencies over the path of a transfer that uses l:
+/// With B = bytes of a sub-vector, k_l = transfers of the stage on link l, w_l = its bandwidth and L_l = the longest
+/// sum of latencies over the path of a transfer that uses l:
 ///
 /// ```text
 /// stage = max over links l of (L_l + k_l * B / w_l),    total = sum over stages

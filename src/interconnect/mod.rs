@@ -2,7 +2,8 @@
 //!
 //! Rank r of a run sits on GPU r of the topology. Every time computed here is modelled from the topology file; nothing
 //! in this folder measures anything. Each concept has one file:
-//! - [`Topology`]: switches, GPUs and links (`topology.rs`, its file form in `topology_file.rs`, paths in `routing.rs`);
+//! - [`Topology`]: switches, GPUs and links (`topology.rs`, its file in `topology_file.rs`, rules in `validate.rs`,
+//!   paths in `routing.rs`);
 //! - [`fat_tree`], [`ring`], [`direct`], [`plan`]: work queues (`queues.rs`);
 //! - [`check_schedule`], [`root_crossings`]: what every schedule must hold (`check.rs`);
 //! - [`modelled_cost`]: stage times under link contention (`cost.rs`).
@@ -13,6 +14,9 @@ mod queues;
 mod routing;
 mod topology;
 mod topology_file;
+#[cfg(test)]
+mod topology_tests;
+mod validate;
 
 pub use check::{ScheduleFault, check_schedule, root_crossings};
 pub use cost::{ScheduleCost, modelled_cost};

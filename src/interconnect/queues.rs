@@ -54,8 +54,8 @@ pub enum ScheduleError {
 
 /// Work queues of the paper's recursion [Li et al. 2020, Sec. 3.1.2] for a binary tree with ranks 0..n-1 at its leaves.
 ///
-/// For a switch over two halves of h ranks each: the queues of the halves; then the halves swap what they own across the
-/// switch; then the queues of the halves again, same sources, for the sub-vectors of the other half. The printed text
+/// For a switch over two halves of h ranks each: the queues of the halves; then the halves swap what they own across
+/// it; then the queues of the halves again, same sources, for the sub-vectors of the other half. The printed text
 /// uses `m` both as split point and as offset and names no source for step 3; offset h and unchanged sources are what
 /// makes each source hold what it sends. Every sub-vector crosses the root once, all of them in stage n/2.
 pub fn fat_tree(gpus: usize) -> Result<Schedule, ScheduleError> {
@@ -73,20 +73,19 @@ fn switch_queues(first: usize, width: usize) -> Vec<Vec<QueueNode>> {
     let half = width / 2;
     let left = switch_queues(first, half);
     let right = switch_queues(first + half, half);
-    let other_half = |queue: Vec<QueueNode>, rank: usize, across: usize, offset: isize| {
-        let again: Vec<QueueNode> = queue
-            .iter()
-            .map(|node| QueueNode { source: node.source, vector: node.vector.wrapping_add_signed(offset) })
-            .collect();
-        debug_assert_eq!(rank.wrapping_add_signed(offset), across);
-        let mut whole = queue;
-        whole.push(QueueNode { source: across, vector: across });
-        whole.extend(again);
-        whole
-    };
-    let left = left.into_iter().zip(first..).map(|(q, i)| other_half(q, i, i + half, half as isize));
-    let right = right.into_iter().zip(first + half..).map(|(q, j)| other_half(q, j, j - half, -(half as isize)));
+    let left = left.into_iter().zip(first..).map(|(queue, i)| twice_around_swap(queue, i + half, half as isize));
+    let right = right.into_iter().zip(first..).map(|(queue, i)| twice_around_swap(queue, i, -(half as isize)));
     left.chain(right).collect()
+}
+
+/// A half's queue, then the receipt from the partner `across` the switch, then the queue again for the other half's
+/// sub-vectors.
+fn twice_around_swap(queue: Vec<QueueNode>, across: usize, offset: isize) -> Vec<QueueNode> {
+    let of_other_half =
+        |node: &QueueNode| QueueNode { source: node.source, vector: node.vector.wrapping_add_signed(offset) };
+    let again: Vec<QueueNode> = queue.iter().map(of_other_half).collect();
+    let swap = QueueNode { source: across, vector: across };
+    queue.into_iter().chain([swap]).chain(again).collect()
 }
 
 /// Work queues of an in-order ring: in stage s (from 1) rank r receives from its predecessor the sub-vector that is s

@@ -1,15 +1,16 @@
-//! The switch graph of a machine: GPUs, switches, links, and the model of one GPU. Does not read files and does not know
-//! what is sent; bandwidths and latencies are what the author of the topology stated, never measured here.
+//! The switch graph of a machine: GPUs, switches, links, and the model of one GPU. Does not read files and does not
+//! know what is sent; bandwidths and latencies are what the author of the topology stated, never measured here.
 
 use super::routing::{Hop, Routes};
 use super::topology_file::TopologyError;
+use super::validate::{check_connected, check_device, check_links, check_name, check_names, names_by_id};
 
 /// Most GPUs (= ranks) that a topology may have.
 pub const MAX_GPUS: usize = 64;
 /// Most switches and links: far more than 64 GPUs need, few enough to route at once.
-const MAX_SWITCHES: usize = 256;
-const MAX_LINKS: usize = 1024;
-const MAX_NAME_CHARS: usize = 64;
+pub(super) const MAX_SWITCHES: usize = 256;
+pub(super) const MAX_LINKS: usize = 1024;
+pub(super) const MAX_NAME_CHARS: usize = 64;
 
 /// Whether the two directions of a link share its bandwidth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -90,7 +91,7 @@ pub(super) struct Fault {
     pub message: String,
 }
 
-fn fault<T>(place: Place, message: String) -> Result<T, Fault> {
+pub(super) fn fault<T>(place: Place, message: String) -> Result<T, Fault> {
     Err(Fault { place, message })
 }
 
@@ -167,23 +168,7 @@ impl Topology {
             return fault(Place::Whole, format!("name: {message}"));
         }
         let gpu_names = names_by_id(&gpus)?;
-        if switches.len() > MAX_SWITCHES {
-            return fault(
-                Place::Whole,
-                format!("switches: at most {MAX_SWITCHES} are allowed, this file has {}", switches.len()),
-            );
-        }
-        let mut node_of_name = std::collections::HashMap::new();
-        let named_gpus = gpus.iter().enumerate().map(|(i, (id, name))| (Place::Gpu(i), name, *id));
-        let named_switches = switches.iter().enumerate().map(|(i, name)| (Place::Switch(i), name, gpu_names.len() + i));
-        for (place, name, node) in named_gpus.chain(named_switches) {
-            if let Err(message) = check_name(name) {
-                return fault(place, message);
-            }
-            if node_of_name.insert(name.clone(), node).is_some() {
-                return fault(place, format!("the name `{name}` is given twice, names must be unique"));
-            }
-        }
+        let node_of_name = check_names(&gpus, &switches)?;
         let links = check_links(links, &node_of_name)?;
         let nodes = gpu_names.len() + switches.len();
         let graph = Graph { nodes, gpus: gpu_names.len(), links: &links, gpus_forward };
@@ -300,115 +285,4 @@ fn grow(parts: &mut Parts, first: usize, count: usize, link: Link) -> String {
         parts.links.push(([top.clone(), child], link));
     }
     top
-}
-
-fn check_name(name: &str) -> Result<(), String> {
-    if name.is_empty() || name.chars().count() > MAX_NAME_CHARS || name.chars().any(char::is_control) {
-        return Err(format!("a name must have 1 to {MAX_NAME_CHARS} printable characters, got {name:.80?}"));
-    }
-    Ok(())
-}
-
-fn check_range(field: &str, value: f64, least: f64, most: f64, unit: &str) -> Result<(), String> {
-    if (least..=most).contains(&value) {
-        return Ok(());
-    }
-    Err(format!("{field} must be within {least} and {most} {unit}, got {value}"))
-}
-
-fn check_device(device: &DeviceModel) -> Result<(), Fault> {
-    check_name(&device.name)
-        .and_then(|()| check_range("memory_gb", device.memory_gb, 1e-3, 1e6, "GB"))
-        .and_then(|()| check_range("bandwidth_gb_s", device.bandwidth_gb_s, 1e-3, 1e6, "GB/s"))
-        .and_then(|()| check_range("gflops", device.gflops, 1e-3, 1e9, "Gflop/s"))
-        .or_else(|message| fault(Place::Device, format!("device: {message}")))
-}
-
-/// Names of GPUs 0..n-1, if the ids are exactly those.
-fn names_by_id(gpus: &[(usize, String)]) -> Result<Vec<String>, Fault> {
-    let count = gpus.len();
-    if count == 0 || count > MAX_GPUS {
-        return fault(Place::Whole, format!("gpus: a topology has 1 to {MAX_GPUS} GPUs, this file has {count}"));
-    }
-    let mut names: Vec<Option<&String>> = vec![None; count];
-    for (i, (id, name)) in gpus.iter().enumerate() {
-        match names.get_mut(*id) {
-            None => {
-                return fault(
-                    Place::Gpu(i),
-                    format!("GPU `{name}` has id {id}, but the ids of {count} GPUs must be 0 to {}", count - 1),
-                );
-            }
-            Some(Some(other)) => {
-                return fault(Place::Gpu(i), format!("GPUs `{other}` and `{name}` both have id {id}"));
-            }
-            Some(slot) => *slot = Some(name),
-        }
-    }
-    Ok(names.into_iter().flatten().cloned().collect())
-}
-
-fn check_links(
-    links: Vec<([String; 2], Link)>,
-    node_of_name: &std::collections::HashMap<String, usize>,
-) -> Result<Vec<Link>, Fault> {
-    if links.len() > MAX_LINKS {
-        return fault(Place::Whole, format!("links: at most {MAX_LINKS} are allowed, this file has {}", links.len()));
-    }
-    let mut pairs = std::collections::HashSet::new();
-    let mut checked = Vec::with_capacity(links.len());
-    for (i, (ends, link)) in links.into_iter().enumerate() {
-        let wrong = |message: String| Fault {
-            place: Place::Link(i),
-            message: format!("link `{}` - `{}`: {message}", ends[0], ends[1]),
-        };
-        let node = |name: &String| {
-            node_of_name.get(name).copied().ok_or_else(|| wrong(format!("there is no switch or GPU named `{name}`")))
-        };
-        let (a, b) = (node(&ends[0])?, node(&ends[1])?);
-        if a == b {
-            return Err(wrong("a link must join two different nodes".into()));
-        }
-        if !pairs.insert((a.min(b), a.max(b))) {
-            return Err(wrong("these nodes are already linked: state one link with the sum of the bandwidths".into()));
-        }
-        check_range("bandwidth_gb_s", link.bandwidth_gb_s, 1e-6, 1e6, "GB/s").map_err(&wrong)?;
-        check_range("latency_us", link.latency_us, 0.0, 1e9, "us").map_err(&wrong)?;
-        checked.push(Link { ends: [a, b], ..link });
-    }
-    Ok(checked)
-}
-
-fn check_connected(graph: &Graph, gpus: &[(usize, String)], switches: &[String]) -> Result<(), Fault> {
-    let mut reached = vec![false; graph.nodes];
-    reached[0] = true;
-    let mut changed = true;
-    while changed {
-        changed = false;
-        for [a, b] in graph.links.iter().map(|link| link.ends) {
-            if reached[a] != reached[b] {
-                reached[a] = true;
-                reached[b] = true;
-                changed = true;
-            }
-        }
-    }
-    match reached.iter().position(|reached| !reached) {
-        None => Ok(()),
-        Some(node) if node < graph.gpus => {
-            let stated = |wanted: usize| gpus.iter().position(|(id, _)| *id == wanted).unwrap_or(0);
-            let (first, lost) = (&gpus[stated(0)].1, stated(node));
-            fault(
-                Place::Gpu(lost),
-                format!("no links lead from GPU `{first}` to GPU `{}`: every GPU must be reachable", gpus[lost].1),
-            )
-        }
-        Some(node) => {
-            let switch = node - graph.gpus;
-            fault(
-                Place::Switch(switch),
-                format!("no links lead to switch `{}`: connect it or remove it", switches[switch]),
-            )
-        }
-    }
 }

@@ -1,5 +1,5 @@
-//! Topology files (TOML; `docs/topology.md` describes them for users) -> [`Topology`]. Fails with one sentence that names
-//! the file, the line and the link or field.
+//! Topology files (TOML; `docs/topology.md` describes them for users) -> [`Topology`]. Fails with one sentence that
+//! names the file, the line and the link or field.
 
 use std::io::Read;
 use std::path::Path;

@@ -10,7 +10,7 @@ use crate::math::Vec3;
 use super::{TriangleMesh, locality_order};
 
 /// Triangles of a leaf of the tree.
-const LEAF: usize = 4;
+const LEAF: usize = 2;
 
 /// The first pair of triangles (smallest pair of indices) that share a point without sharing the vertex there.
 /// Vertices at the same place count as one vertex, so that unwelded seams are no fault.
@@ -88,6 +88,15 @@ fn build(order: &[u32], start: usize, nodes: &mut Vec<Node>, corners: &impl Fn(u
 }
 
 fn triangles_meet(a: [Vec3; 3], b: [Vec3; 3]) -> bool {
+    let bounds = |t: [Vec3; 3]| (t[0].min(t[1]).min(t[2]), t[0].max(t[1]).max(t[2]));
+    let ((low_a, high_a), (low_b, high_b)) = (bounds(a), bounds(b));
+    if low_a.cmpgt(high_b).any() || low_b.cmpgt(high_a).any() {
+        return false;
+    }
+    // Every edge of either begins at a corner of the other.
+    if a.iter().filter(|corner| b.contains(corner)).count() >= 2 {
+        return false;
+    }
     let meets = |edges: [Vec3; 3], face: [Vec3; 3]| (0..3).any(|i| edge_meets_face(edges[i], edges[(i + 1) % 3], face));
     meets(a, b) || meets(b, a)
 }
@@ -95,6 +104,9 @@ fn triangles_meet(a: [Vec3; 3], b: [Vec3; 3]) -> bool {
 /// Does the closed segment pq meet the closed triangle? An edge that begins at a corner of the triangle does not count.
 fn edge_meets_face(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
     if face.contains(&p) || face.contains(&q) {
+        return false;
+    }
+    if clearly_apart(p, q, face) {
         return false;
     }
     let [a, b, c] = face;
@@ -107,6 +119,34 @@ fn edge_meets_face(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
     }
     let turns = [orient(p, q, a, b), orient(p, q, b, c), orient(p, q, c, a)];
     !(turns.iter().any(|&t| t > 0.0) && turns.iter().any(|&t| t < 0.0))
+}
+
+/// Is there a plane between the segment and the triangle by more than rounding in f64? The exact tests are slowest where
+/// their answer is zero, as it is all over a flat sheet; this spares nearly all of them.
+fn clearly_apart(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
+    /// Generous against the few hundred roundings below, each of relative size 2^-53.
+    const ROUNDING: f64 = 1e-13;
+    let origin = face[0].as_dvec3();
+    let [p, q] = [p, q].map(|v| v.as_dvec3() - origin);
+    let corners = face.map(|v| v.as_dvec3() - origin);
+    let extent = [p, q, corners[1], corners[2]].iter().fold(0.0, |most: f64, v| most.max(v.abs().max_element()));
+    let all_beyond =
+        |margin: f64, sides: &[f64]| sides.iter().all(|&s| s > margin) || sides.iter().all(|&s| s < -margin);
+
+    let normal = corners[1].cross(corners[2]);
+    let margin = ROUNDING * extent.powi(3);
+    if all_beyond(margin, &[normal.dot(p), normal.dot(q)]) {
+        return true;
+    }
+    let margin = margin * extent;
+    for i in 0..3 {
+        let outward = (corners[(i + 1) % 3] - corners[i]).cross(normal);
+        if outward.dot(p - corners[i]) > margin && outward.dot(q - corners[i]) > margin {
+            return true;
+        }
+    }
+    let across = (q - p).cross(normal);
+    all_beyond(margin, &corners.map(|corner| across.dot(corner - p)))
 }
 
 fn coplanar_edge_meets_face(p: Vec3, q: Vec3, [a, b, c]: [Vec3; 3]) -> bool {

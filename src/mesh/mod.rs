@@ -89,7 +89,7 @@ pub enum MaterialSource {
 /// Reads and validates the mesh in an OBJ or PLY file.
 ///
 /// Does not look for self-intersections: [`first_intersection`] does, once all pieces of a scene are in place.
-pub fn read_mesh(path: &Path, source: MaterialSource) -> Result<TriangleMesh, MeshReadError> {
+pub fn read_mesh(path: &Path, source: MaterialSource) -> Result<FileMesh, MeshReadError> {
     let unreadable = |error: std::io::Error| MeshReadError::Unreadable { path: path.into(), reason: error.to_string() };
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     if extension != "obj" && extension != "ply" {
@@ -118,19 +118,67 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// The validated mesh; material coordinates as `source` says.
-    pub fn into_mesh(self, source: MaterialSource) -> Result<TriangleMesh, MeshFault> {
-        validate::check_topology(&self.positions, &self.triangles)?;
+    /// The validated mesh; material coordinates as `source` says. Vertices in no triangle are dropped.
+    pub fn into_mesh(self, source: MaterialSource) -> Result<FileMesh, MeshFault> {
+        let Surface { mut positions, mut triangles, texture_uv } = self;
+        let used = validate::check_surface(&positions, &triangles)?;
+        let mut file_vertices = None;
+        if used.contains(&false) {
+            let kept: Vec<u32> = (0..).zip(&used).filter(|(_, used)| **used).map(|(vertex, _)| vertex).collect();
+            let mut new_from_file = vec![0; positions.len()];
+            (0..).zip(&kept).for_each(|(new, &old)| new_from_file[old as usize] = new);
+            triangles.iter_mut().flatten().for_each(|v| *v = new_from_file[*v as usize]);
+            positions = kept.iter().map(|&old| positions[old as usize]).collect();
+            file_vertices = Some(kept);
+        }
         // A map that is a point or a line everywhere (exporters write `vt 0 0` for "none") says nothing about the rest shape.
-        let is_a_map = self.texture_uv.iter().any(|uv| material::doubled_area(uv) != 0.0);
+        let is_a_map = texture_uv.iter().any(|uv| material::doubled_area(uv) != 0.0);
         let mut material_uv = if source == MaterialSource::TextureOrShape && is_a_map {
-            self.texture_uv
+            texture_uv
         } else {
-            flatten_triangles(&self.positions, &self.triangles)
+            flatten_triangles(&positions, &triangles)
         };
         material::mirror_clockwise(&mut material_uv);
-        let mesh = TriangleMesh { positions: self.positions, triangles: self.triangles, material_uv };
-        validate::check_shape(&mesh)?;
-        Ok(mesh)
+        let dropped = used.len() - positions.len();
+        let mesh = TriangleMesh { positions, triangles, material_uv };
+        validate::check_material(&mesh)?;
+        Ok(FileMesh { mesh, file_vertices, dropped })
+    }
+}
+
+/// A mesh as it came from a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileMesh {
+    /// The mesh, vertices in the order of the file.
+    pub mesh: TriangleMesh,
+    /// The file's number (from 0) of every vertex, where vertices have been dropped.
+    file_vertices: Option<Vec<u32>>,
+    /// Vertices of the file that belong to no triangle; without mass they cannot be simulated.
+    pub dropped: usize,
+}
+
+impl From<TriangleMesh> for FileMesh {
+    fn from(mesh: TriangleMesh) -> FileMesh {
+        FileMesh { mesh, file_vertices: None, dropped: 0 }
+    }
+}
+
+impl FileMesh {
+    /// The mesh's vertex with this number (from 0) in the file, unless it was dropped or never existed.
+    pub fn vertex(&self, file_vertex: u32) -> Option<u32> {
+        match &self.file_vertices {
+            None => ((file_vertex as usize) < self.mesh.positions.len()).then_some(file_vertex),
+            Some(numbers) => numbers.binary_search(&file_vertex).ok().map(|vertex| vertex as u32),
+        }
+    }
+
+    /// A sentence about what has been dropped, if anything has.
+    pub fn left_out(&self, path: &Path) -> Option<String> {
+        let what = match self.dropped {
+            0 => return None,
+            1 => "1 vertex belongs to no triangle and is left out".to_owned(),
+            count => format!("{count} vertices belong to no triangle and are left out"),
+        };
+        Some(format!("{}: {what}", path.display()))
     }
 }

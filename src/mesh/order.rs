@@ -8,9 +8,9 @@ use super::TriangleMesh;
 /// `old_from_new`: recursive bisection at the median of the longest axis, ties broken by the old index. O(n log n).
 pub fn locality_order(coordinates: &[Vec3]) -> Vec<u32> {
     let mut points: Vec<(Vec3, u32)> = coordinates.iter().copied().zip(0..).collect();
-    let mut ranges = vec![0..points.len()];
-    while let Some(range) = ranges.pop() {
-        let part = &mut points[range.clone()];
+    let mut ranges = vec![(0, points.len())];
+    while let Some((start, end)) = ranges.pop() {
+        let part = &mut points[start..end];
         if part.len() < 2 {
             continue;
         }
@@ -19,8 +19,7 @@ pub fn locality_order(coordinates: &[Vec3]) -> Vec<u32> {
         let axis = (0..3).fold(0, |longest, axis| if extent[axis] > extent[longest] { axis } else { longest });
         let middle = part.len() / 2;
         part.select_nth_unstable_by(middle, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
-        ranges.push(range.start..range.start + middle);
-        ranges.push(range.start + middle..range.end);
+        ranges.extend([(start, start + middle), (start + middle, end)]);
     }
     points.into_iter().map(|p| p.1).collect()
 }

@@ -41,12 +41,13 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
             })?;
             match name.as_str() {
                 "vertex" => {
-                    let position = record.position().map_err(|what| ParseFault::whole(format!("vertex {i} {what}")))?;
+                    let position =
+                        record.position().map_err(|what| ParseFault::whole(format!("vertex {} {what}", i + 1)))?;
                     surface.positions.push(position);
                     vertex_uv.extend(record.uv());
                 }
                 "face" => {
-                    let fan = record.fan().map_err(|what| ParseFault::whole(format!("face {i} {what}")))?;
+                    let fan = record.fan().map_err(|what| ParseFault::whole(format!("face {} {what}", i + 1)))?;
                     corners_mapped &= record.texcoord.len() == 2 * record.indices.len();
                     for corners in fan {
                         surface.triangles.push(corners.map(|c| record.indices[c] as u32));
@@ -241,6 +242,7 @@ impl<R: BufRead> Body<R> {
         })
     }
 
+    /// Reads the next line that is not empty.
     fn ascii_record(&mut self, element: &ElementDef) -> Result<Record, String> {
         loop {
             self.words.clear();
@@ -254,8 +256,8 @@ impl<R: BufRead> Body<R> {
             }
         }
         let mut words = self.words.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty()).map(|word| {
-            let text = String::from_utf8_lossy(&word[..word.len().min(40)]);
-            text.parse::<f64>().map_err(|_| format!("`{text}` is not a number"))
+            let number = std::str::from_utf8(word).ok().and_then(|text| text.parse::<f64>().ok());
+            number.ok_or_else(|| format!("`{}` is not a number", String::from_utf8_lossy(&word[..word.len().min(40)])))
         });
         let mut next = || words.next().unwrap_or_else(|| Err("the line has too few values".into()));
         let mut record = Record::new();
@@ -264,8 +266,11 @@ impl<R: BufRead> Body<R> {
                 PropertyType::Scalar(_) => record.set(name, next()?),
                 PropertyType::List(..) => {
                     let count = next()?;
-                    let values: Result<Vec<f64>, String> = (0..count as u64).map(|_| next()).collect();
-                    record.set_list(name, values?.into_iter());
+                    let mut values = Vec::new();
+                    for _ in 0..count as u64 {
+                        values.push(next()?);
+                    }
+                    record.set_list(name, values.into_iter());
                 }
             }
         }
@@ -311,11 +316,11 @@ mod tests {
         let short = fault("0 0 0\n1 0\n0 0 0\n0 0 0\n3 0 1 2");
         assert_eq!((short.line, short.what.as_str()), (Some(11), "vertex 2 of 4: the line has too few values"));
         assert_eq!(fault(&format!("{vertices}3 0 1 4")).what, "vertex index 4, but only 4 vertices are defined");
-        assert_eq!(fault(&format!("{vertices}2 0 1")).what, "face 0 has 2 corners where at least 3 are needed");
-        assert_eq!(fault(&format!("{vertices}3 0 1 -1")).what, "face 0 has the vertex index -1");
+        assert_eq!(fault(&format!("{vertices}2 0 1")).what, "face 1 has 2 corners where at least 3 are needed");
+        assert_eq!(fault(&format!("{vertices}3 0 1 -1")).what, "face 1 has the vertex index -1");
         assert_eq!(
             fault(&format!("0 0 nan\n{}3 0 1 2", &vertices[6..])).what,
-            "vertex 0 has a coordinate that is not a finite number"
+            "vertex 1 has a coordinate that is not a finite number"
         );
         let cut = binary("binary_little_endian", u32::to_le_bytes, 3).unwrap_err();
         assert_eq!(cut.what, "face 1 of 1: the file ends here; is it cut off?");

@@ -43,12 +43,15 @@ pub enum MeshFault {
 
 /// Checks everything that [`MeshFault`] lists and reports the first fault.
 pub fn validate(mesh: &TriangleMesh) -> Result<(), MeshFault> {
-    check_topology(&mesh.positions, &mesh.triangles)?;
-    check_shape(mesh)
+    let used = check_surface(&mesh.positions, &mesh.triangles)?;
+    if let Some(vertex) = used.iter().position(|&used| !used) {
+        return Err(MeshFault::UnusedVertex(vertex + 1));
+    }
+    check_material(mesh)
 }
 
-/// The part of [`validate`] that needs no rest shape.
-pub(super) fn check_topology(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), MeshFault> {
+/// The part of [`validate`] that needs no material coordinates. Returns which vertices are used.
+pub(super) fn check_surface(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<bool>, MeshFault> {
     if triangles.is_empty() {
         return Err(MeshFault::Empty);
     }
@@ -71,16 +74,25 @@ pub(super) fn check_topology(positions: &[Vec3], triangles: &[[u32; 3]]) -> Resu
             }
         }
     }
-    check_edges(triangles)?;
-    match used.iter().position(|&used| !used) {
-        Some(vertex) => Err(MeshFault::UnusedVertex(vertex + 1)),
-        None => Ok(()),
+    let is_flat = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| positions[v as usize].as_dvec3());
+        let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+        // At most, so that a triangle whose corners coincide is caught, too.
+        (b - a).cross(c - a).length() <= SMALLEST_SHAPE * longest
+    };
+    if let Some(t) = triangles.iter().position(is_flat) {
+        return Err(MeshFault::ZeroArea(t + 1));
     }
+    check_edges(triangles, positions.len())?;
+    Ok(used)
 }
 
 /// Sorts the directed edges; 8 bytes each, because this is the largest array while a mesh is read.
-fn check_edges(triangles: &[[u32; 3]]) -> Result<(), MeshFault> {
-    let mut edges: Vec<u64> = triangles
+fn check_edges(triangles: &[[u32; 3]], vertices: usize) -> Result<(), MeshFault> {
+    // There are v (v - 1) directed edges, each good for one triangle: more triangles repeat one, and the first so many
+    // show it. This bounds the memory for a file that repeats short faces.
+    let enough = triangles.len().min(vertices.saturating_mul(vertices - 1) / 3 + 1);
+    let mut edges: Vec<u64> = triangles[..enough]
         .iter()
         .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
         .map(|(from, to)| u64::from(from.min(to)) << 33 | u64::from(from.max(to)) << 1 | u64::from(from > to))
@@ -104,24 +116,18 @@ fn check_edges(triangles: &[[u32; 3]]) -> Result<(), MeshFault> {
     Ok(())
 }
 
-/// The part of [`validate`] about areas and material coordinates.
-pub(super) fn check_shape(mesh: &TriangleMesh) -> Result<(), MeshFault> {
+/// The part of [`validate`] about material coordinates.
+pub(super) fn check_material(mesh: &TriangleMesh) -> Result<(), MeshFault> {
     if mesh.material_uv.len() != mesh.triangles.len() {
         return Err(MeshFault::MaterialCount { triangles: mesh.triangles.len(), coordinates: mesh.material_uv.len() });
     }
-    for (t, (corners, uv)) in mesh.triangles.iter().zip(&mesh.material_uv).enumerate() {
-        let [a, b, c] = corners.map(|v| mesh.positions[v as usize].as_dvec3());
-        let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-        // Written so that an area of zero fails for edges of zero length, too.
-        if !((b - a).cross(c - a).length() > SMALLEST_SHAPE * longest) {
-            return Err(MeshFault::ZeroArea(t + 1));
-        }
+    for (t, uv) in mesh.material_uv.iter().enumerate() {
         if !uv.iter().all(|p| p.is_finite()) {
             return Err(MeshFault::NonFiniteMaterial(t + 1));
         }
         let [a, b, c] = uv.map(|p| p.as_dvec2());
         let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-        if !(material::doubled_area(uv).abs() > SMALLEST_SHAPE * longest) {
+        if material::doubled_area(uv).abs() <= SMALLEST_SHAPE * longest {
             return Err(MeshFault::ZeroMaterialArea(t + 1));
         }
     }

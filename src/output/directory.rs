@@ -1,7 +1,7 @@
 //! The run directory: where every file of a run lies, and who may write there.
 //!
 //! ```text
-//! RUN_DIR/report.json  run.toml  scene.<toml|json>  trace.json  rest.obj  cloth.pc2
+//! RUN_DIR/report.json  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
 //!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc  pictures/*.png
 //! ```
 //! Does not promise to keep two machines apart on a network file system without locks.
@@ -49,7 +49,7 @@ pub enum DirectoryError {
     #[error("{} is in use by another run that has not ended; choose another folder with --out", .0.display())]
     InUse(PathBuf),
     /// Not a run directory (for commands that read one).
-    #[error("{} is not a run directory: no report.json, run.toml or frames/ in it", .0.display())]
+    #[error("{} is not a run directory: no report.json, run.toml or frames in it", .0.display())]
     NotARun(PathBuf),
 }
 
@@ -62,7 +62,8 @@ pub struct RunDirectory {
 }
 
 /// Files of a run besides the numbered ones in sub-folders.
-const FILES: [&str; 7] = ["report.json", "run.toml", "scene.toml", "scene.json", "trace.json", "cloth.pc2", "rest.obj"];
+const FILES: [&str; 7] =
+    ["report.json", "run.toml", "run_scene.toml", "run_scene.json", "trace.json", "cloth.pc2", "rest.obj"];
 /// Sub-folders, and how the names of a run's files in them begin.
 const FOLDERS: [(&str, &[&str]); 3] =
     [("frames", &["frame_", "obstacle_"]), ("checkpoint", &["step_"]), ("pictures", &["frame_", "contact_sheet"])];
@@ -164,7 +165,7 @@ fn numbered_files(path: &Path) -> impl Iterator<Item = PathBuf> {
 }
 
 fn holds_run(path: &Path) -> bool {
-    ["report.json", "run.toml"].iter().any(|name| path.join(name).exists()) || numbered_files(path).next().is_some()
+    FILES.iter().any(|name| path.join(name).exists()) || numbered_files(path).next().is_some()
 }
 
 fn remove_run(path: &Path) -> io::Result<()> {

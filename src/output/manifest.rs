@@ -123,7 +123,7 @@ impl RunManifest {
     /// Writes the scene's text and `run.toml`.
     pub fn save(&mut self, directory: &RunDirectory) -> Result<(), ManifestError> {
         let json = self.scene_path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
-        self.scene_file = if json { "scene.json" } else { "scene.toml" }.to_string();
+        self.scene_file = if json { "run_scene.json" } else { "run_scene.toml" }.to_string();
         let text = toml::to_string_pretty(self).map_err(|e| ManifestError::Flags(e.to_string()))?;
         write_atomically(&directory.path().join(&self.scene_file), |out| out.write_all(self.scene_text.as_bytes()))?;
         write_atomically(&directory.manifest(), |out| out.write_all(text.as_bytes()))?;

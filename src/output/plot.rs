@@ -105,7 +105,7 @@ fn draw(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<
         }
         chart
             .configure_series_labels()
-            .position(SeriesLabelPosition::UpperLeft)
+            .position(emptiest_corner(&all, (x0, x1), (y0, y1)))
             .background_style(WHITE.mix(0.85))
             .border_style(RGBColor(200, 200, 200))
             .label_font(("sans-serif", 14))
@@ -114,6 +114,22 @@ fn draw(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<
         area.present().map_err(|e| failed(&e))?;
     }
     Ok(svg)
+}
+
+/// The corner of the chart with the fewest points, for the legend.
+fn emptiest_corner(points: &[(f64, f64)], x: (f64, f64), y: (f64, f64)) -> SeriesLabelPosition {
+    let share = |v: f64, (low, high): (f64, f64)| (v - low) / (high - low);
+    let crowd = |right: bool, top: bool| {
+        let near = |v: f64, far_end: bool| if far_end { v > 0.6 } else { v < 0.4 };
+        points.iter().filter(|p| near(share(p.0, x), right) && near(share(p.1, y), top)).count()
+    };
+    let corners = [
+        (crowd(true, true), SeriesLabelPosition::UpperRight),
+        (crowd(false, true), SeriesLabelPosition::UpperLeft),
+        (crowd(true, false), SeriesLabelPosition::LowerRight),
+        (crowd(false, false), SeriesLabelPosition::LowerLeft),
+    ];
+    corners.into_iter().min_by_key(|(crowd, _)| *crowd).map_or(SeriesLabelPosition::UpperRight, |(_, corner)| corner)
 }
 
 /// Smallest and largest value with some air around them.

@@ -196,6 +196,9 @@ pub struct StepRecord {
     pub zones: u64,
     /// Device memory of every rank, bytes.
     pub memory_bytes_per_rank: Vec<u64>,
+    /// Peak resident memory of every worker process, bytes (0 where the system does not tell).
+    #[serde(default)]
+    pub resident_bytes_per_rank: Vec<u64>,
     /// Smallest gap between two parts of the cloth, metres, if it was measured.
     pub smallest_gap_m: Option<f64>,
 }

@@ -1,5 +1,314 @@
-//! stub
-use super::*;
-pub(super) fn parse(_t: &str, path: &Path, _o: &Overrides) -> Result<Scene, SceneError> {
-    Err(SceneError::File { path: path.into(), what: "".into() })
+//! Import of ARCSim's scene files: JSON with comments -> [`Scene`].
+//!
+//! What has no counterpart here is left out with one sentence each in `Scene::left_out`; a scene is refused only if its
+//! cloth or a handle of it cannot be had. Formats: ARCSim 0.2/0.3 [Narain et al. 2012, 2013].
+
+mod motions;
+
+use std::path::{Path, PathBuf};
+
+use crate::math::{DQuat, DVec3};
+use crate::mesh::MaterialSource;
+
+use super::json::{Json, parse_json};
+use super::pieces::{Piece, Placement, merge, placed_mesh};
+use super::{Fabric, Motion, Overrides, Pin, Scene, SceneError, Settings, load_fabric, pins};
+
+/// ARCSim's limit of an endless scene is the user's patience; ours is this many seconds.
+const ENDLESS_S: f64 = 10.0;
+
+/// Reads an ARCSim scene; the files it names are looked up beside it, in the folder above and in the working directory.
+pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
+    let value = parse_json(text, path)?;
+    let root = Json::root(path, &value);
+    if overrides.resolution.is_some() {
+        let what = "the resolution of a scene can be chosen for sheets only, and an ARCSim scene has none";
+        return Err(SceneError::File { path: path.into(), what: what.into() });
+    }
+    let mut left_out = LeftOut { disabled: Vec::new(), lines: Vec::new() };
+    for name in root.entries("disable")? {
+        left_out.disabled.push(name.text()?);
+    }
+
+    let cloths = root.required("cloths")?.array()?;
+    if cloths.is_empty() {
+        return Err(root.required("cloths")?.error("a scene needs at least one cloth"));
+    }
+    let mut pieces = cloths.iter().map(|cloth| piece(cloth, &mut left_out)).collect::<Result<Vec<Piece>, _>>()?;
+    let merged =
+        merge(&mut pieces).map_err(|what| root.required("cloths").map_or_else(|e| e, |cloths| cloths.error(what)))?;
+
+    let mut scene_motions = Vec::new();
+    let mut held = Vec::new();
+    for handle in root.entries("handles")? {
+        held.extend(handle_pins(&root, &handle, &pieces, &mut scene_motions, &mut left_out)?);
+    }
+    let pins = pins::without_conflicts(held).map_err(|vertex| {
+        root.error(format!("vertex {vertex} is held by two handles at the same time that move it differently"))
+    })?;
+    let mut settings = settings(&root, &mut left_out)?;
+    settings.frames = overrides.frames.unwrap_or(settings.frames);
+    left_out.whole_scene(&root)?;
+    left_out.lines.extend(pieces.into_iter().filter_map(|piece| piece.left_out));
+    Ok(Scene {
+        name: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),
+        mesh: merged.mesh,
+        velocities: merged.velocities,
+        fabrics: merged.fabrics,
+        fabric_of_triangle: merged.fabric_of_triangle,
+        pins,
+        motions: scene_motions,
+        settings,
+        left_out: left_out.lines,
+    })
+}
+
+/// Collects the sentences about what is left out, each once.
+struct LeftOut<'a> {
+    /// Modules that the scene itself turns off.
+    disabled: Vec<&'a str>,
+    lines: Vec<String>,
+}
+
+impl LeftOut<'_> {
+    fn say(&mut self, line: impl Into<String>) {
+        let line = line.into();
+        if !self.lines.contains(&line) {
+            self.lines.push(line);
+        }
+    }
+
+    /// Says so unless the scene turns the module off anyway.
+    fn module(&mut self, module: &str, line: &str) {
+        if !self.disabled.contains(&module) {
+            self.say(line);
+        }
+    }
+
+    fn whole_scene(&mut self, root: &Json) -> Result<(), SceneError> {
+        match root.get("obstacles") {
+            None => {}
+            Some(list) => match list.value.as_array() {
+                Some(list) => {
+                    self.say(format!("obstacles: {} left out, collisions are not part of this release", list.len()))
+                }
+                None => {
+                    self.say(format!("obstacles `{}`: left out, collisions are not part of this release", list.text()?))
+                }
+            },
+        }
+        self.module("popfilter", "popfilter: left out, the mesh keeps its triangles and nothing pops");
+        if root.get("implicit").is_some_and(|value| value.value.as_bool() == Some(false)) {
+            self.say("implicit = false: left out, every step is implicit here");
+        }
+        let known = [
+            "frame_time",
+            "frame_steps",
+            "end_time",
+            "duration",
+            "end_frame",
+            "cloths",
+            "handles",
+            "motions",
+            "obstacles",
+            "gravity",
+            "wind",
+            "friction",
+            "obs_friction",
+            "disable",
+            "magic",
+            "implicit",
+        ];
+        let mut unknown: Vec<&str> = Vec::new();
+        if let Some(object) = root.value.as_object() {
+            unknown.extend(object.keys().map(String::as_str).filter(|key| !known.contains(key)));
+        }
+        let mut magic: Vec<&str> = Vec::new();
+        if let Some(object) = root.get("magic").and_then(|magic| magic.value.as_object()) {
+            magic.extend(object.keys().map(String::as_str).filter(|&key| key != "repulsion_thickness"));
+        }
+        for (names, what) in
+            [(unknown, "this importer does not know it"), (magic, "a number of ARCSim's own methods (magic)")]
+        {
+            for name in names {
+                let name: String = name.chars().take(40).collect();
+                self.say(format!("{name}: left out, {what}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The file a scene names: beside it, in the folder above it (ARCSim runs from there), or in the working directory.
+fn find(field: &Json) -> Result<PathBuf, SceneError> {
+    let name = field.text()?;
+    let folder = field.file.parent().unwrap_or(Path::new(""));
+    let candidates = [folder.join(name), folder.join("..").join(name), PathBuf::from(name)];
+    let found = candidates.into_iter().find(|path| path.is_file());
+    found.ok_or_else(|| {
+        field.error(format!("no file `{name}` beside the scene, in the folder above or in the working directory"))
+    })
+}
+
+/// `{translate, rotate: [degrees, axis], scale}`.
+fn placement(json: &Json) -> Result<Placement, SceneError> {
+    Ok(Placement {
+        translation_m: json.or("translate", DVec3::ZERO, Json::vector)?,
+        rotation: json.or("rotate", DQuat::IDENTITY, Json::rotation)?,
+        scale: json.or("scale", 1.0, Json::number)?,
+    })
+}
+
+const UNMOVED: Placement = Placement { translation_m: DVec3::ZERO, rotation: DQuat::IDENTITY, scale: 1.0 };
+
+fn piece(cloth: &Json, left_out: &mut LeftOut) -> Result<Piece, SceneError> {
+    let file = cloth.required("mesh")?;
+    let placement = cloth.or("transform", UNMOVED, placement)?;
+    if placement.scale <= 0.0 {
+        return Err(cloth.error("the scale of its transform must be above 0"));
+    }
+    let path = find(&file)?;
+    let placed = placed_mesh(&path, MaterialSource::TextureOrShape, &placement)?;
+    let materials = cloth.required("materials")?.array()?;
+    let Some(first) = materials.first() else {
+        return Err(cloth.required("materials")?.error("a cloth needs a material"));
+    };
+    if materials.len() > 1 {
+        left_out.say(format!(
+            "{}.materials: only the first of {} is used, for the whole mesh",
+            cloth.name,
+            materials.len()
+        ));
+    }
+    let fabric = material(first, left_out)?;
+    if cloth.get("remeshing").is_some() {
+        left_out.module("remeshing", "remeshing: left out, the mesh keeps its triangles");
+    }
+    // A rigid motion: v + w x (x - o).
+    let [linear, angular, origin] = match cloth.get("velocity") {
+        None => [DVec3::ZERO; 3],
+        Some(velocity) if velocity.value.is_array() => [velocity.vector()?, DVec3::ZERO, DVec3::ZERO],
+        Some(velocity) => {
+            let part = |key| velocity.or(key, DVec3::ZERO, Json::vector);
+            [part("linear")?, part("angular")?, part("origin")?]
+        }
+    };
+    let velocity = |p: &crate::math::Vec3| (linear + angular.cross(p.as_dvec3() - origin)).as_vec3();
+    Ok(Piece {
+        name: cloth.name.clone(),
+        velocities: placed.mesh.positions.iter().map(velocity).collect(),
+        left_out: placed.left_out(&path),
+        cloth: placed,
+        fabric,
+        sheet: None,
+        first_vertex: 0,
+    })
+}
+
+fn material(json: &Json, left_out: &mut LeftOut) -> Result<Fabric, SceneError> {
+    let fabric = load_fabric(&find(&json.required("data")?)?)?;
+    let factor = |key| json.or(key, 1.0, Json::positive);
+    let thicken = factor("thicken")?;
+    let mut fabric = fabric.scaled(
+        thicken * factor("density_mult")?,
+        thicken * factor("stretching_mult")?,
+        thicken * factor("bending_mult")?,
+    );
+    fabric.damping_s = json.or("damping", fabric.damping_s, Json::not_negative)?;
+    fabric.check().map_err(|what| json.error(what))?;
+    if json.get("strain_limits").is_some() {
+        left_out.module("strainlimiting", "strain_limits: left out, the cloth stretches as its stiffness allows");
+    }
+    if json.get("yield_curv").is_some() || json.get("weakening").is_some() {
+        left_out.module("plasticity", "yield_curv and weakening: left out, the cloth is elastic");
+    }
+    Ok(fabric)
+}
+
+fn handle_pins(
+    root: &Json,
+    handle: &Json,
+    pieces: &[Piece],
+    scene_motions: &mut Vec<Motion>,
+    left_out: &mut LeftOut,
+) -> Result<Vec<Pin>, SceneError> {
+    let kind = handle.or("type", "node", |value| value.text())?;
+    let Some(nodes) = handle.get("nodes").or_else(|| handle.get("vertices")).filter(|_| kind == "node") else {
+        left_out.say(format!("{}: left out, only handles with a list of `nodes` are known here", handle.name));
+        return Ok(Vec::new());
+    };
+    let cloth = handle.or("cloth", 0, |value| value.whole(0))? as usize;
+    let Some(piece) = pieces.get(cloth) else {
+        return Err(handle
+            .required("cloth")?
+            .error(format!("there is no cloth {cloth}; the scene has {}", pieces.len())));
+    };
+    let start_s = handle.or("start_time", 0.0, Json::not_negative)?;
+    let end_s = handle.or("end_time", f64::INFINITY, Json::not_negative)?;
+    if end_s <= start_s {
+        return Err(handle.error(format!("ends at {end_s} s, before it starts at {start_s} s")));
+    }
+    if handle.get("fade_time").is_some() {
+        left_out.say(format!("{}.fade_time: left out, the handle lets go at once", handle.name));
+    }
+    let motion = match handle.get("motion") {
+        None => None,
+        Some(index) => {
+            let motion = motions::handle_motion(root, &index, start_s)?;
+            if start_s > 0.0 {
+                let name = &handle.name;
+                left_out.say(format!(
+                    "{name}: moves its nodes from their places at time 0, not from where they are at {start_s} s"
+                ));
+            }
+            scene_motions.push(motion);
+            Some(scene_motions.len() as u32 - 1)
+        }
+    };
+    let pin = |node: &Json| {
+        let number = node.whole(0)?;
+        let missing = || node.error(format!("`{}` has no vertex {number} (they count from 0)", piece.name));
+        let vertex = piece.first_vertex + piece.cloth.vertex(number).ok_or_else(missing)?;
+        Ok(Pin { vertex, motion, start_s, end_s })
+    };
+    nodes.array()?.iter().map(pin).collect()
+}
+
+fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError> {
+    let frame_s = root.required("frame_time")?.positive()?;
+    let steps_per_frame = root.or("frame_steps", 1, |value| value.whole(1))?;
+    let mut frames = f64::INFINITY;
+    for key in ["end_time", "duration"] {
+        frames = frames.min(root.or(key, f64::INFINITY, Json::not_negative)? / frame_s);
+    }
+    frames = frames.min(root.or("end_frame", f64::INFINITY, |value| value.whole(0).map(f64::from))?);
+    if frames.is_infinite() {
+        frames = ENDLESS_S / frame_s;
+        left_out.say(format!("the scene has no end; it runs for {ENDLESS_S} s here"));
+    }
+    // Rounded up as ARCSim runs until the end has been reached; the margin is for 10 / 0.04.
+    let frames = (frames - 1e-6).ceil().max(0.0);
+    if frames > 1e7 {
+        return Err(root
+            .required("frame_time")?
+            .error(format!("the scene would have {frames} frames; at most 10000000 are written")));
+    }
+    let vector = |json: &Json, key: &str| json.or(key, DVec3::ZERO, Json::vector).map(|v| v.as_vec3());
+    // Absent tables read as empty ones.
+    let empty = serde_json::Value::Null;
+    let table = |key: &str| root.get(key).unwrap_or_else(|| Json { file: root.file, name: key.into(), value: &empty });
+    let (wind, magic) = (table("wind"), table("magic"));
+    Ok(Settings {
+        step_s: frame_s / f64::from(steps_per_frame),
+        steps_per_frame,
+        frames: frames as u32,
+        gravity_m_s2: vector(root, "gravity")?,
+        wind_m_s: vector(&wind, "velocity")?,
+        air_density_kg_m3: wind.or("density", 1.0, Json::not_negative)?,
+        air_drag_kg_m2_s: wind.or("drag", 0.0, Json::not_negative)?,
+        relative_tolerance: 0.01,
+        max_iterations: 500,
+        thickness_m: magic.or("repulsion_thickness", 1e-3, Json::positive)?,
+        friction: root.or("friction", 0.6, Json::not_negative)?,
+    })
 }

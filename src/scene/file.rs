@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 
 use crate::math::{DQuat, DVec2, DVec3, Vec3};
-use crate::mesh::{MaterialSource, TriangleMesh};
+use crate::mesh::{FileMesh, MaterialSource, TriangleMesh};
 
 use super::fields::{Fields, Source, Value};
 use super::pieces::{Piece, Placement, merge, placed_mesh};
@@ -59,7 +59,7 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
         pins,
         motions,
         settings,
-        left_out: Vec::new(),
+        left_out: pieces.into_iter().filter_map(|piece| piece.left_out).collect(),
     })
 }
 
@@ -200,7 +200,7 @@ fn piece(cloth: &Fields, index: usize, triangles: u64, fabrics: &[Fabric], path:
         rotation: cloth.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?,
         scale: cloth.or("scale", 1.0, Value::positive)?,
     };
-    let (mesh, sheet) = match (cloth.get("sheet"), cloth.get("mesh")) {
+    let (placed, sheet, left_out) = match (cloth.get("sheet"), cloth.get("mesh")) {
         (Some(_), None) => {
             if let Some(key) = ["material", "scale"].into_iter().find(|key| cloth.get(key).is_some()) {
                 return Err(cloth.error_at(key, "belongs to a cloth with a `mesh`; this one has a `sheet`"));
@@ -223,7 +223,7 @@ fn piece(cloth: &Fields, index: usize, triangles: u64, fabrics: &[Fabric], path:
             };
             placement.place(&mut mesh);
             crate::mesh::validate(&mesh).map_err(|fault| cloth.error_at("sheet", fault.to_string()))?;
-            (mesh, Some(cells))
+            (FileMesh::from(mesh), Some(cells), None)
         }
         (None, Some(file)) => {
             if cloth.get("plane").is_some() {
@@ -232,7 +232,9 @@ fn piece(cloth: &Fields, index: usize, triangles: u64, fabrics: &[Fabric], path:
             let sources = [("uv", MaterialSource::TextureOrShape), ("shape", MaterialSource::Shape)];
             let source = cloth.or("material", MaterialSource::TextureOrShape, |value| value.choice(&sources))?;
             let found = find(path, file.text()?).map_err(|what| file.error(what))?;
-            (placed_mesh(&found, source, &placement)?, None)
+            let mesh = placed_mesh(&found, source, &placement)?;
+            let left_out = mesh.left_out(&found);
+            (mesh, None, left_out)
         }
         _ => return Err(cloth.error("a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`")),
     };
@@ -248,8 +250,9 @@ fn piece(cloth: &Fields, index: usize, triangles: u64, fabrics: &[Fabric], path:
     fabric.check().map_err(|what| cloth.error_at("fabric", what))?;
     Ok(Piece {
         name: cloth.or("name", format!("cloth {index}"), |value| value.text().map(str::to_owned))?,
-        velocities: vec![velocity; mesh.positions.len()],
-        mesh,
+        velocities: vec![velocity; placed.mesh.positions.len()],
+        cloth: placed,
+        left_out,
         fabric,
         sheet,
         first_vertex: 0,
@@ -346,8 +349,11 @@ fn selected(pin: &Fields, piece: &Piece) -> Result<Vec<u32>, SceneError> {
             }
         }
         "vertices" => {
-            let last = piece.mesh.positions.len() as u64 - 1;
-            let index = |value: &Value| value.whole(0..=last).map(|v| v as u32);
+            let index = |value: &Value| {
+                let number = value.whole(0..=u64::from(u32::MAX))?;
+                let missing = || value.error(format!("`{}` has no vertex {number} (they count from 0)", piece.name));
+                piece.cloth.vertex(number as u32).ok_or_else(missing)
+            };
             value.array()?.iter().map(index).collect::<Result<_, _>>()?
         }
         "box_m" => {
@@ -358,12 +364,12 @@ fn selected(pin: &Fields, piece: &Piece) -> Result<Vec<u32>, SceneError> {
             if low.cmpgt(high).any() {
                 return Err(value.error("the first corner must be the lower one in x, y and z"));
             }
-            pins::region(&piece.mesh, |p| p.cmpge(low).all() && p.cmple(high).all())
+            pins::region(&piece.cloth.mesh, |p| p.cmpge(low).all() && p.cmple(high).all())
         }
         _ => {
             let sphere = value.table(&["center_m", "radius_m"])?;
             let (center, radius) = (sphere.required("center_m")?.vector()?, sphere.required("radius_m")?.positive()?);
-            pins::region(&piece.mesh, |p| p.distance(center) <= radius)
+            pins::region(&piece.cloth.mesh, |p| p.distance(center) <= radius)
         }
     };
     if vertices.is_empty() {

@@ -56,14 +56,21 @@ fn line_suffix(line: Option<usize>) -> String {
 
 /// Reads and checks a scene: `.toml` in the format of `docs/scene.md`, `.json` in ARCSim's.
 pub fn load(path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
-    parse(&read_text(path)?, path, overrides)
+    let parser = parser_of(path)?;
+    parser(&read_text(path)?, path, overrides)
 }
 
 /// [`load`] of a text that was the file `path`: files it names are looked up relative to that place.
 pub fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
+    parser_of(path)?(text, path, overrides)
+}
+
+type Parser = fn(&str, &Path, &Overrides) -> Result<Scene, SceneError>;
+
+fn parser_of(path: &Path) -> Result<Parser, SceneError> {
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase().as_str() {
-        "toml" => file::parse(text, path, overrides),
-        "json" => arcsim::parse(text, path, overrides),
+        "toml" => Ok(file::parse),
+        "json" => Ok(arcsim::parse),
         _ => Err(SceneError::File {
             path: path.into(),
             what: "a scene file ends in .toml (or .json for ARCSim's)".into(),

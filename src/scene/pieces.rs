@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::math::{DQuat, DVec3, Vec3};
-use crate::mesh::{MaterialSource, TriangleMesh, first_intersection, read_mesh, validate};
+use crate::mesh::{FileMesh, MaterialSource, TriangleMesh, first_intersection, read_mesh, validate};
 
 use super::{Fabric, SceneError, Sheet};
 
@@ -11,7 +11,10 @@ use super::{Fabric, SceneError, Sheet};
 pub(super) struct Piece {
     /// Shown in messages and selected by pins.
     pub name: String,
-    pub mesh: TriangleMesh,
+    /// The mesh at its place; pins name vertices by their number in the file.
+    pub cloth: FileMesh,
+    /// A sentence about what of the file is left out.
+    pub left_out: Option<String>,
     pub velocities: Vec<Vec3>,
     pub fabric: Fabric,
     /// Present if the piece is a generated sheet.
@@ -41,17 +44,13 @@ impl Placement {
 }
 
 /// Reads and places a mesh from a file.
-pub(super) fn placed_mesh(
-    path: &Path,
-    source: MaterialSource,
-    placement: &Placement,
-) -> Result<TriangleMesh, SceneError> {
-    let mut mesh = read_mesh(path, source)?;
-    placement.place(&mut mesh);
+pub(super) fn placed_mesh(path: &Path, source: MaterialSource, placement: &Placement) -> Result<FileMesh, SceneError> {
+    let mut file = read_mesh(path, source)?;
+    placement.place(&mut file.mesh);
     // Far translations and extreme scales can undo what the file had right.
-    validate(&mesh)
+    validate(&file.mesh)
         .map_err(|fault| SceneError::File { path: path.into(), what: format!("at its place in the scene: {fault}") })?;
-    Ok(mesh)
+    Ok(file)
 }
 
 /// The pieces as one mesh, with their first vertices filled in.
@@ -73,7 +72,7 @@ pub(super) fn merge(pieces: &mut [Piece]) -> Result<Merged, String> {
     let mut first_triangles = Vec::new();
     for piece in pieces.iter_mut() {
         let first = merged.mesh.positions.len();
-        if first + piece.mesh.positions.len() > i32::MAX as usize {
+        if first + piece.cloth.mesh.positions.len() > i32::MAX as usize {
             return Err("the cloths have more than 2147483647 vertices together".into());
         }
         let known = merged.fabrics.iter().position(|fabric| *fabric == piece.fabric);
@@ -84,9 +83,9 @@ pub(super) fn merge(pieces: &mut [Piece]) -> Result<Merged, String> {
         let fabric = u16::try_from(fabric).map_err(|_| "there are more than 65536 different fabrics".to_owned())?;
         piece.first_vertex = first as u32;
         first_triangles.push(merged.mesh.triangles.len());
-        merged.mesh.positions.extend(&piece.mesh.positions);
-        merged.mesh.material_uv.extend(&piece.mesh.material_uv);
-        merged.mesh.triangles.extend(piece.mesh.triangles.iter().map(|t| t.map(|v| v + first as u32)));
+        merged.mesh.positions.extend(&piece.cloth.mesh.positions);
+        merged.mesh.material_uv.extend(&piece.cloth.mesh.material_uv);
+        merged.mesh.triangles.extend(piece.cloth.mesh.triangles.iter().map(|t| t.map(|v| v + first as u32)));
         merged.velocities.extend(&piece.velocities);
         merged.fabric_of_triangle.resize(merged.mesh.triangles.len(), fabric);
     }

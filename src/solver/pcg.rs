@@ -114,6 +114,7 @@ impl Pcg {
         let (mut gamma_old, mut alpha_old) = (1.0, 1.0);
         let mut start_residual = 0.0;
         for iteration in 0.. {
+            transport.alive()?;
             // w = A u
             spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
             products += 1;

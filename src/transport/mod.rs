@@ -1,20 +1,36 @@
 //! Transport between the ranks of a run: what a step needs from the interconnect, and nothing else.
 //!
 //! Every rank makes the same sequence of calls on its transport (a collective program); messages of one source arrive in
-//! the order in which they were published. Each concept's implementations are siblings in this folder.
+//! the order in which they were published. At any point of that sequence at most two messages of a source may be published
+//! and not yet received by everybody: then nobody ever waits in a circle. Implementations: processes ([`IceoryxTransport`]),
+//! threads ([`InProcessTransport`]), and two wrappers for tests.
+//!
+//! Beside it: the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`], [`encode`])
+//! and what a run takes of the machine and leaves behind ([`RunName`]). Linux only.
 
+mod faulty;
+mod frames;
 mod iceoryx;
 mod in_process;
+mod message;
 mod process;
+mod recording;
 mod run_name;
 mod shared_memory;
+mod solo;
 mod wait;
 
-pub use iceoryx::{IceoryxOptions, IceoryxTransport};
+pub use faulty::{Fault, FaultyTransport};
+pub use iceoryx::{
+    ControlCoordinator, ControlError, ControlWorker, Heartbeat, HeartbeatHandle, IceoryxOptions, IceoryxTransport,
+};
 pub use in_process::InProcessTransport;
+pub use message::{MessageError, decode, encode, items_of};
 pub use process::{ProcessWatch, start_ticks};
+pub use recording::{Action, Record, RecordingTransport};
 pub use run_name::{FoundRun, Member, RunError, RunMember, RunName, SHARED_MEMORY_FOLDER, list_runs};
-pub use shared_memory::{SharedMemoryError, shared_memory_space};
+pub use shared_memory::{SharedMemoryError, check_shared_memory, required_shared_memory_bytes, shared_memory_space};
+pub use solo::SoloTransport;
 pub use wait::{HOOK_INTERVAL, WaitHook};
 
 use thiserror::Error;
@@ -61,6 +77,10 @@ pub trait Transport {
     /// Gathers up to [`ALL_GATHER_MAX`] values of every rank: `out[r]` = what rank r contributed (the own rank too).
     /// One latency; this is what an all-reduce is built on (`solver::reduction` adds in a fixed order).
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError>;
+    /// A sign of life between two calls that may wait, for long stretches of work: gives the run's hook its turn.
+    fn alive(&mut self) -> Result<(), TransportError> {
+        Ok(())
+    }
     /// Returns after every rank has called it.
     fn barrier(&mut self) -> Result<(), TransportError> {
         let mut out = Vec::new();

@@ -10,23 +10,18 @@ use rustix::process::{Pid, PidfdFlags, pidfd_open};
 #[derive(Debug)]
 pub struct ProcessWatch {
     pid: u32,
+    /// None where the system gives none (old kernels, some sandboxes); the start time does then.
     descriptor: Option<OwnedFd>,
+    start_ticks: Option<u64>,
 }
 
 impl ProcessWatch {
     /// Starts to watch process `pid`. A process that does not exist (any more) counts as ended.
-    ///
-    /// # Errors
-    /// The system refused the descriptor for another reason (too many open files, an old kernel).
-    pub fn new(pid: u32) -> std::io::Result<ProcessWatch> {
-        let Some(number) = i32::try_from(pid).ok().and_then(Pid::from_raw) else {
-            return Ok(ProcessWatch { pid, descriptor: None });
-        };
-        match pidfd_open(number, PidfdFlags::empty()) {
-            Ok(descriptor) => Ok(ProcessWatch { pid, descriptor: Some(descriptor) }),
-            Err(rustix::io::Errno::SRCH) => Ok(ProcessWatch { pid, descriptor: None }),
-            Err(error) => Err(error.into()),
-        }
+    pub fn new(pid: u32) -> ProcessWatch {
+        let number = i32::try_from(pid).ok().and_then(Pid::from_raw);
+        let descriptor = number.and_then(|number| pidfd_open(number, PidfdFlags::empty()).ok());
+        // Read after the descriptor was opened: if the process ended before, there is no start time.
+        ProcessWatch { pid, descriptor, start_ticks: start_ticks(pid) }
     }
 
     /// Number of the watched process.
@@ -36,7 +31,9 @@ impl ProcessWatch {
 
     /// True once the process has ended, reaped or not. Never waits.
     pub fn has_ended(&self) -> bool {
-        let Some(descriptor) = &self.descriptor else { return true };
+        let Some(descriptor) = &self.descriptor else {
+            return self.start_ticks.is_none() || start_ticks(self.pid) != self.start_ticks;
+        };
         let mut polled = [PollFd::new(descriptor, PollFlags::IN)];
         // A poll that fails says nothing about the process: it is asked again at the next call.
         matches!(poll(&mut polled, Some(&Timespec { tv_sec: 0, tv_nsec: 0 })), Ok(ready) if ready > 0)
@@ -75,21 +72,22 @@ mod tests {
 
     #[test]
     fn own_process_runs_and_a_child_ends() {
-        let own = ProcessWatch::new(std::process::id()).unwrap();
-        assert!(!own.has_ended());
-        assert!(start_ticks(std::process::id()).is_some());
-        assert!(ProcessWatch::new(0).unwrap().has_ended());
+        let without_descriptor = |pid: u32| ProcessWatch { descriptor: None, ..ProcessWatch::new(pid) };
+        let own = std::process::id();
+        assert!(!ProcessWatch::new(own).has_ended() && !without_descriptor(own).has_ended());
+        assert!(start_ticks(own).is_some());
+        assert!(ProcessWatch::new(0).has_ended() && ProcessWatch::new(u32::MAX).has_ended());
 
         let mut child = std::process::Command::new("sleep").arg("600").spawn().unwrap();
-        let watch = ProcessWatch::new(child.id()).unwrap();
-        assert!(!watch.has_ended());
+        let watches = [ProcessWatch::new(child.id()), without_descriptor(child.id())];
+        assert!(watches.iter().all(|watch| !watch.has_ended()));
         child.kill().unwrap();
-        while !watch.has_ended() {
+        // Not reaped yet: a zombie has ended too.
+        while watches.iter().any(|watch| !watch.has_ended()) {
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
-        // Not reaped yet: a zombie has ended too.
         assert_eq!(start_ticks(child.id()), None);
         child.wait().unwrap();
-        assert!(ProcessWatch::new(child.id()).unwrap().has_ended());
+        assert!(watches.iter().all(ProcessWatch::has_ended) && ProcessWatch::new(child.id()).has_ended());
     }
 }

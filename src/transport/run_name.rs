@@ -3,7 +3,7 @@
 //! runs left behind is found by [`list_runs`]. It does not touch what belongs to runs with a living process.
 
 use std::fs;
-use std::os::unix::fs::DirBuilderExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -212,7 +212,7 @@ pub struct FoundRun {
     pub shared_memory_bytes: u64,
 }
 
-/// All runs that have left something on this machine, alive or stale, by name.
+/// All runs of the calling user that have left something on this machine, alive or stale, by name.
 pub fn list_runs() -> Vec<FoundRun> {
     let named = |folder: &Path, prefix: &str, rest_is_id: bool| -> Vec<RunName> {
         let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
@@ -221,7 +221,11 @@ pub fn list_runs() -> Vec<FoundRun> {
             let id = if rest_is_id { rest } else { rest.get(..ID_LEN).filter(|_| rest[ID_LEN..].starts_with('_'))? };
             id.parse::<RunName>().ok()
         };
-        entries.flatten().filter_map(|entry| id_of(entry.file_name().to_string_lossy().into_owned())).collect()
+        entries
+            .flatten()
+            .filter(is_own)
+            .filter_map(|entry| id_of(entry.file_name().to_string_lossy().into_owned()))
+            .collect()
     };
     let mut runs = named(&temp_folder(), FOLDER_PREFIX, true);
     runs.extend(named(Path::new(SHARED_MEMORY_FOLDER), SHARED_MEMORY_PREFIX, false));
@@ -240,6 +244,11 @@ pub fn list_runs() -> Vec<FoundRun> {
             }
         })
         .collect()
+}
+
+/// Belongs to the calling user: what others run here is theirs to look after.
+fn is_own(entry: &fs::DirEntry) -> bool {
+    entry.metadata().is_ok_and(|metadata| metadata.uid() == rustix::process::geteuid().as_raw())
 }
 
 /// The system's temp directory, or `/tmp` where that is too long for the sockets of a run.
@@ -296,5 +305,49 @@ fn ignore_missing(result: std::io::Result<()>) -> std::io::Result<()> {
     match result {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
         other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_checked() {
+        assert_eq!("0123456xyz".parse::<RunName>().unwrap().to_string(), "0123456xyz");
+        for bad in ["", "short", "01234567890", "UPPERCASE0", "../../../x", "0123 56xyz"] {
+            let error = bad.parse::<RunName>().unwrap_err().to_string();
+            assert!(error.contains(&format!("'{bad}'")), "{error}");
+        }
+        let names: std::collections::HashSet<String> = (0..1000).map(|_| new_id()).collect();
+        assert_eq!(names.len(), 1000);
+        assert!(names.iter().all(|name| name.parse::<RunName>().is_ok()));
+    }
+
+    #[test]
+    fn the_last_member_removes_the_run() {
+        let (run, first) = RunName::create("coordinator").unwrap();
+        assert!(run.root().as_os_str().len() <= TEMP_PATH_MAX + 1 + FOLDER_PREFIX.len() + ID_LEN);
+        let second = run.join("worker 0").unwrap();
+        let mut roles: Vec<String> = run.members().into_iter().map(|member| member.role).collect();
+        roles.sort();
+        assert_eq!(roles, ["coordinator", "worker 0"]);
+        assert!(run.members().iter().all(|member| member.is_alive() && member.pid == std::process::id()));
+        let shared = Path::new(SHARED_MEMORY_FOLDER).join(format!("{}leftover", run.shared_memory_prefix()));
+        fs::write(&shared, "four").unwrap();
+        assert_eq!(run.shared_memory_files(), [(shared.clone(), 4)]);
+        let found = list_runs().into_iter().find(|found| found.run == run).unwrap();
+        assert!(found.alive && found.shared_memory_files == 1 && found.shared_memory_bytes == 4);
+        drop(first);
+        assert!(run.root().exists() && shared.exists() && !run.purge_if_last().unwrap());
+        drop(second);
+        assert!(!run.root().exists() && !shared.exists());
+        // Shared memory without a folder is found, too; leaving a purged run and purging it again are fine.
+        fs::write(&shared, "").unwrap();
+        assert!(list_runs().iter().any(|found| found.run == run && !found.alive));
+        assert!(run.purge_if_last().unwrap() && run.purge_if_last().unwrap());
+        assert!(!shared.exists());
+        let error = run.join("late").unwrap_err().to_string();
+        assert!(error.contains("does not exist"), "{error}");
     }
 }

@@ -7,10 +7,9 @@ use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use thiserror::Error;
 
 use super::RunName;
+use super::frames::FRAME_MAX;
+use super::iceoryx::BUFFERS;
 use super::run_name::SHARED_MEMORY_FOLDER;
-
-/// Start of every message, bytes: a cache line, and what vector loads like.
-pub(super) const MESSAGE_ALIGNMENT: usize = 64;
 
 /// Why there is not enough shared memory.
 #[derive(Debug, Error)]
@@ -33,6 +32,60 @@ fn mib(bytes: u64) -> String {
     format!("{:.1} MiB", bytes as f64 / (1u64 << 20) as f64)
 }
 
+/// Files of shared memory come in pages of this many bytes.
+const PAGE: u64 = 4096;
+/// Headers in front of the values of a message, rounded up.
+const MESSAGE_HEAD: u64 = 128;
+
+/// Shared memory of a run with `ranks` workers whose longest message has `max_len` values: an upper bound, close for
+/// long messages.
+///
+/// Per rank the buffers of its messages and of both control streams; around them small files, one for every pair of
+/// ranks and about two dozen for every rank, whose sizes grow with the number of ranks.
+pub fn required_shared_memory_bytes(ranks: usize, max_len: usize) -> u64 {
+    let control = 2 * segment_bytes(FRAME_MAX as u64);
+    let per_rank = rank_bytes(ranks, max_len).saturating_add(control);
+    per_rank.saturating_mul(ranks as u64).saturating_add(16 * PAGE)
+}
+
+/// A publisher's buffers for messages of up to `message` bytes. Saturating: an absurd size is refused like any other
+/// that does not fit.
+fn segment_bytes(message: u64) -> u64 {
+    (message.saturating_add(MESSAGE_HEAD) / PAGE + 2).saturating_mul(BUFFERS as u64 * PAGE)
+}
+
+/// What one rank's end of the data transport takes.
+fn rank_bytes(ranks: usize, max_len: usize) -> u64 {
+    let values = segment_bytes((max_len as u64).saturating_mul(size_of::<f32>() as u64));
+    values.saturating_add(PAGE * (2 * ranks as u64 + 24))
+}
+
+/// Says whether the free shared memory suffices for one rank's end of the data transport.
+pub(super) fn check_free_for_rank(ranks: usize, max_len: usize) -> Result<(), SharedMemoryError> {
+    check(rank_bytes(ranks, max_len), shared_memory_space()?.1)
+}
+
+/// Says whether the free shared memory suffices for the control channel of a run.
+pub(super) fn check_free_for_control(ranks: usize) -> Result<(), SharedMemoryError> {
+    check(ranks as u64 * 2 * segment_bytes(FRAME_MAX as u64) + 16 * PAGE, shared_memory_space()?.1)
+}
+
+fn check(required: u64, available: u64) -> Result<(), SharedMemoryError> {
+    if required > available { Err(SharedMemoryError::TooSmall { required, available }) } else { Ok(()) }
+}
+
+/// Says whether `available` bytes of shared memory suffice for such a run; see [`shared_memory_space`].
+pub fn check_shared_memory(ranks: usize, max_len: usize, available: u64) -> Result<(), SharedMemoryError> {
+    check(required_shared_memory_bytes(ranks, max_len), available)
+}
+
+/// Size and free bytes of the machine's shared memory.
+pub fn shared_memory_space() -> Result<(u64, u64), SharedMemoryError> {
+    let space = statvfs(SHARED_MEMORY_FOLDER);
+    let space = space.map_err(|error| SharedMemoryError::Unreadable { source: error.into() })?;
+    Ok((space.f_blocks * space.f_frsize, space.f_bavail * space.f_frsize))
+}
+
 /// Backs all shared-memory files of the run with memory, so that a lack of it is an error here and no SIGBUS later.
 pub(super) fn reserve(run: &RunName) -> Result<(), SharedMemoryError> {
     for (path, bytes) in run.shared_memory_files() {
@@ -46,9 +99,19 @@ pub(super) fn reserve(run: &RunName) -> Result<(), SharedMemoryError> {
     Ok(())
 }
 
-/// Size and free bytes of the machine's shared memory.
-pub fn shared_memory_space() -> Result<(u64, u64), SharedMemoryError> {
-    let space = statvfs(SHARED_MEMORY_FOLDER);
-    let space = space.map_err(|error| SharedMemoryError::Unreadable { source: error.into() })?;
-    Ok((space.f_blocks * space.f_frsize, space.f_bavail * space.f_frsize))
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_check_names_need_and_have() {
+        let required = required_shared_memory_bytes(4, 300_000);
+        assert!(check_shared_memory(4, 300_000, required).is_ok());
+        let error = check_shared_memory(4, 300_000, 10 << 20).unwrap_err().to_string();
+        assert!(error.contains("/dev/shm has 10.0 MiB free") && error.contains("this run needs 2"), "{error}");
+        // 4 ranks x 3 buffers x 1.2 MB and little else.
+        assert!((14_400_000..25_000_000).contains(&required), "{required}");
+        let (total, free) = shared_memory_space().unwrap();
+        assert!(free <= total && total > 0);
+    }
 }

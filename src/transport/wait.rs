@@ -44,6 +44,18 @@ impl Patience {
         Patience { deadline, spin, hook, hook_called: Instant::now() }
     }
 
+    /// Calls the hook if its turn has come, without waiting.
+    pub(super) fn breathe(&mut self) -> Result<(), Stopped> {
+        let now = Instant::now();
+        if now - self.hook_called >= HOOK_DUE {
+            self.hook_called = now;
+            if (self.hook)() {
+                return Err(Stopped::Aborted);
+            }
+        }
+        Ok(())
+    }
+
     /// Begins a wait.
     pub(super) fn begin(&self) -> Wait {
         Wait { start: Instant::now(), yields: 0 }

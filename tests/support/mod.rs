@@ -1,6 +1,8 @@
 //! What several test binaries share: small scenes built in code, and ranks run as threads.
 #![allow(dead_code, reason = "every test binary uses its own part")]
 
+pub mod physics;
+
 use loomtree::gpu::Executor;
 use loomtree::interconnect::QueueNode;
 use loomtree::math::{Vec2, Vec3};

@@ -8,28 +8,16 @@
 use std::time::Duration;
 
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
-use super::cells::{HEAD_VALUES, Head, OwnCells, PeerCells, Tail, before_waking};
-use super::node::{BUFFERS, DEPTH, Ipc, OpenError, create_node, open_when_created, service_name, text};
-use crate::transport::wait::{Patience, Stopped, WaitHook};
+use super::cells::{HEAD_VALUES, Head, OwnCells, Tail, before_waking};
+use super::node::{DEPTH, Ipc, create_node, create_wake, service_name, text};
+use super::ports::{Header, Peer, ValueSample, Values, create_values, open_peer, stopped_error};
+use crate::transport::wait::{Patience, WaitHook};
 use crate::transport::{ALL_GATHER_MAX, RANKS_MAX, RunName, Transport, TransportError, shared_memory};
-
-/// In front of every message.
-#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[repr(C)]
-struct Header {
-    /// Messages of this source, counting from 0.
-    sequence: u64,
-}
-
-type Values = [f32];
-type ValueSample = iceoryx2::sample::Sample<Ipc, Values, Header>;
 
 /// What a rank needs to connect.
 pub struct IceoryxOptions {
@@ -70,18 +58,6 @@ struct Links {
     _node: Node<Ipc>,
 }
 
-struct Peer {
-    cells: PeerCells,
-    subscriber: Subscriber<Ipc, Values, Header>,
-    notifier: Notifier<Ipc>,
-    /// Messages of this peer received so far.
-    received: u64,
-    /// Own messages that this peer had given back when last looked at.
-    consumed: u64,
-    _values: publish_subscribe::PortFactory<Ipc, Values, Header>,
-    _wake: event::PortFactory<Ipc>,
-}
-
 impl IceoryxTransport {
     /// Connects this rank with all others; returns after every rank has connected with every other one.
     ///
@@ -94,11 +70,14 @@ impl IceoryxTransport {
         if rank >= ranks || ranks > RANKS_MAX {
             return Err(fail(format!("rank {rank} of {ranks} ranks: expected rank < ranks <= {RANKS_MAX}")));
         }
+        shared_memory::check_free_for_rank(ranks, max_len).map_err(|error| fail(error.to_string()))?;
         let mut patience = Patience::new(deadline, ranks, on_wait);
         let node = create_node(run, &format!("rank {rank}")).map_err(fail)?;
         let own = OwnCells::create(&node, &format!("rank/{rank}/cells"), ranks).map_err(fail)?;
         let (values, publisher) = create_values(&node, rank, ranks, max_len).map_err(fail)?;
-        let (wake, listener) = create_wake(&node, rank, ranks).map_err(fail)?;
+        let wake_name = service_name(&format!("rank/{rank}/wake")).map_err(fail)?;
+        let wake = create_wake(&node, &wake_name, ranks - 1).map_err(fail)?;
+        let listener = wake.listener_builder().create().map_err(text("listener")).map_err(fail)?;
         shared_memory::reserve(run).map_err(|error| fail(error.to_string()))?;
         let mut peers = Vec::with_capacity(ranks);
         for source in 0..ranks {
@@ -274,6 +253,11 @@ impl Transport for IceoryxTransport {
         })
     }
 
+    fn alive(&mut self) -> Result<(), TransportError> {
+        let rank = self.rank;
+        self.patience.breathe().map_err(|stopped| stopped_error(rank, rank, "its own work", stopped))
+    }
+
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
         if own.len() > ALL_GATHER_MAX {
             return Err(self.fail(format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len())));
@@ -344,89 +328,4 @@ impl Links {
             let _ = peer.notifier.notify();
         }
     }
-}
-
-fn stopped_error(rank: usize, source_rank: usize, what: &'static str, stopped: Stopped) -> TransportError {
-    match stopped {
-        Stopped::TimedOut { waited_s } => TransportError::TimedOut { rank, source_rank, what, waited_s },
-        Stopped::Aborted => TransportError::Aborted { rank, source_rank, what },
-    }
-}
-
-type ValuesBuilder = iceoryx2::service::builder::publish_subscribe::Builder<Values, Header, Ipc>;
-
-fn values_builder(node: &Node<Ipc>, source: usize, ranks: usize) -> Result<ValuesBuilder, String> {
-    Ok(node
-        .service_builder(&service_name(&format!("rank/{source}/values"))?)
-        .publish_subscribe::<Values>()
-        .user_header::<Header>()
-        .max_publishers(1)
-        .max_subscribers((ranks - 1).max(1))
-        .max_nodes(ranks)
-        .subscriber_max_buffer_size(DEPTH)
-        .subscriber_max_borrowed_samples(1)
-        .history_size(0)
-        .enable_safe_overflow(false))
-}
-
-type OwnValues = (publish_subscribe::PortFactory<Ipc, Values, Header>, Publisher<Ipc, Values, Header>);
-
-fn create_values(node: &Node<Ipc>, rank: usize, ranks: usize, max_len: usize) -> Result<OwnValues, String> {
-    let alignment = Alignment::new(shared_memory::MESSAGE_ALIGNMENT).ok_or("alignment")?;
-    let service = values_builder(node, rank, ranks)?.payload_alignment(alignment).create().map_err(text("messages"))?;
-    let publisher = service
-        .publisher_builder()
-        .initial_max_slice_len(max_len.max(1))
-        .max_loaned_samples(1)
-        .allocation_strategy(AllocationStrategy::Static)
-        // With credits no reader's buffer is ever full: a full one is an error, not something to wait for in here.
-        .backpressure_strategy(BackpressureStrategy::DiscardData)
-        .override_sample_preallocation(|_| BUFFERS)
-        .create()
-        .map_err(text("publisher"))?;
-    Ok((service, publisher))
-}
-
-fn create_wake(
-    node: &Node<Ipc>,
-    rank: usize,
-    ranks: usize,
-) -> Result<(event::PortFactory<Ipc>, Listener<Ipc>), String> {
-    let service = node
-        .service_builder(&service_name(&format!("rank/{rank}/wake"))?)
-        .event()
-        .max_listeners(1)
-        .max_notifiers((ranks - 1).max(1))
-        .max_nodes(ranks)
-        .event_id_max_value(0)
-        .create()
-        .map_err(text("wake-up service"))?;
-    let listener = service.listener_builder().create().map_err(text("listener"))?;
-    Ok((service, listener))
-}
-
-fn open_peer(node: &Node<Ipc>, rank: usize, source: usize, patience: &mut Patience) -> Result<Peer, TransportError> {
-    let fail = |message: String| TransportError::Mechanism { rank, message };
-    let not_opened = |error: OpenError| match error {
-        OpenError::Stopped(stopped) => stopped_error(rank, source, "its start", stopped),
-        OpenError::Failed(message) => fail(format!("rank {source}: {message}")),
-    };
-    let name = |kind: &str| service_name(&format!("rank/{source}/{kind}")).map_err(fail);
-    let cells_name = name("cells")?;
-    let cells = open_when_created(patience, "blackboard", || {
-        node.service_builder(&cells_name).blackboard_opener::<u64>().open()
-    });
-    let cells = PeerCells::new(cells.map_err(not_opened)?, rank).map_err(fail)?;
-    let values_name = name("values")?;
-    let values = open_when_created(patience, "messages", || {
-        node.service_builder(&values_name).publish_subscribe::<Values>().user_header::<Header>().open()
-    })
-    .map_err(not_opened)?;
-    let subscriber = values.subscriber_builder().buffer_size(DEPTH).create();
-    let subscriber = subscriber.map_err(|error| fail(format!("subscriber: {error:?}")))?;
-    let wake_name = name("wake")?;
-    let wake = open_when_created(patience, "wake-up service", || node.service_builder(&wake_name).event().open())
-        .map_err(not_opened)?;
-    let notifier = wake.notifier_builder().create().map_err(|error| fail(format!("notifier: {error:?}")))?;
-    Ok(Peer { cells, subscriber, notifier, received: 0, consumed: 0, _values: values, _wake: wake })
 }

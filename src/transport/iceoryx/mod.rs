@@ -13,7 +13,14 @@
 //! It promises nothing across machines, nor to processes of other users.
 
 mod cells;
+mod control;
+mod control_worker;
 mod data;
+mod frame_ports;
 mod node;
+mod ports;
 
+pub use control::{ControlCoordinator, ControlError, Heartbeat};
+pub use control_worker::{ControlWorker, HeartbeatHandle};
 pub use data::{IceoryxOptions, IceoryxTransport};
+pub(super) use node::BUFFERS;

@@ -4,6 +4,7 @@ use std::fmt::Debug;
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
+use iceoryx2::service::port_factory::event::PortFactory;
 
 use crate::transport::RunName;
 use crate::transport::wait::{Patience, Stopped};
@@ -15,7 +16,7 @@ pub(super) type Ipc = ipc::Service;
 pub(super) const DEPTH: usize = 2;
 
 /// Buffers of a publisher: those that readers may hold or still have to read, and the one being written.
-pub(super) const BUFFERS: usize = DEPTH + 1;
+pub(in crate::transport) const BUFFERS: usize = DEPTH + 1;
 
 /// Pause between two attempts to open what another process is about to create.
 const OPEN_PAUSE: Duration = Duration::from_millis(1);
@@ -49,6 +50,18 @@ pub(super) fn text<E: Debug>(what: &'static str) -> impl Fn(E) -> String {
 /// A service's name.
 pub(super) fn service_name(name: &str) -> Result<ServiceName, String> {
     ServiceName::new(name).map_err(text("service name"))
+}
+
+/// A wake-up service with one listener and up to `notifiers` notifiers, each in a process of its own.
+pub(super) fn create_wake(node: &Node<Ipc>, name: &ServiceName, notifiers: usize) -> Result<PortFactory<Ipc>, String> {
+    node.service_builder(name)
+        .event()
+        .max_listeners(1)
+        .max_notifiers(notifiers.max(1))
+        .max_nodes(notifiers + 1)
+        .event_id_max_value(0)
+        .create()
+        .map_err(text("wake-up service"))
 }
 
 /// How opening what another process creates ended.

@@ -1,0 +1,88 @@
+//! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, never
+//! modelled; each table names what it ran on.
+
+mod device;
+mod spmv;
+mod step;
+mod table;
+
+use std::path::PathBuf;
+
+use clap::Subcommand;
+
+use super::CliError;
+use super::run::ExecutorArg;
+use crate::gpu::Executor;
+use crate::protocol::WorkerSetup;
+
+/// Arguments of `loomtree bench`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct BenchArgs {
+    #[command(subcommand)]
+    what: Bench,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+enum Bench {
+    /// Memory bandwidth of the executor: copy and read, to hold the others against
+    Device(device::DeviceBench),
+    /// Matrix-vector product of a scene's matrix: time, share of the read bandwidth, bytes exchanged by 1, 2, 4, 8 ranks
+    Spmv(spmv::SpmvBench),
+    /// Whole steps of a scene on several numbers of worker processes: time, speed-up, bytes, memory
+    Step(step::StepBench),
+    /// Memory of a scene's workers per structure and vertex
+    Memory(step::StepBench),
+}
+
+/// What all benchmarks take.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Common {
+    /// What runs the kernels
+    #[arg(long, value_enum, default_value = "cpu")]
+    executor: ExecutorArg,
+    /// Threads of each worker on the cpu executor
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    threads: u16,
+    /// Also write the table as JSON (and as SVG where it is a curve) into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+impl Common {
+    fn executor(&self) -> Result<Executor, CliError> {
+        let setup = WorkerSetup { executor: self.executor.into(), adapter: None, threads: self.threads as usize, ranks: 1, max_message_values: 0, patience_s: 0.0 };
+        crate::worker::make_executor(&setup, 0).map_err(CliError::bad_input)
+    }
+}
+
+/// Runs the command.
+pub fn run(args: BenchArgs) -> Result<(), CliError> {
+    warn_of_load();
+    match args.what {
+        Bench::Device(bench) => device::run(&bench),
+        Bench::Spmv(bench) => spmv::run(&bench),
+        Bench::Step(bench) => step::run(&bench, false),
+        Bench::Memory(bench) => step::run(&bench, true),
+    }
+}
+
+/// Other work on the machine makes times useless; say so beside them.
+fn warn_of_load() {
+    let load = std::fs::read_to_string("/proc/loadavg").ok().and_then(|text| text.split(' ').next()?.parse::<f64>().ok());
+    if let Some(load) = load {
+        let note = if load > 1.5 { ": the machine is busy, trust ratios only" } else { "" };
+        eprintln!("load average {load:.2}{note}");
+    }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+fn worker_counts(text: &str) -> Result<usize, String> {
+    match text.parse::<usize>() {
+        Ok(n) if (1..=crate::transport::RANKS_MAX).contains(&n) => Ok(n),
+        _ => Err(format!("expected numbers of workers from 1 to {}, separated by commas", crate::transport::RANKS_MAX)),
+    }
+}

@@ -1,0 +1,101 @@
+//! `loomtree check FILE`: is this scene or mesh valid? Reads everything that a run would read before its first step.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use crate::mesh::{MaterialSource, TriangleMesh, first_intersection, hinges, read_mesh};
+use crate::scene::{Overrides, Scene, load, load_fabric};
+
+use super::CliError;
+
+/// Arguments of `loomtree check`.
+#[derive(Debug, clap::Args)]
+pub struct CheckArgs {
+    /// A scene (.toml, ARCSim's .json), a fabric (.json) or a mesh (.obj, .ply).
+    pub file: PathBuf,
+    /// Triangles of all sheets together.
+    #[arg(long, value_name = "TRIANGLES")]
+    pub resolution: Option<u64>,
+}
+
+/// Prints a summary of the file to `out`.
+///
+/// # Errors
+/// Exit code 2 and one sentence if the file cannot be used.
+pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
+    let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let summary = match extension.as_str() {
+        "obj" | "ply" => mesh_summary(&args.file)?,
+        "json" if is_fabric(&args.file) => {
+            let fabric = load_fabric(&args.file).map_err(CliError::bad_input)?;
+            format!("fabric {}: valid\n  density     {} kg/m^2\n", fabric.name, fabric.density_kg_m2)
+        }
+        _ => {
+            let overrides = Overrides { resolution: args.resolution, frames: None };
+            scene_summary(&load(&args.file, &overrides).map_err(CliError::bad_input)?)
+        }
+    };
+    match out.write_all(summary.as_bytes()) {
+        // A reader that has seen enough (`| head`) is no failure.
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(CliError::failed(format!("cannot write the summary: {error}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A fabric file has a density and no cloths; anything that does not parse is taken for a scene, which then says why not.
+fn is_fabric(path: &Path) -> bool {
+    let small = std::fs::metadata(path).is_ok_and(|metadata| metadata.is_file() && metadata.len() < 1 << 16);
+    let text = if small { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
+    text.contains("stretching") && !text.contains("cloths")
+}
+
+fn mesh_summary(path: &Path) -> Result<String, CliError> {
+    let file = read_mesh(path, MaterialSource::TextureOrShape).map_err(CliError::bad_input)?;
+    if let Some([a, b]) = first_intersection(&file.mesh) {
+        let sentence = format!(
+            "{}: triangles {} and {} cross or touch, so no simulation can start here",
+            path.display(),
+            a + 1,
+            b + 1
+        );
+        return Err(CliError::bad_input(sentence));
+    }
+    let left_out = file.left_out(path).map(|line| format!("  left out    {line}\n")).unwrap_or_default();
+    Ok(format!("mesh {}: valid\n{}{left_out}", path.display(), mesh_lines(&file.mesh)))
+}
+
+fn mesh_lines(mesh: &TriangleMesh) -> String {
+    let (low, high) =
+        mesh.positions.iter().fold((mesh.positions[0], mesh.positions[0]), |(low, high), &p| (low.min(p), high.max(p)));
+    let size = high - low;
+    let area: f64 = mesh.material_uv.iter().map(|uv| f64::from((uv[1] - uv[0]).perp_dot(uv[2] - uv[0])) / 2.0).sum();
+    format!(
+        "  vertices    {}\n  triangles   {}\n  hinges      {}\n  extent      {:.4} x {:.4} x {:.4} m\n  rest area   {area:.4} m^2\n",
+        mesh.positions.len(),
+        mesh.triangles.len(),
+        hinges(mesh).len(),
+        size.x,
+        size.y,
+        size.z
+    )
+}
+
+fn scene_summary(scene: &Scene) -> String {
+    let settings = &scene.settings;
+    let fabrics: Vec<&str> = scene.fabrics.iter().map(|fabric| fabric.name.as_str()).collect();
+    let mut text = format!("scene {}: valid\n{}", scene.name, mesh_lines(&scene.mesh));
+    text += &format!("  fabrics     {}\n", fabrics.join(", "));
+    let moving = scene.pins.iter().filter(|pin| pin.motion.is_some()).count();
+    text += &format!("  pins        {} ({moving} moving)\n", scene.pins.len());
+    let seconds = settings.step_s * f64::from(settings.steps_per_frame) * f64::from(settings.frames);
+    text += &format!(
+        "  frames      {} of {} steps of {} s ({seconds:.3} s)\n",
+        settings.frames, settings.steps_per_frame, settings.step_s
+    );
+    for line in &scene.left_out {
+        text += &format!("  left out    {line}\n");
+    }
+    text
+}

@@ -1,0 +1,218 @@
+//! `loomtree run`: coordinator in this process, workers as its children.
+
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+use clap::ValueEnum;
+
+use super::CliError;
+use crate::coordinator::{Launch, RunError, RunOptions, RunPlaces, RunPlan, STOP_REQUESTED};
+use crate::interconnect::ScheduleKind;
+use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest, parse_formats};
+use crate::protocol::ExecutorChoice;
+use crate::solver::ExchangeMode;
+
+/// Arguments of `loomtree run`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct RunArgs {
+    /// Scene file (.toml, or ARCSim's .json); with --resume it may be left out
+    #[arg(required_unless_present = "resume")]
+    pub scene: Option<PathBuf>,
+    /// Worker processes, each with its own device and row block [default: 1; with --resume as before]
+    #[arg(long, short = 'n', value_name = "N")]
+    pub workers: Option<usize>,
+    /// Topology file; workers sit on its first GPUs [default: a balanced binary tree]
+    #[arg(long, value_name = "FILE")]
+    pub topology: Option<PathBuf>,
+    /// What runs the kernels; auto = a hardware GPU where there is one, else cpu
+    #[arg(long, value_enum)]
+    pub executor: Option<ExecutorArg>,
+    /// Adapter of the gpu executor (numbers: loomtree doctor) [default: rank modulo adapters]
+    #[arg(long, value_name = "I")]
+    pub adapter: Option<usize>,
+    /// Threads of each worker on the cpu executor [default: cores / workers]
+    #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    /// Frames to write after frame 0 [default: the scene's]
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u32>,
+    /// Triangles of the scene's procedural sheets [default: the scene's]
+    #[arg(long, value_name = "TRIANGLES")]
+    pub resolution: Option<u64>,
+    /// Run directory [default: out/<scene>]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// What a matrix-vector product exchanges: halo = only the rows that are read, full = whole sub-vectors (P-Cloth)
+    #[arg(long, value_enum)]
+    pub exchange: Option<ExchangeArg>,
+    /// Order of the transfers; auto = the cheapest by the modelled cost
+    #[arg(long)]
+    pub schedule: Option<ScheduleKind>,
+    /// Write a checkpoint every K frames (one is always left at the end, at Ctrl-C and after a failure) [default: 10]
+    #[arg(long, value_name = "K")]
+    pub checkpoint_every: Option<u32>,
+    /// Go on from the newest checkpoint in the run directory, on any number of workers
+    #[arg(long, conflicts_with = "overwrite")]
+    pub resume: bool,
+    /// Replace a run that is in the run directory
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Frame files: any of obj, ply, pc2, separated by commas [default: ply]
+    #[arg(long, value_name = "LIST", value_parser = FormatList::parse)]
+    pub format: Option<FormatList>,
+    /// Seconds without a sign of life after which a worker counts as hung [default: 10]
+    #[arg(long, value_name = "S", value_parser = positive_seconds)]
+    pub heartbeat: Option<f64>,
+    /// Steps whose events are kept in trace.json [default: 20]
+    #[arg(long, value_name = "N")]
+    pub trace_steps: Option<u32>,
+}
+
+/// Executor on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExecutorArg {
+    Auto,
+    Gpu,
+    Cpu,
+}
+
+impl From<ExecutorArg> for ExecutorChoice {
+    fn from(arg: ExecutorArg) -> ExecutorChoice {
+        match arg {
+            ExecutorArg::Auto => ExecutorChoice::Auto,
+            ExecutorArg::Gpu => ExecutorChoice::Gpu,
+            ExecutorArg::Cpu => ExecutorChoice::Cpu,
+        }
+    }
+}
+
+/// Exchange mode on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExchangeArg {
+    Halo,
+    Full,
+}
+
+impl From<ExchangeArg> for ExchangeMode {
+    fn from(arg: ExchangeArg) -> ExchangeMode {
+        match arg {
+            ExchangeArg::Halo => ExchangeMode::Halo,
+            ExchangeArg::Full => ExchangeMode::Full,
+        }
+    }
+}
+
+/// A list of frame formats.
+#[derive(Clone, Debug)]
+pub struct FormatList(Vec<FrameFormat>);
+
+impl FormatList {
+    fn parse(text: &str) -> Result<FormatList, String> {
+        parse_formats(text).map(FormatList).map_err(|error| error.to_string())
+    }
+}
+
+fn positive_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("expected a number of seconds above 0".to_string()),
+    }
+}
+
+impl RunArgs {
+    /// What the flags say, on top of `base` (defaults, or the options of the run that is resumed).
+    fn options(&self, mut base: RunOptions) -> RunOptions {
+        base.workers = self.workers.unwrap_or(base.workers);
+        base.topology = self.topology.clone().or(base.topology);
+        base.executor = self.executor.map_or(base.executor, Into::into);
+        base.adapter = self.adapter.or(base.adapter);
+        base.threads = self.threads.map(usize::from).or(base.threads);
+        base.frames = self.frames.or(base.frames);
+        base.resolution = self.resolution.or(base.resolution);
+        base.exchange = self.exchange.map_or(base.exchange, Into::into);
+        base.schedule = self.schedule.unwrap_or(base.schedule);
+        base.checkpoint_every = self.checkpoint_every.unwrap_or(base.checkpoint_every);
+        base.formats = self.format.clone().map_or(base.formats, |list| list.0);
+        base.heartbeat_s = self.heartbeat.unwrap_or(base.heartbeat_s);
+        base.trace_steps = self.trace_steps.unwrap_or(base.trace_steps);
+        base
+    }
+}
+
+/// What a run does unless told otherwise.
+pub fn defaults() -> RunOptions {
+    RunOptions {
+        workers: 1,
+        topology: None,
+        executor: ExecutorChoice::Auto,
+        adapter: None,
+        threads: None,
+        frames: None,
+        resolution: None,
+        exchange: ExchangeMode::Halo,
+        schedule: ScheduleKind::Auto,
+        checkpoint_every: 10,
+        formats: vec![FrameFormat::Ply],
+        heartbeat_s: 10.0,
+        trace_steps: 20,
+    }
+}
+
+/// Runs the command.
+pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
+    let (places, options) = resolve(&args)?;
+    stop_on_ctrl_c()?;
+    let plan = RunPlan::new(&places.scene, &options).map_err(CliError::bad_input)?;
+    for line in &plan.scene.left_out {
+        eprintln!("left out: {line}");
+    }
+    let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
+    eprintln!("{}: {triangles} triangles, {vertices} vertices, {} workers, schedule {}", plan.scene.name, options.workers, plan.transfers.kind.name());
+    let summary = crate::coordinator::run(plan, &options, &places, &launch).map_err(|error| match error {
+        RunError::BadInput(text) => CliError::bad_input(text),
+        RunError::Failed(text) => CliError::failed(text),
+    })?;
+    let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
+    eprintln!("{how}: {} steps, {:.2} ms/step, frames 0..={} in {}", summary.steps, summary.seconds_per_step * 1e3, summary.frames - 1, places.out.join("frames").display());
+    Ok(())
+}
+
+/// Scene, run directory and options; a resumed run takes from `run.toml` what the command line leaves open.
+fn resolve(args: &RunArgs) -> Result<(RunPlaces, RunOptions), CliError> {
+    let existing = match (args.resume, args.overwrite) {
+        (true, _) => Existing::Resume,
+        (_, true) => Existing::Overwrite,
+        _ => Existing::Refuse,
+    };
+    if !args.resume {
+        let scene = args.scene.clone().ok_or_else(|| CliError::bad_input("a scene file is needed: loomtree run SCENE"))?;
+        let stem = scene.file_stem().unwrap_or_default();
+        let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(stem));
+        return Ok((RunPlaces { scene, out, existing }, args.options(defaults())));
+    }
+    let out = match (&args.out, &args.scene) {
+        (Some(out), _) => out.clone(),
+        (None, Some(scene)) => PathBuf::from("out").join(scene.file_stem().unwrap_or_default()),
+        (None, None) => return Err(CliError::bad_input("--resume needs the run directory: --out DIR")),
+    };
+    let directory = RunDirectory::open(&out).map_err(CliError::bad_input)?;
+    let manifest = RunManifest::load(&directory).map_err(CliError::bad_input)?;
+    for sentence in manifest.changed_inputs() {
+        eprintln!("warning: {sentence}");
+    }
+    let recorded: RunOptions = manifest.flags().map_err(CliError::bad_input)?;
+    let scene = args.scene.clone().unwrap_or(manifest.scene_path);
+    Ok((RunPlaces { scene, out, existing }, args.options(recorded)))
+}
+
+/// First Ctrl-C (or SIGTERM): stop after the current step; second: leave at once.
+fn stop_on_ctrl_c() -> Result<(), CliError> {
+    ctrlc::set_handler(|| {
+        if STOP_REQUESTED.swap(true, Ordering::Relaxed) {
+            // The workers notice that the coordinator is gone and clean up.
+            std::process::exit(1);
+        }
+        eprintln!("stopping after the current step (Ctrl-C again: at once)");
+    })
+    .map_err(|error| CliError::failed(format!("cannot listen for Ctrl-C: {error}")))
+}

@@ -1,0 +1,273 @@
+//! The workers of a run as seen by the coordinator: started (or waited for), spoken to, watched, and gone afterwards.
+//! Says nothing about what is simulated.
+
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure};
+use crate::transport::{ControlCoordinator, ControlError, MessageError, RunError, RunMember, RunName, decode, encode};
+
+/// How long workers get to leave by themselves before they are killed.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// Longest sleep between two looks at the workers.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Where the workers come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Launch {
+    /// Start them as children of this process.
+    Spawn,
+    /// Somebody else starts them (`loomtree-worker --run ID --rank R`); print the run's identifier for that.
+    Await,
+}
+
+/// Why the crew cannot go on.
+#[derive(Debug, Error)]
+pub enum CrewError {
+    /// A worker ended although nobody told it to.
+    #[error("worker {rank} (process {pid}) ended unexpectedly {place}")]
+    Died { rank: usize, pid: u32, place: String },
+    /// A worker gives no sign of life.
+    #[error("worker {rank} (process {pid}) hangs {place}: no sign of life for {silence_s:.1} s")]
+    Hung { rank: usize, pid: u32, place: String, silence_s: f64 },
+    /// A worker never came.
+    #[error("worker {rank} did not start within {waited_s:.0} s")]
+    Missing { rank: usize, waited_s: f64 },
+    /// A worker reported that it cannot go on.
+    #[error("worker {rank}: {}", failure_text(.failure))]
+    Failed { rank: usize, failure: WorkerFailure },
+    /// A worker process could not be started.
+    #[error("cannot start worker {rank}: {source}")]
+    Spawn { rank: usize, source: std::io::Error },
+    /// The channel to the workers.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    /// A worker said something else than it should.
+    #[error("message of worker {rank}: {source}")]
+    Message { rank: usize, source: MessageError },
+    /// A worker answered something else than was asked.
+    #[error("worker {rank} answered out of turn")]
+    OutOfTurn { rank: usize },
+    /// The run's resources.
+    #[error(transparent)]
+    Run(#[from] RunError),
+}
+
+fn failure_text(failure: &WorkerFailure) -> String {
+    match failure {
+        WorkerFailure::Transport(text) | WorkerFailure::BadInput(text) | WorkerFailure::Other(text) => text.clone(),
+        WorkerFailure::NotFinite { step, row, quantity, cause, suspect } => {
+            format!("step {step}: {quantity} of row {row} is not finite ({cause}); likely too large: {suspect}")
+        }
+    }
+}
+
+/// The workers of one run.
+pub struct Crew {
+    control: ControlCoordinator,
+    children: Vec<Child>,
+    heartbeat_limit: Duration,
+    step: u32,
+    run: RunName,
+    // Dropped last: as long as it lives, the run counts as alive.
+    _member: RunMember,
+}
+
+impl Crew {
+    /// Starts (or waits for) `ranks` workers. A worker that is silent for `heartbeat_limit` counts as hung.
+    pub fn assemble(ranks: usize, launch: &Launch, heartbeat_limit: Duration) -> Result<Crew, CrewError> {
+        let (run, member) = RunName::create("coordinator")?;
+        let control = ControlCoordinator::create(&run, ranks)?;
+        let mut crew = Crew { control, children: Vec::new(), heartbeat_limit, step: 0, run, _member: member };
+        match launch {
+            Launch::Spawn => crew.spawn(ranks)?,
+            Launch::Await => println!("{}", crew.run),
+        }
+        Ok(crew)
+    }
+
+    /// Identifier of the run.
+    pub fn run_name(&self) -> &RunName {
+        &self.run
+    }
+
+    fn spawn(&mut self, ranks: usize) -> Result<(), CrewError> {
+        let spawn_error = |rank| move |source| CrewError::Spawn { rank, source };
+        for rank in 0..ranks {
+            let program = std::env::current_exe().map_err(spawn_error(rank))?;
+            let child = Command::new(program)
+                .args(["worker", "--run", &self.run.to_string(), "--rank", &rank.to_string()])
+                .stdin(Stdio::null())
+                // A group of their own: Ctrl-C reaches the coordinator only, which then stops them in order.
+                .process_group(0)
+                .spawn()
+                .map_err(spawn_error(rank))?;
+            self.children.push(child);
+        }
+        Ok(())
+    }
+
+    /// Number of workers.
+    pub fn ranks(&self) -> usize {
+        self.control.ranks()
+    }
+
+    /// Sends a message to one worker.
+    pub fn send(&mut self, rank: usize, message: &ToWorker, arrays: &[&[u8]]) -> Result<(), CrewError> {
+        if let ToWorker::Step { step, .. } = message {
+            self.step = *step;
+        }
+        let bytes = encode(message, arrays).map_err(|source| CrewError::Message { rank, source })?;
+        Ok(self.control.send(rank, &bytes)?)
+    }
+
+    /// Sends a message without arrays to all workers.
+    pub fn broadcast(&mut self, message: &ToWorker) -> Result<(), CrewError> {
+        (0..self.ranks()).try_for_each(|rank| self.send(rank, message, &[]))
+    }
+
+    /// Waits until everything sent to `rank` has been taken, so that large messages do not pile up.
+    pub fn flush(&mut self, rank: usize, limit: Duration) -> Result<(), CrewError> {
+        let start = Instant::now();
+        while !self.control.all_sent(rank) {
+            self.look_after(start, limit)?;
+            self.control.wait(LOOK)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for one message of every worker and hands them to `take` (rank, message, arrays) as they come. A worker that is
+    /// silent for `limit` counts as hung.
+    pub fn collect(&mut self, limit: Duration, mut take: impl FnMut(usize, ToCoordinator, &[&[u8]]) -> bool) -> Result<(), CrewError> {
+        let mut missing: Vec<usize> = (0..self.ranks()).collect();
+        let start = Instant::now();
+        let mut reported = None;
+        loop {
+            let mut failure = None;
+            let mut taken = Vec::new();
+            for &rank in &missing {
+                let Some(bytes) = self.control.try_receive(rank)? else { continue };
+                let (message, arrays) = decode::<ToCoordinator>(&bytes).map_err(|source| CrewError::Message { rank, source })?;
+                match message {
+                    ToCoordinator::Failed(why) => failure = worse(failure, CrewError::Failed { rank, failure: why }),
+                    other => match take(rank, other, &arrays) {
+                        true => taken.push(rank),
+                        false => return Err(CrewError::OutOfTurn { rank }),
+                    },
+                }
+            }
+            missing.retain(|rank| !taken.contains(rank));
+            if let Some(failure) = failure {
+                // A worker that lost another one reports first; look who is really to blame before giving up.
+                let (_, since) = reported.get_or_insert((None, Instant::now()));
+                let since = *since;
+                reported = Some((Some(failure), since));
+            }
+            if let Err(error) = self.look_after(start, limit) {
+                return Err(error);
+            }
+            match &mut reported {
+                Some((Some(failure), _)) if !is_transport(failure) => return Err(reported.and_then(|(f, _)| f).expect("just seen")),
+                Some((failure, since)) if since.elapsed() > self.heartbeat_limit + LOOK => {
+                    return Err(failure.take().expect("set together with the time"));
+                }
+                _ => {}
+            }
+            if missing.is_empty() {
+                return Ok(());
+            }
+            self.control.wait(LOOK)?;
+        }
+    }
+
+    /// Finds dead, hung and missing workers.
+    fn look_after(&mut self, start: Instant, limit: Duration) -> Result<(), CrewError> {
+        for rank in 0..self.ranks() {
+            let heartbeat = self.control.heartbeat(rank);
+            let pid = heartbeat.pid as u32;
+            let place = if heartbeat.step == 0 { "while setting up".to_string() } else { format!("in step {}", heartbeat.step) };
+            let child_ended = self.children.get_mut(rank).is_some_and(|child| matches!(child.try_wait(), Ok(Some(_))));
+            if child_ended || self.control.has_ended(rank) {
+                let pid = self.children.get(rank).map_or(pid, Child::id);
+                // Its last words may be on the way.
+                if let Some(bytes) = self.control.try_receive(rank)?
+                    && let Ok((ToCoordinator::Failed(failure), _)) = decode::<ToCoordinator>(&bytes)
+                {
+                    return Err(CrewError::Failed { rank, failure });
+                }
+                return Err(CrewError::Died { rank, pid, place });
+            }
+            match self.control.silence(rank) {
+                Some(silence) if silence > limit => return Err(CrewError::Hung { rank, pid, place, silence_s: silence.as_secs_f64() }),
+                None if start.elapsed() > limit.max(Duration::from_secs(60)) => {
+                    return Err(CrewError::Missing { rank, waited_s: start.elapsed().as_secs_f64() });
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Tells all workers to leave and makes sure that they have.
+    pub fn dismiss(mut self) {
+        self.end();
+    }
+
+    fn end(&mut self) {
+        for rank in 0..self.ranks() {
+            // A worker that is gone cannot take the message; that is what is wanted.
+            let _ = self.send(rank, &ToWorker::Stop, &[]);
+        }
+        let start = Instant::now();
+        while start.elapsed() < FAREWELL && !self.all_gone() {
+            let _ = self.control.wait(Duration::from_millis(10));
+        }
+        if !self.all_gone() {
+            for rank in 0..self.ranks() {
+                let pid = self.control.heartbeat(rank).pid as i32;
+                let gone = self.control.has_ended(rank);
+                if let (false, Some(pid)) = (gone, rustix::process::Pid::from_raw(pid)) {
+                    let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
+                }
+            }
+            for child in &mut self.children {
+                let _ = child.kill();
+            }
+        }
+        for child in &mut self.children {
+            let _ = child.wait();
+        }
+        self.children.clear();
+    }
+
+    fn all_gone(&mut self) -> bool {
+        let children = self.children.iter_mut().all(|child| !matches!(child.try_wait(), Ok(None)));
+        let ranks = self.ranks();
+        children && (0..ranks).all(|rank| self.control.heartbeat(rank).pid == 0 || self.control.has_ended(rank))
+    }
+}
+
+impl Drop for Crew {
+    fn drop(&mut self) {
+        self.end();
+        // Ports of killed workers are only given up by removing the run's files.
+        if let Err(error) = self.run.purge() {
+            tracing::warn!("cannot remove the run's files: {error}");
+        }
+    }
+}
+
+fn is_transport(error: &CrewError) -> bool {
+    matches!(error, CrewError::Failed { failure: WorkerFailure::Transport(_), .. })
+}
+
+/// The failure that explains more: a lost connection is only the echo of something else.
+fn worse(old: Option<CrewError>, new: CrewError) -> Option<CrewError> {
+    match old {
+        Some(old) if !is_transport(&old) => Some(old),
+        _ => Some(new),
+    }
+}

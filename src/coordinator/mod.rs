@@ -1,0 +1,284 @@
+//! The coordinator of a run: starts the workers, gives them their parts, drives them step by step, collects frames and
+//! keeps report, trace and checkpoints. It never does simulation maths.
+
+pub mod crew;
+pub mod plan;
+mod progress;
+mod recorder;
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use thiserror::Error;
+
+pub use crew::{Crew, CrewError, Launch};
+pub use plan::{PlanError, RunOptions, RunPlan};
+use progress::Progress;
+pub use recorder::RecordError;
+use recorder::Recorder;
+
+use crate::math::Vec3;
+use crate::model::RankModel;
+use crate::output::{Checkpoint, Status};
+use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
+use crate::step::{ExchangePlan, StepStats};
+use crate::telemetry::Event;
+use crate::transport::{check_shared_memory, shared_memory_space};
+
+/// Setting up may take a worker much longer than any later sign of life.
+const SETUP_LIMIT: Duration = Duration::from_secs(300);
+
+/// Set by the first Ctrl-C: the run stops after the current step.
+pub static STOP_REQUESTED: AtomicBool = AtomicBool::new(false);
+
+/// Why a run did not end as it should.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// The user can fix it before the run starts.
+    #[error("{0}")]
+    BadInput(String),
+    /// It went wrong.
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl From<PlanError> for RunError {
+    fn from(error: PlanError) -> RunError {
+        RunError::BadInput(error.to_string())
+    }
+}
+
+/// Where a run reads and writes.
+#[derive(Clone, Debug)]
+pub struct RunPlaces {
+    /// Scene file.
+    pub scene: PathBuf,
+    /// Run directory.
+    pub out: PathBuf,
+    /// What to do with a run that is there.
+    pub existing: crate::output::Existing,
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RunSummary {
+    /// Frames written, frame 0 included.
+    pub frames: u32,
+    /// Steps done in this start.
+    pub steps: u32,
+    /// Mean wall time of a step as the coordinator saw it, seconds.
+    pub seconds_per_step: f64,
+    /// True if it was stopped by the user.
+    pub stopped: bool,
+}
+
+/// State of the whole cloth in the mesh's vertex order.
+struct State {
+    positions: Vec<Vec3>,
+    velocities: Vec<Vec3>,
+}
+
+/// Runs a plan to its end.
+pub fn run(mut plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
+    check_space(&plan)?;
+    let failed = |error: CrewError| RunError::Failed(error.to_string());
+    let (mut recorder, resumed) = Recorder::open(&plan, options, places).map_err(|error| match error {
+        RecordError::BadInput(text) => RunError::BadInput(text),
+        RecordError::Write(text) => RunError::Failed(text),
+    })?;
+    let first_step = match &resumed {
+        Some(checkpoint) => {
+            plan.scene.mesh.positions.clone_from(&checkpoint.positions);
+            plan.scene.velocities.clone_from(&checkpoint.velocities);
+            checkpoint.step as u32
+        }
+        None => 0,
+    };
+    let state = State { positions: plan.scene.mesh.positions.clone(), velocities: plan.scene.velocities.clone() };
+    let mut crew = Crew::assemble(options.workers, launch, Duration::from_secs_f64(options.heartbeat_s)).map_err(failed)?;
+    let mut driver = Driver { plan: &plan, options, recorder: &mut recorder, original_from_global: Vec::new(), state, done: first_step, seconds: 0.0 };
+    let result = driver.drive(&mut crew, first_step, resumed.as_ref());
+    let (done, seconds, original_from_global) = (driver.done, driver.seconds, std::mem::take(&mut driver.original_from_global));
+    match result {
+        Ok(stopped) => {
+            crew.dismiss();
+            let frames = done / plan.scene.settings.steps_per_frame + 1;
+            recorder.finish(if stopped { Status::Stopped } else { Status::Done }).map_err(|error| RunError::Failed(error.to_string()))?;
+            let steps = done - first_step;
+            Ok(RunSummary { frames, steps, seconds_per_step: seconds / steps.max(1) as f64, stopped })
+        }
+        Err(error) => {
+            drop(crew);
+            let text = error.explain(&original_from_global);
+            let kept = recorder.keep_last_state();
+            let _ = recorder.finish(Status::Failed(text.clone()));
+            let kept = kept.map_err(|error| RunError::Failed(format!("{text}; and {error}")))?;
+            Err(if error.is_bad_input() { RunError::BadInput(text) } else { RunError::Failed(format!("{text}{kept}")) })
+        }
+    }
+}
+
+/// Says before the start if the transfers cannot fit into shared memory.
+fn check_space(plan: &RunPlan) -> Result<(), RunError> {
+    let ranks = plan.partition.ranks();
+    let (_, free) = shared_memory_space().map_err(|error| RunError::Failed(error.to_string()))?;
+    check_shared_memory(ranks, message_values(plan), free).map_err(|error| RunError::BadInput(error.to_string()))
+}
+
+/// Longest message between ranks: positions and velocities of a whole row block.
+fn message_values(plan: &RunPlan) -> usize {
+    plan.partition.sub_vector_rows() * 6
+}
+
+/// Why driving ended early.
+#[derive(Debug, Error)]
+enum DriveError {
+    #[error(transparent)]
+    Crew(#[from] CrewError),
+    #[error(transparent)]
+    Record(#[from] RecordError),
+}
+
+impl DriveError {
+    fn is_bad_input(&self) -> bool {
+        matches!(self, DriveError::Crew(CrewError::Failed { failure: WorkerFailure::BadInput(_), .. }))
+    }
+
+    /// The sentence for the user, with vertices in the mesh's numbering.
+    fn explain(&self, original_from_global: &[u32]) -> String {
+        match self {
+            DriveError::Crew(CrewError::Failed { failure: WorkerFailure::NotFinite { step, row, quantity, cause, suspect }, .. }) => {
+                let vertex = original_from_global.get(*row as usize).copied().unwrap_or(*row);
+                format!("step {step}: the {quantity} of vertex {vertex} is not finite ({cause}); likely too large: {suspect}")
+            }
+            DriveError::Crew(CrewError::Failed { failure: WorkerFailure::BadInput(text), .. }) => text.clone(),
+            other => other.to_string(),
+        }
+    }
+}
+
+/// Drives the workers of one run.
+struct Driver<'a> {
+    plan: &'a RunPlan,
+    options: &'a RunOptions,
+    recorder: &'a mut Recorder,
+    original_from_global: Vec<u32>,
+    state: State,
+    done: u32,
+    seconds: f64,
+}
+
+impl Driver<'_> {
+    /// True if the user stopped the run.
+    fn drive(&mut self, crew: &mut Crew, first_step: u32, resumed: Option<&Checkpoint>) -> Result<bool, DriveError> {
+        let settings = &self.plan.scene.settings;
+        let ready = self.set_up(crew)?;
+        self.recorder.begin(self.plan, &ready)?;
+        if resumed.is_none() {
+            self.recorder.frame(self.plan, 0, 0, &self.state.positions, &self.state.velocities)?;
+        }
+        let last_step = settings.frames * settings.steps_per_frame;
+        let progress = Progress::new(settings.frames, first_step / settings.steps_per_frame);
+        for step in first_step + 1..=last_step {
+            let record = step <= first_step.saturating_add(self.options.trace_steps);
+            let start = std::time::Instant::now();
+            crew.broadcast(&ToWorker::Step { step, record })?;
+            let (stats, events) = self.collect_step(crew)?;
+            self.seconds += start.elapsed().as_secs_f64();
+            self.done = step;
+            self.recorder.step(self.plan, &stats, &events, start.elapsed().as_secs_f64())?;
+            let stop = STOP_REQUESTED.load(Ordering::Relaxed);
+            let frame_ends = step % settings.steps_per_frame == 0;
+            if frame_ends || stop {
+                self.collect_state(crew)?;
+            }
+            let frame = step / settings.steps_per_frame;
+            if frame_ends {
+                let hash = self.recorder.frame(self.plan, frame, step, &self.state.positions, &self.state.velocities)?;
+                let every = self.options.checkpoint_every;
+                if every > 0 && frame % every == 0 && step != last_step {
+                    self.recorder.keep_last_state()?;
+                }
+                progress.frame(frame, step, &stats[0], &hash, self.seconds / (step - first_step) as f64);
+            }
+            if stop {
+                self.recorder.remember(frame, step, &self.state.positions, &self.state.velocities, self.plan);
+                self.recorder.keep_last_state()?;
+                progress.end();
+                return Ok(true);
+            }
+        }
+        self.recorder.keep_last_state()?;
+        progress.end();
+        Ok(false)
+    }
+
+    /// Sends every worker its part and waits until all are connected.
+    fn set_up(&mut self, crew: &mut Crew) -> Result<Vec<WorkerReady>, DriveError> {
+        let model = self.plan.model();
+        let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
+        let ranks = self.plan.partition.ranks();
+        let setup = WorkerSetup {
+            executor: self.options.executor,
+            adapter: self.options.adapter,
+            threads: self.options.threads.unwrap_or((cores / ranks).max(1)),
+            ranks,
+            max_message_values: message_values(self.plan),
+            patience_s: 3600.0,
+        };
+        RankModel::split(&model, &self.plan.partition, |rank, part| {
+            let exchange = ExchangePlan { mode: self.options.exchange, queue: self.plan.transfers.schedule.queues[rank].clone() };
+            let arrays = part.arrays.clone();
+            crew.send(rank, &ToWorker::Simulate { setup: setup.clone(), exchange, model: Box::new(part) }, &arrays.to_bytes())?;
+            // One part at a time in flight: the coordinator's memory stays at one part.
+            crew.flush(rank, SETUP_LIMIT)
+        })?;
+        self.original_from_global = model.original_from_global;
+        let mut ready: Vec<Option<WorkerReady>> = vec![None; ranks];
+        crew.collect(SETUP_LIMIT, |rank, message, _| match message {
+            ToCoordinator::Ready(worker) => {
+                ready[rank] = Some(worker);
+                true
+            }
+            _ => false,
+        })?;
+        Ok(ready.into_iter().flatten().collect())
+    }
+
+    fn collect_step(&mut self, crew: &mut Crew) -> Result<(Vec<StepStats>, Vec<Vec<Event>>), DriveError> {
+        let ranks = self.plan.partition.ranks();
+        let mut stats = vec![StepStats::default(); ranks];
+        let mut events = vec![Vec::new(); ranks];
+        let limit = Duration::from_secs_f64(self.options.heartbeat_s);
+        crew.collect(limit, |rank, message, arrays| match (message, arrays) {
+            (ToCoordinator::StepDone(done), [bytes]) => {
+                stats[rank] = done;
+                events[rank] = bytes.chunks_exact(size_of::<Event>()).map(bytemuck::pod_read_unaligned).collect();
+                true
+            }
+            _ => false,
+        })?;
+        Ok((stats, events))
+    }
+
+    fn collect_state(&mut self, crew: &mut Crew) -> Result<(), DriveError> {
+        crew.broadcast(&ToWorker::SendState)?;
+        let (partition, order, state) = (&self.plan.partition, &self.original_from_global, &mut self.state);
+        let limit = Duration::from_secs_f64(self.options.heartbeat_s);
+        crew.collect(limit, |rank, message, arrays| {
+            let rows = partition.rows_of(rank);
+            let (ToCoordinator::State, [positions, velocities]) = (message, arrays) else { return false };
+            if positions.len() != rows.len() * 12 || velocities.len() != rows.len() * 12 {
+                return false;
+            }
+            for (target, bytes) in [(&mut state.positions, positions), (&mut state.velocities, velocities)] {
+                for (row, value) in rows.clone().zip(bytes.chunks_exact(12)) {
+                    target[order[row] as usize] = Vec3::from_array(bytemuck::pod_read_unaligned(value));
+                }
+            }
+            true
+        })?;
+        Ok(())
+    }
+}

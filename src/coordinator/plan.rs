@@ -1,0 +1,156 @@
+//! What a run is made of, before any process starts: scene, model, partition, schedule. Everything that can be refused is
+//! refused here.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::interconnect::{Plan, ScheduleError, ScheduleKind, Topology, TopologyError, plan};
+use crate::model::GlobalModel;
+use crate::output::FrameFormat;
+use crate::partition::RowPartition;
+use crate::protocol::ExecutorChoice;
+use crate::scene::{Overrides, Scene, SceneError};
+use crate::solver::ExchangeMode;
+use crate::transport::RANKS_MAX;
+
+/// Everything the command line decides about a run; kept in `run.toml`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RunOptions {
+    /// Number of worker processes.
+    pub workers: usize,
+    /// Topology file; none: a balanced binary tree.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub topology: Option<PathBuf>,
+    /// Executor of the workers.
+    pub executor: ExecutorChoice,
+    /// Adapter of the gpu executor.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub adapter: Option<usize>,
+    /// Threads of each worker on the cpu executor; none: cores / workers.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub threads: Option<usize>,
+    /// Frames; none: the scene's.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub frames: Option<u32>,
+    /// Triangles of procedural sheets; none: the scene's.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub resolution: Option<u64>,
+    /// What SpMV exchanges.
+    pub exchange: ExchangeMode,
+    /// How transfers are scheduled.
+    #[serde(with = "schedule_name")]
+    pub schedule: ScheduleKind,
+    /// Frames between checkpoints; 0: only when stopped.
+    pub checkpoint_every: u32,
+    /// Frame formats.
+    #[serde(with = "format_names")]
+    pub formats: Vec<FrameFormat>,
+    /// Seconds without a sign of life after which a worker counts as hung.
+    pub heartbeat_s: f64,
+    /// Steps whose events go into the trace, from the first one of this start.
+    pub trace_steps: u32,
+}
+
+mod schedule_name {
+    use crate::interconnect::ScheduleKind;
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub fn serialize<S: Serializer>(kind: &ScheduleKind, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(kind.name())
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ScheduleKind, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        ScheduleKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| D::Error::custom(format!("no schedule is called '{name}'")))
+    }
+}
+
+mod format_names {
+    use crate::output::{FrameFormat, parse_formats};
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub fn serialize<S: Serializer>(formats: &[FrameFormat], serializer: S) -> Result<S::Ok, S::Error> {
+        let names: Vec<String> = formats.iter().map(|format| format.to_string()).collect();
+        serializer.serialize_str(&names.join(","))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameFormat>, D::Error> {
+        parse_formats(&String::deserialize(deserializer)?).map_err(D::Error::custom)
+    }
+}
+
+/// Why a run is refused.
+#[derive(Debug, Error)]
+pub enum PlanError {
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The topology file.
+    #[error(transparent)]
+    Topology(#[from] TopologyError),
+    /// The schedule cannot be made for this topology.
+    #[error("--schedule: {0}")]
+    Schedule(#[from] ScheduleError),
+    /// A number out of range.
+    #[error("--workers {workers}: {what}")]
+    Workers { workers: usize, what: String },
+}
+
+/// A run that can start.
+pub struct RunPlan {
+    /// The scene.
+    pub scene: Scene,
+    /// Rows and ranks.
+    pub partition: RowPartition,
+    /// Work queues and how they were chosen.
+    pub transfers: Plan,
+    /// Name of the topology, for the report.
+    pub topology: String,
+}
+
+impl RunPlan {
+    /// Reads and checks everything.
+    pub fn new(scene_path: &Path, options: &RunOptions) -> Result<RunPlan, PlanError> {
+        let overrides = Overrides { resolution: options.resolution, frames: options.frames };
+        RunPlan::of_scene(crate::scene::load(scene_path, &overrides)?, options)
+    }
+
+    /// As [`RunPlan::new`] for a scene that has been read.
+    pub fn of_scene(scene: Scene, options: &RunOptions) -> Result<RunPlan, PlanError> {
+        let rows = scene.mesh.positions.len();
+        let workers = options.workers;
+        if workers == 0 || workers > RANKS_MAX {
+            return Err(PlanError::Workers { workers, what: format!("expected 1 to {RANKS_MAX}") });
+        }
+        if workers > rows {
+            return Err(PlanError::Workers { workers, what: format!("the cloth has only {rows} vertices; use at most as many workers") });
+        }
+        let partition = RowPartition::new(rows, workers);
+        let (transfers, topology) = plan_transfers(options.topology.as_deref(), options.schedule, workers, partition.sub_vector_rows())?;
+        Ok(RunPlan { scene, partition, transfers, topology })
+    }
+
+    /// The model in global order.
+    pub fn model(&self) -> GlobalModel {
+        GlobalModel::new(&self.scene)
+    }
+}
+
+/// Work queues for `workers` ranks: on the first GPUs of a topology file, or on a balanced binary tree without one.
+pub fn plan_transfers(file: Option<&Path>, kind: ScheduleKind, workers: usize, sub_vector_rows: usize) -> Result<(Plan, String), PlanError> {
+    let topology = match file {
+        None => Topology::default_for(workers)?,
+        Some(path) => {
+            let whole = Topology::read(path)?;
+            if workers > whole.gpus() {
+                let what = format!("{} has only {} GPUs", path.display(), whole.gpus());
+                return Err(PlanError::Workers { workers, what });
+            }
+            whole.with_first_gpus(workers)?
+        }
+    };
+    let name = file.map_or_else(|| topology.name().to_string(), |path| path.display().to_string());
+    Ok((plan(kind, &topology, sub_vector_rows as f64 * 12.0)?, name))
+}

@@ -1,0 +1,47 @@
+//! Progress on stderr: a bar with the time left on a terminal, one line per frame otherwise.
+
+use std::io::IsTerminal;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::step::StepStats;
+
+/// Progress of a run.
+pub struct Progress {
+    bar: Option<ProgressBar>,
+    frames: u32,
+}
+
+impl Progress {
+    /// Progress of `frames` frames of which `done` are there already.
+    pub fn new(frames: u32, done: u32) -> Progress {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let bar = ProgressBar::new(frames as u64).with_position(done as u64);
+            if let Ok(style) = ProgressStyle::with_template("{bar:40} frame {pos}/{len}  {msg}  left {eta}") {
+                bar.set_style(style);
+            }
+            bar.reset_eta();
+            bar
+        });
+        Progress { bar, frames }
+    }
+
+    /// A frame is written.
+    pub fn frame(&self, frame: u32, step: u32, stats: &StepStats, hash: &str, seconds_per_step: f64) {
+        let work = format!("{} iterations, {:.1} ms/step", stats.iterations, seconds_per_step * 1e3);
+        match &self.bar {
+            Some(bar) => {
+                bar.set_message(work);
+                bar.set_position(frame as u64);
+            }
+            None => eprintln!("frame {frame}/{} (step {step}): {work}, state {hash}", self.frames),
+        }
+    }
+
+    /// The run is over.
+    pub fn end(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish();
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! What a run leaves in its directory while it goes on: frames, report, trace, recipe, checkpoints.
+
+use std::fmt::Display;
+
+use thiserror::Error;
+
+use super::{RunOptions, RunPlaces, RunPlan};
+use crate::math::Vec3;
+use crate::output::{
+    Checkpoint, Existing, FrameRecord, FrameWriter, RankEvents, ReportHeader, ReportWriter, RunDirectory, RunManifest, StageSeconds, Status, StepRecord, TraceWriter, checkpoint,
+    scene_fingerprint, state_hash,
+};
+use crate::protocol::WorkerReady;
+use crate::step::StepStats;
+use crate::telemetry::Event;
+
+/// Why something could not be written or resumed.
+#[derive(Debug, Error)]
+pub enum RecordError {
+    /// Refused before anything was written.
+    #[error("{0}")]
+    BadInput(String),
+    /// The disk refused.
+    #[error("{0}")]
+    Write(String),
+}
+
+fn write_error(error: impl Display) -> RecordError {
+    RecordError::Write(error.to_string())
+}
+
+/// Writes a run's files.
+pub struct Recorder {
+    directory: RunDirectory,
+    options: RunOptions,
+    fingerprint: u64,
+    first: Option<Checkpoint>,
+    frames: Option<FrameWriter>,
+    report: Option<ReportWriter>,
+    trace: Option<TraceWriter>,
+    epochs: Vec<u64>,
+    last: Option<Checkpoint>,
+}
+
+impl Recorder {
+    /// Prepares the run directory; with [`Existing::Resume`] also returns the checkpoint to go on from.
+    pub fn open(plan: &RunPlan, options: &RunOptions, places: &RunPlaces) -> Result<(Recorder, Option<Checkpoint>), RecordError> {
+        let directory = RunDirectory::create(&places.out, places.existing).map_err(|error| RecordError::BadInput(error.to_string()))?;
+        let fingerprint = scene_fingerprint(&plan.scene);
+        let mut resumed = None;
+        if places.existing == Existing::Resume {
+            let latest = checkpoint::latest(&directory.checkpoints());
+            latest.notes.iter().for_each(|note| tracing::warn!("{note}"));
+            let Some((path, found)) = latest.found else {
+                return Err(RecordError::BadInput(format!("{} holds no valid checkpoint to resume from", directory.checkpoints().display())));
+            };
+            if found.fingerprint != fingerprint || found.positions.len() != plan.scene.mesh.positions.len() {
+                return Err(RecordError::BadInput(format!("{} belongs to another scene, resolution or setting; resume with those of run.toml", path.display())));
+            }
+            resumed = Some(found);
+        } else {
+            let text = std::fs::read_to_string(&places.scene).map_err(write_error)?;
+            RunManifest::new(&places.scene, &text, options).and_then(|mut manifest| manifest.save(&directory)).map_err(write_error)?;
+        }
+        let recorder = Recorder { directory, options: options.clone(), fingerprint, first: resumed.clone(), frames: None, report: None, trace: None, epochs: Vec::new(), last: None };
+        Ok((recorder, resumed))
+    }
+
+    /// The workers are there: starts report, trace and frames.
+    pub fn begin(&mut self, plan: &RunPlan, ready: &[WorkerReady]) -> Result<(), RecordError> {
+        let scene = &plan.scene;
+        let devices: Vec<String> = ready.iter().map(|worker| worker.device.clone()).collect();
+        let mut header = ReportHeader {
+            scene: scene.name.clone(),
+            workers: ready.len(),
+            executor: ready.first().map_or_else(String::new, |worker| worker.executor.clone()),
+            devices: devices.clone(),
+            exchange: format!("{:?}", self.options.exchange).to_lowercase(),
+            schedule: plan.transfers.kind.name().to_string(),
+            topology: plan.topology.clone(),
+            triangles: scene.mesh.triangles.len(),
+            vertices: scene.mesh.positions.len(),
+            step_s: scene.settings.step_s,
+            steps_per_frame: scene.settings.steps_per_frame,
+            frames_wanted: scene.settings.frames,
+            ..ReportHeader::now()
+        };
+        header.set_gravity(scene.settings.gravity_m_s2.to_array().map(f64::from));
+        let path = self.directory.report();
+        let report = match &self.first {
+            Some(from) => ReportWriter::resume(&path, header, from.step, from.frame),
+            None => ReportWriter::create(&path, header),
+        };
+        self.report = Some(report.map_err(write_error)?);
+        let first_frame = self.first.as_ref().map_or(0, |from| from.frame + 1);
+        self.frames = Some(FrameWriter::new(&self.directory, &self.options.formats, &scene.mesh, first_frame).map_err(write_error)?);
+        if self.options.trace_steps > 0 {
+            self.epochs = ready.iter().map(|worker| worker.epoch_unix_ns).collect();
+            let base = self.epochs.iter().copied().min().unwrap_or(0);
+            self.trace = Some(TraceWriter::create(&self.directory.trace(), &devices, base).map_err(write_error)?);
+        }
+        Ok(())
+    }
+
+    /// A step is done on all ranks; `wall_s` = its wall time as the coordinator saw it.
+    pub fn step(&mut self, plan: &RunPlan, ranks: &[StepStats], events: &[Vec<Event>], wall_s: f64) -> Result<(), RecordError> {
+        let settings = &plan.scene.settings;
+        let first = ranks[0];
+        let slowest = |stage: fn(&StepStats) -> f64| ranks.iter().map(stage).fold(0.0, f64::max);
+        let spmv_bytes: u64 = ranks.iter().map(|rank| rank.spmv_bytes).sum();
+        let record = StepRecord {
+            step: first.step as u64,
+            frame: first.step.div_ceil(settings.steps_per_frame),
+            time_s: first.step as f64 * settings.step_s,
+            iterations: first.iterations,
+            residual: first.residual,
+            converged: first.converged,
+            stage_seconds: StageSeconds {
+                exchange: slowest(|rank| rank.seconds.exchange),
+                elements: slowest(|rank| rank.seconds.elements),
+                index_fill: slowest(|rank| rank.seconds.index_fill),
+                value_fill: slowest(|rank| rank.seconds.value_fill),
+                solve: slowest(|rank| rank.seconds.solve),
+                advance: slowest(|rank| rank.seconds.advance),
+                total: wall_s,
+                ..StageSeconds::default()
+            },
+            bytes_moved: spmv_bytes + ranks.iter().map(|rank| rank.state_bytes).sum::<u64>(),
+            bytes_per_spmv: spmv_bytes / first.products.max(1) as u64,
+            memory_bytes_per_rank: ranks.iter().map(|rank| rank.memory_bytes).collect(),
+            resident_bytes_per_rank: ranks.iter().map(|rank| rank.resident_bytes).collect(),
+            ..StepRecord::default()
+        };
+        if !first.converged {
+            tracing::warn!("step {}: the solver stopped at {} iterations with a relative residual of {:.2e}", first.step, first.iterations, first.residual);
+        }
+        if let Some(report) = &mut self.report {
+            report.step(record);
+        }
+        if let Some(trace) = &mut self.trace {
+            let ranks: Vec<RankEvents> = events.iter().enumerate().map(|(rank, events)| RankEvents { rank, epoch_unix_ns: self.epochs[rank], events }).collect();
+            trace.append(&ranks).map_err(write_error)?;
+        }
+        Ok(())
+    }
+
+    /// Writes a frame and remembers it as the last good state; returns its hash.
+    pub fn frame(&mut self, plan: &RunPlan, frame: u32, step: u32, positions: &[Vec3], velocities: &[Vec3]) -> Result<String, RecordError> {
+        let hash = state_hash(positions, velocities);
+        if let Some(frames) = &mut self.frames {
+            frames.write(frame, &plan.scene.mesh, positions).map_err(write_error)?;
+        }
+        if let Some(report) = &mut self.report {
+            report.frame(FrameRecord { frame, time_s: step as f64 * plan.scene.settings.step_s, state_hash: hash.clone() }).map_err(write_error)?;
+        }
+        self.remember(frame, step, positions, velocities, plan);
+        Ok(hash)
+    }
+
+    /// Keeps a state in memory for a checkpoint.
+    pub fn remember(&mut self, frame: u32, step: u32, positions: &[Vec3], velocities: &[Vec3], plan: &RunPlan) {
+        let time_s = step as f64 * plan.scene.settings.step_s;
+        let last = self.last.get_or_insert_with(|| Checkpoint { frame, step: 0, time_s, fingerprint: self.fingerprint, positions: Vec::new(), velocities: Vec::new() });
+        (last.frame, last.step, last.time_s) = (frame, step as u64, time_s);
+        last.positions.clear();
+        last.positions.extend_from_slice(positions);
+        last.velocities.clear();
+        last.velocities.extend_from_slice(velocities);
+    }
+
+    /// Writes the last good state as a checkpoint; says where, as the end of a sentence.
+    pub fn keep_last_state(&mut self) -> Result<String, RecordError> {
+        let Some(last) = &self.last else { return Ok(String::new()) };
+        let path = checkpoint::write(&self.directory.checkpoints(), last).map_err(write_error)?;
+        Ok(format!("; the last good state (step {}) is kept in {}, continue with --resume", last.step, path.display()))
+    }
+
+    /// Writes the final report.
+    pub fn finish(self, status: Status) -> Result<(), RecordError> {
+        match self.report {
+            Some(report) => report.finish(status).map(|_| ()).map_err(write_error),
+            None => Ok(()),
+        }
+    }
+}

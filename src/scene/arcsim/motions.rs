@@ -1,0 +1,196 @@
+//! ARCSim's motions: cubic Hermite splines through keyframed transforms, sampled into our piecewise linear ones.
+
+use crate::math::{DQuat, DVec3};
+
+use super::super::json::Json;
+use super::super::{Keyframe, Motion, SceneError};
+
+/// Linear pieces per spline segment: a cubic is off by less than 1/500 of its bulge.
+const PIECES: u32 = 16;
+
+/// Value or derivative of a transform, component by component as ARCSim blends it.
+#[derive(Clone, Copy)]
+struct Blend {
+    translation: DVec3,
+    /// A quaternion, normalized only when it is used.
+    rotation: DQuat,
+    scale: f64,
+}
+
+impl Blend {
+    const ZERO: Blend = Blend { translation: DVec3::ZERO, rotation: DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), scale: 0.0 };
+
+    fn weighted(terms: [(f64, Blend); 4]) -> Blend {
+        terms.iter().fold(Blend::ZERO, |sum, (weight, term)| Blend {
+            translation: sum.translation + *weight * term.translation,
+            rotation: sum.rotation + term.rotation * *weight,
+            scale: sum.scale + weight * term.scale,
+        })
+    }
+}
+
+struct Key {
+    time_s: f64,
+    value: Blend,
+    velocity: Option<Blend>,
+}
+
+/// The motion of a handle that takes hold at `start_s`: relative to where the motion is then.
+pub(super) fn handle_motion(root: &Json, index: &Json, start_s: f64) -> Result<Motion, SceneError> {
+    let number = index.whole(0)? as usize;
+    let motions = root.get("motions").ok_or_else(|| index.error("the scene has no `motions`"))?;
+    if let Some(file) = motions.get("motfile") {
+        let name = file.text()?;
+        return Err(index.error(format!(
+            "its motion is in the file `{name}`; motion files are not read, keyframes in `motions` are"
+        )));
+    }
+    let list = motions.array()?;
+    let motion = list
+        .get(number)
+        .ok_or_else(|| index.error(format!("there is no motion {number}; the scene has {}", list.len())))?;
+    let sampled = sample(&keys(motion)?);
+    let relative = relative_to(&sampled, start_s);
+    relative.ok_or_else(|| index.error(format!("the motion has scale 0 at {start_s} s, when the handle takes hold")))
+}
+
+fn keys(motion: &Json) -> Result<Vec<Key>, SceneError> {
+    let mut keys: Vec<Key> = Vec::new();
+    for json in motion.array()? {
+        let time_s = json.required("time")?.number()?;
+        if keys.last().is_some_and(|last| last.time_s >= time_s) {
+            return Err(json.error("its time must be later than that of the keyframe before"));
+        }
+        let placement = json.or("transform", super::UNMOVED, super::placement)?;
+        let mut rotation = placement.rotation;
+        // q and -q are the same rotation; blending wants the near one.
+        if keys.last().is_some_and(|last| last.value.rotation.dot(rotation) < 0.0) {
+            rotation = -rotation;
+        }
+        let velocity = |json: &Json| -> Result<Blend, SceneError> {
+            Ok(Blend {
+                translation: json.or("translate", DVec3::ZERO, Json::vector)?,
+                scale: json.or("scale", 0.0, Json::number)?,
+                ..Blend::ZERO
+            })
+        };
+        let velocity = json.get("velocity").map(|json| velocity(&json)).transpose()?;
+        keys.push(Key {
+            time_s,
+            value: Blend { translation: placement.translation_m, rotation, scale: placement.scale },
+            velocity,
+        });
+    }
+    if keys.is_empty() {
+        return Err(motion.error("a motion needs at least one keyframe"));
+    }
+    Ok(keys)
+}
+
+/// The derivative at a key: given, or Catmull-Rom, or zero at the ends.
+fn velocity(keys: &[Key], i: usize) -> Blend {
+    match keys[i].velocity {
+        Some(velocity) => velocity,
+        None if i == 0 || i + 1 == keys.len() => Blend::ZERO,
+        None => {
+            let (before, after) = (&keys[i - 1], &keys[i + 1]);
+            let rate = 1.0 / (after.time_s - before.time_s);
+            Blend::weighted([(rate, after.value), (-rate, before.value), (0.0, Blend::ZERO), (0.0, Blend::ZERO)])
+        }
+    }
+}
+
+fn sample(keys: &[Key]) -> Motion {
+    let mut keyframes = Vec::new();
+    let mut push = |time_s: f64, value: Blend| {
+        let rotation = if value.rotation.length() > 0.0 { value.rotation.normalize() } else { DQuat::IDENTITY };
+        keyframes.push(Keyframe {
+            translation_m: value.translation,
+            rotation,
+            scale: value.scale,
+            ..Keyframe::identity(time_s)
+        });
+    };
+    for (i, pair) in keys.windows(2).enumerate() {
+        let span = pair[1].time_s - pair[0].time_s;
+        let velocities = [velocity(keys, i), velocity(keys, i + 1)];
+        for piece in 0..PIECES {
+            let s = f64::from(piece) / f64::from(PIECES);
+            let (s2, s3) = (s * s, s * s * s);
+            let value = Blend::weighted([
+                (2.0 * s3 - 3.0 * s2 + 1.0, pair[0].value),
+                (3.0 * s2 - 2.0 * s3, pair[1].value),
+                ((s3 - 2.0 * s2 + s) * span, velocities[0]),
+                ((s3 - s2) * span, velocities[1]),
+            ]);
+            push(pair[0].time_s + s * span, value);
+        }
+    }
+    if let Some(last) = keys.last() {
+        push(last.time_s, last.value);
+    }
+    Motion { keyframes }
+}
+
+/// M(t) M(start)^-1, with the place of M(start) as pivot: then every component is still the blend of its keyframes.
+fn relative_to(motion: &Motion, start_s: f64) -> Option<Motion> {
+    let (scale, rotation, place) = motion.transform_at(start_s).to_scale_rotation_translation();
+    let inverse = rotation.inverse();
+    let relative = |key: &Keyframe| Keyframe {
+        translation_m: key.translation_m - place,
+        rotation: key.rotation * inverse,
+        scale: key.scale / scale.x,
+        pivot_m: place,
+        ..*key
+    };
+    (scale.x > 0.0).then(|| Motion { keyframes: motion.keyframes.iter().map(relative).collect() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Vec3;
+    use std::path::Path;
+
+    fn motion(text: &str, start_s: f64) -> Result<Motion, String> {
+        let value = super::super::parse_json(text, Path::new("m.json")).unwrap();
+        let root = Json::root(Path::new("m.json"), &value);
+        handle_motion(&root, &root.required("use").unwrap(), start_s).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_spline_eases_in_and_out_and_starts_where_the_handle_is() {
+        let text = "{use: 0, motions: [[{time: 0, transform: {translate: [5, 0, 0]}}, {time: 2, transform: {translate: [9, 0, 0]}}]]}";
+        let motion = motion(text, 0.0).unwrap();
+        for (time_s, x) in [(0.0, 0.0), (0.5, 4.0 * (3.0 / 16.0 - 2.0 / 64.0)), (1.0, 2.0), (2.0, 4.0), (5.0, 4.0)] {
+            assert!(motion.apply(time_s, Vec3::ZERO).distance(Vec3::new(x, 0.0, 0.0)) < 1e-6, "at {time_s} s");
+        }
+    }
+
+    #[test]
+    fn rotation_about_the_place_of_the_motion() {
+        let text = "{use: 0, motions: [[{time: 0, transform: {translate: [1, 0, 0], rotate: [30, 0, 0, 1]}},
+            {time: 1, transform: {translate: [1, 0, 0], rotate: [120, 0, 0, 1]}}]]}";
+        let motion = motion(text, 0.0).unwrap();
+        assert!(motion.apply(1.0, Vec3::new(3.0, 0.0, 0.0)).distance(Vec3::new(1.0, 2.0, 0.0)) < 1e-6);
+    }
+
+    #[test]
+    fn motions_that_cannot_be_had_say_why() {
+        let fault = |text| motion(text, 1.0).unwrap_err();
+        assert_eq!(fault("{use: 1}"), "m.json: field `use`: the scene has no `motions`");
+        assert_eq!(fault("{use: 1, motions: [[]]}"), "m.json: field `use`: there is no motion 1; the scene has 1");
+        assert_eq!(
+            fault("{use: 0, motions: {motfile: 'a.mot'}}"),
+            "m.json: field `use`: its motion is in the file `a.mot`; motion files are not read, keyframes in `motions` are"
+        );
+        assert_eq!(
+            fault("{use: 0, motions: [[{time: 1}, {time: 1}]]}"),
+            "m.json: field `motions[0][1]`: its time must be later than that of the keyframe before"
+        );
+        assert_eq!(
+            fault("{use: 0, motions: [[{time: 0, transform: {scale: 0}}]]}"),
+            "m.json: field `use`: the motion has scale 0 at 1 s, when the handle takes hold"
+        );
+    }
+}

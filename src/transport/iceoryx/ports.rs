@@ -1,0 +1,109 @@
+//! The ports of the data transport: a rank's own publisher, and what it opens of every other rank.
+
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::*;
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+
+use super::cells::PeerCells;
+use super::node::{BUFFERS, DEPTH, Ipc, OpenError, open_when_created, service_name, text};
+use crate::transport::TransportError;
+use crate::transport::wait::{Patience, Stopped};
+
+/// In front of every message.
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[repr(C)]
+pub(super) struct Header {
+    /// Messages of this source, counting from 0.
+    pub sequence: u64,
+}
+
+/// What a message holds.
+pub(super) type Values = [f32];
+/// A message in place.
+pub(super) type ValueSample = iceoryx2::sample::Sample<Ipc, Values, Header>;
+
+/// Another rank as seen from this one.
+pub(super) struct Peer {
+    pub cells: PeerCells,
+    pub subscriber: Subscriber<Ipc, Values, Header>,
+    pub notifier: Notifier<Ipc>,
+    /// Messages of this peer received so far.
+    pub received: u64,
+    /// Own messages that this peer had given back when last looked at.
+    pub consumed: u64,
+    _values: publish_subscribe::PortFactory<Ipc, Values, Header>,
+    _wake: event::PortFactory<Ipc>,
+}
+
+/// The error of a wait for `source_rank` that was given up.
+pub(super) fn stopped_error(rank: usize, source_rank: usize, what: &'static str, stopped: Stopped) -> TransportError {
+    match stopped {
+        Stopped::TimedOut { waited_s } => TransportError::TimedOut { rank, source_rank, what, waited_s },
+        Stopped::Aborted => TransportError::Aborted { rank, source_rank, what },
+    }
+}
+
+type OwnValues = (publish_subscribe::PortFactory<Ipc, Values, Header>, Publisher<Ipc, Values, Header>);
+
+/// The service of the own messages and its publisher.
+pub(super) fn create_values(node: &Node<Ipc>, rank: usize, ranks: usize, max_len: usize) -> Result<OwnValues, String> {
+    // No `payload_alignment`: it would round the size of every single value up to it.
+    let service = node
+        .service_builder(&service_name(&format!("rank/{rank}/values"))?)
+        .publish_subscribe::<Values>()
+        .user_header::<Header>()
+        .max_publishers(1)
+        .max_subscribers((ranks - 1).max(1))
+        .max_nodes(ranks)
+        .subscriber_max_buffer_size(DEPTH)
+        .subscriber_max_borrowed_samples(1)
+        .history_size(0)
+        .enable_safe_overflow(false)
+        .create()
+        .map_err(text("messages"))?;
+    let publisher = service
+        .publisher_builder()
+        .initial_max_slice_len(max_len.max(1))
+        .max_loaned_samples(1)
+        .allocation_strategy(AllocationStrategy::Static)
+        // With credits no reader's buffer is ever full: a full one is an error, not something to wait for in here.
+        .backpressure_strategy(BackpressureStrategy::DiscardData)
+        .override_sample_preallocation(|_| BUFFERS)
+        .create()
+        .map_err(text("publisher"))?;
+    Ok((service, publisher))
+}
+
+/// Opens everything of rank `source` as soon as it is there.
+pub(super) fn open_peer(
+    node: &Node<Ipc>,
+    rank: usize,
+    source: usize,
+    patience: &mut Patience,
+) -> Result<Peer, TransportError> {
+    let fail = |message: String| TransportError::Mechanism { rank, message };
+    let not_opened = |error: OpenError| match error {
+        OpenError::Stopped(stopped) => stopped_error(rank, source, "its start", stopped),
+        OpenError::Failed(message) => fail(format!("rank {source}: {message}")),
+    };
+    let name = |kind: &str| service_name(&format!("rank/{source}/{kind}")).map_err(fail);
+    let cells_name = name("cells")?;
+    let cells = open_when_created(patience, "blackboard", || {
+        node.service_builder(&cells_name).blackboard_opener::<u64>().open()
+    });
+    let cells = PeerCells::new(cells.map_err(not_opened)?, rank).map_err(fail)?;
+    let values_name = name("values")?;
+    let values = open_when_created(patience, "messages", || {
+        node.service_builder(&values_name).publish_subscribe::<Values>().user_header::<Header>().open()
+    })
+    .map_err(not_opened)?;
+    let subscriber = values.subscriber_builder().buffer_size(DEPTH).create();
+    let subscriber = subscriber.map_err(|error| fail(format!("subscriber: {error:?}")))?;
+    let wake_name = name("wake")?;
+    let wake = open_when_created(patience, "wake-up service", || node.service_builder(&wake_name).event().open())
+        .map_err(not_opened)?;
+    let notifier = wake.notifier_builder().create().map_err(|error| fail(format!("notifier: {error:?}")))?;
+    Ok(Peer { cells, subscriber, notifier, received: 0, consumed: 0, _values: values, _wake: wake })
+}

@@ -1,0 +1,253 @@
+//! `loomtree render` on small runs: what is drawn, in which colour, from where, and what is said when nothing can be.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::Path;
+
+use clap::Parser;
+use loomtree::cli::CliError;
+use loomtree::cli::render::{self, RenderArgs};
+use loomtree::math::Vec3;
+use loomtree::mesh::TriangleMesh;
+use loomtree::output::{Existing, FrameFormat, FrameWriter, ReportHeader, ReportWriter, RunDirectory, Status};
+
+#[derive(Parser)]
+struct Cli {
+    #[command(flatten)]
+    render: RenderArgs,
+}
+
+fn args(run: &Path, flags: &[&str]) -> Result<RenderArgs, clap::Error> {
+    let words = ["render", run.to_str().unwrap()];
+    Cli::try_parse_from(words.iter().chain(flags)).map(|cli| cli.render)
+}
+
+fn render(run: &Path, flags: &[&str]) -> Result<(), CliError> {
+    render::run(args(run, flags).unwrap())
+}
+
+/// A unit square from the origin along `x` and `y`; its front faces x cross y.
+fn square(x: Vec3, y: Vec3) -> TriangleMesh {
+    let positions = vec![Vec3::ZERO, x, x + y, y];
+    TriangleMesh { positions, triangles: vec![[0, 1, 2], [0, 2, 3]], material_uv: Vec::new() }
+}
+
+/// A run of `frames` frames in which the mesh moves by `shift` a frame.
+fn run_of(folder: &Path, mesh: &TriangleMesh, frames: u32, shift: Vec3, format: FrameFormat) -> RunDirectory {
+    let directory = RunDirectory::create(folder, Existing::Overwrite).unwrap();
+    let mut writer = FrameWriter::new(&directory, &[format], mesh, 0).unwrap();
+    for frame in 0..frames {
+        let moved: Vec<Vec3> = mesh.positions.iter().map(|p| *p + shift * frame as f32).collect();
+        writer.write(frame, mesh, &moved).unwrap();
+    }
+    directory
+}
+
+struct Picture {
+    width: usize,
+    height: usize,
+    rgb: Vec<u8>,
+}
+
+impl Picture {
+    fn load(path: &Path) -> Picture {
+        let mut reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
+        let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut rgb).unwrap();
+        assert_eq!(info.color_type, png::ColorType::Rgb);
+        Picture { width: info.width as usize, height: info.height as usize, rgb }
+    }
+
+    fn at(&self, x: usize, y: usize) -> [i32; 3] {
+        let at = (y * self.width + x) * 3;
+        [0, 1, 2].map(|c| i32::from(self.rgb[at + c]))
+    }
+
+    fn center(&self) -> [i32; 3] {
+        self.at(self.width / 2, self.height / 2)
+    }
+
+    /// Pixels of the cloth's front (red) as (left, top, right, bottom).
+    fn red_box(&self) -> Option<[usize; 4]> {
+        let red = (0..self.width * self.height).filter(|i| is_red(self.at(i % self.width, i / self.width)));
+        red.fold(None, |seen: Option<[usize; 4]>, i| {
+            let (x, y) = (i % self.width, i / self.width);
+            let [l, t, r, b] = seen.unwrap_or([x, y, x, y]);
+            Some([l.min(x), t.min(y), r.max(x), b.max(y)])
+        })
+    }
+}
+
+fn is_red([r, g, b]: [i32; 3]) -> bool {
+    r > g + 40 && r > b + 40
+}
+
+fn is_blue([r, g, b]: [i32; 3]) -> bool {
+    b > r + 40 && b > g
+}
+
+fn is_gray([r, g, b]: [i32; 3]) -> bool {
+    (r - g).abs() < 12 && (g - b).abs() < 12 && r < 190
+}
+
+fn frame(run: &RunDirectory, number: u32) -> Picture {
+    Picture::load(&run.pictures().join(format!("frame_{number:06}.png")))
+}
+
+const SMALL: [&str; 2] = ["--size", "160x120"];
+
+#[test]
+fn front_and_back_have_their_tints_and_fill_the_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    // Upright, front towards -y: seen from there.
+    let run = run_of(folder.path(), &square(Vec3::X, Vec3::Z), 1, Vec3::ZERO, FrameFormat::Ply);
+    render(folder.path(), &SMALL).unwrap();
+    let picture = frame(&run, 0);
+    assert_eq!((picture.width, picture.height), (160, 120));
+    assert!(is_red(picture.center()), "{:?}", picture.center());
+    let [left, top, right, bottom] = picture.red_box().unwrap();
+    assert!(left > 0 && top > 0 && right < 159 && bottom < 119, "cut off: {left} {top} {right} {bottom}");
+    assert!(right - left > 120 || bottom - top > 90, "small: {left} {top} {right} {bottom}");
+
+    render(folder.path(), &[&SMALL[..], &["--azimuth", "60"]].concat()).unwrap();
+    let behind = frame(&run, 0);
+    assert!(is_blue(behind.center()), "{:?}", behind.center());
+    assert!(behind.red_box().is_none());
+}
+
+#[test]
+fn pictures_do_not_depend_on_the_file_format() {
+    let (one, other, third) =
+        (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mesh = square(Vec3::X, Vec3::Z);
+    let formats = [(&one, FrameFormat::Ply), (&other, FrameFormat::Obj), (&third, FrameFormat::Pc2)];
+    let pictures = formats.map(|(folder, format)| {
+        let run = run_of(folder.path(), &mesh, 3, Vec3::new(0.1, 0.2, -0.3), format);
+        render(folder.path(), &SMALL).unwrap();
+        frame(&run, 2).rgb
+    });
+    assert!(pictures[0] == pictures[1] && pictures[0] == pictures[2]);
+}
+
+#[test]
+fn the_up_axis_comes_from_the_report_or_the_flag() {
+    let folder = tempfile::tempdir().unwrap();
+    // Falls along -y.
+    let run = run_of(folder.path(), &square(Vec3::X, Vec3::Y), 2, Vec3::new(0.0, -2.0, 0.0), FrameFormat::Ply);
+    let mut header = ReportHeader::now();
+    header.set_gravity([0.0, -9.81, 0.0]);
+    ReportWriter::create(&run.report(), header).unwrap().finish(Status::Done).unwrap();
+    let boxes = |flags: &[&str]| {
+        render(folder.path(), &[&SMALL[..], flags].concat()).unwrap();
+        [0, 1].map(|n| frame(&run, n).red_box().unwrap())
+    };
+    let [before, after] = boxes(&[]);
+    assert!(before[3] < after[1], "it does not fall down: {before:?} {after:?}");
+    assert_eq!(boxes(&["--up", "y"]), [before, after]);
+    let [before, after] = boxes(&["--up", "z", "--azimuth", "0"]);
+    assert!(after[2] < before[0], "with z up, seen from +x, it moves to the left: {before:?} {after:?}");
+}
+
+#[test]
+fn the_nearer_surface_hides_the_farther_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = square(Vec3::X, Vec3::Z);
+    let run = run_of(folder.path(), &mesh, 2, Vec3::ZERO, FrameFormat::Ply);
+    let mut writer = FrameWriter::new(&run, &[FrameFormat::Ply], &mesh, 0).unwrap();
+    for (number, y) in [(0, 0.3), (1, -0.3)] {
+        let wall: Vec<Vec3> = mesh.positions.iter().map(|p| *p + Vec3::Y * y).collect();
+        writer.write_obstacle(number, &wall, &mesh.triangles).unwrap();
+    }
+    render(folder.path(), &[&SMALL[..], &["--azimuth", "-90", "--elevation", "0"]].concat()).unwrap();
+    assert!(is_red(frame(&run, 0).center()), "{:?}", frame(&run, 0).center());
+    assert!(is_gray(frame(&run, 1).center()), "{:?}", frame(&run, 1).center());
+}
+
+#[test]
+fn colourings_show_height_and_direction() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_of(folder.path(), &square(Vec3::X, Vec3::Z), 1, Vec3::ZERO, FrameFormat::Ply);
+    let view = ["--azimuth", "-90", "--elevation", "0", "--color"];
+    render(folder.path(), &[&SMALL[..], &view, &["height"]].concat()).unwrap();
+    let picture = frame(&run, 0);
+    let (high, low) = (picture.at(80, 15), picture.at(80, 105));
+    assert!(high[1] > high[2] + 40 && low[2] > low[1], "high {high:?}, low {low:?}");
+    render(folder.path(), &[&SMALL[..], &view, &["normal"]].concat()).unwrap();
+    let [r, g, b] = frame(&run, 0).center();
+    // Straight towards the camera: (0, 0, 1) -> (0.5, 0.5, 1).
+    assert!((r - 128).abs() < 4 && (g - 128).abs() < 4 && b > 250, "{:?}", [r, g, b]);
+}
+
+#[test]
+fn frames_are_chosen_and_the_sheet_shows_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_of(folder.path(), &square(Vec3::X, Vec3::Z), 30, Vec3::ZERO, FrameFormat::Ply);
+    render(folder.path(), &[&SMALL[..], &["--frames", "3..20", "--every", "5"]].concat()).unwrap();
+    let mut names: Vec<_> = fs::read_dir(run.pictures()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    let expected = ["contact_sheet", "frame_000003", "frame_000008", "frame_000013", "frame_000018"];
+    assert_eq!(names, expected.map(|n| std::ffi::OsString::from(format!("{n}.png"))));
+    let sheet = Picture::load(&run.pictures().join("contact_sheet.png"));
+    // Two by two pictures of 160x120 with 6 pixels around each; cloth in the middle of every one.
+    assert_eq!((sheet.width, sheet.height), (2 * 166 + 6, 2 * 126 + 6));
+    for (x, y) in [(86, 66), (252, 66), (86, 192), (252, 192)] {
+        assert!(is_red(sheet.at(x, y)), "no cloth at {x}, {y}");
+    }
+    // The digit 8 in dots of 3 pixels, on the second picture.
+    let ink: Vec<String> = (0..5)
+        .map(|row| {
+            let dot = |column: usize| sheet.at(6 + 166 + 3 + 3 * column + 1, 6 + 3 + 3 * row + 1)[0] < 100;
+            (0..3).map(|column| if dot(column) { '#' } else { '.' }).collect()
+        })
+        .collect();
+    assert_eq!(ink, ["###", "#.#", "###", "#.#", "###"]);
+}
+
+#[test]
+fn broken_positions_are_left_out_and_broken_files_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = square(Vec3::X, Vec3::Z);
+    let run = run_of(folder.path(), &mesh, 2, Vec3::ZERO, FrameFormat::Ply);
+    let file = run.frames().join("frame_000001.ply");
+    let good = fs::read(&file).unwrap();
+    // The last vertex becomes NaN: its triangle goes, the other one stays.
+    let mut broken = good.clone();
+    let header = good.len() - 2 * 13 - 4 * 12;
+    broken[header + 36..header + 48].fill(0xff);
+    fs::write(&file, &broken).unwrap();
+    render(folder.path(), &SMALL).unwrap();
+    let count = |n| {
+        let picture = frame(&run, n);
+        (0..160 * 120).filter(|i| is_red(picture.at(i % 160, i / 160))).count()
+    };
+    let (whole, half) = (count(0), count(1));
+    assert!(half * 10 > whole * 4 && half * 10 < whole * 6, "{half} of {whole} pixels");
+
+    fs::write(&file, &good[..good.len() - 1]).unwrap();
+    let error = render(folder.path(), &SMALL).unwrap_err();
+    let expected = "frame_000001.ply: it is cut off: shorter than its 4 vertices and 2 triangles need";
+    assert!(error.message.ends_with(expected) && error.exit_code == 2, "{error}");
+}
+
+#[test]
+fn bad_requests_get_one_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = render(folder.path(), &[]).unwrap_err();
+    assert!(error.message.contains("is not a run directory") && error.exit_code == 2, "{error}");
+    run_of(folder.path(), &square(Vec3::X, Vec3::Z), 2, Vec3::ZERO, FrameFormat::Ply);
+    let error = render(folder.path(), &["--frames", "7.."]).unwrap_err();
+    assert!(error.message.ends_with("; it holds 0..1") && error.exit_code == 2, "{error}");
+
+    let sentences = HashMap::from([
+        (["--size", "9x9999"], "is no size; write WIDTHxHEIGHT with 16 to 8192 pixels each"),
+        (["--frames", "9..3"], "is no range of frames; write A..B with A not above B"),
+        (["--color", "plaid"], "is no colouring; valid are shaded, height and normal"),
+        (["--up", "x"], "is no up axis; valid are y and z"),
+        (["--every", "0"], "0 is not in 1.."),
+    ]);
+    for (flags, sentence) in sentences {
+        let error = args(folder.path(), &flags).unwrap_err().to_string();
+        assert!(error.contains(sentence), "{error}");
+    }
+}

@@ -1,0 +1,484 @@
+//! House rules that a compiler does not check: import order, siblings of kernels, headers of files, citations, lengths,
+//! machine paths. Every rule is a function from text to findings and is itself tested on a bad snippet.
+//!
+//! It reads source text, not a syntax tree: code that goes out of its way (macros that paste paths) can hide from it.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Longest file in lines. The aim is 400; past this limit a file is split.
+const LINES_MAX: usize = 600;
+/// Where the project's own text lies, besides the files at the top.
+const FOLDERS: [&str; 10] =
+    ["src", "bin", "tests", "examples", "benches", "docs", "scenes", "topology", "scripts", ".ci"];
+
+/// A text file of the project; `path` is relative to the root, with slashes.
+struct Source {
+    path: String,
+    text: String,
+}
+
+impl Source {
+    fn new(path: &str, text: &str) -> Source {
+        Source { path: path.into(), text: text.into() }
+    }
+
+    fn is(&self, extension: &str) -> bool {
+        self.path.ends_with(extension)
+    }
+
+    /// A finding at byte `at`.
+    fn finding(&self, at: usize, what: &str) -> String {
+        let line = self.text[..at.min(self.text.len())].matches('\n').count() + 1;
+        format!("{}:{line}: {what}", self.path)
+    }
+}
+
+// ---- rules ----
+
+/// `use crate::x`, `crate::x::y` and `super::super::x` that name a module below the file's own in `order`.
+fn upward_imports(file: &Source, order: &[String]) -> Vec<String> {
+    let Some(inside) = file.path.strip_prefix("src/").and_then(|path| path.strip_suffix(".rs")) else {
+        return Vec::new();
+    };
+    let parts: Vec<&str> = inside.split('/').filter(|part| *part != "mod").collect();
+    let Some(own) = order.iter().position(|name| name == parts[0]) else { return Vec::new() };
+    let code = blank(&file.text);
+    let mut used = Vec::new();
+    for (at, _) in code.match_indices("crate::") {
+        used.extend(names_after(&code, at + "crate::".len()));
+    }
+    // As many `super` as the file is deep lead to the root; inside an inline module to its parent, whose children have
+    // other names.
+    let climb = "super::".repeat(parts.len());
+    for (at, _) in code.match_indices(&climb) {
+        used.extend(names_after(&code, at + climb.len()));
+    }
+    let below =
+        used.into_iter().filter(|(_, name)| order.iter().position(|other| other == name).is_some_and(|i| i > own));
+    below
+        .map(|(at, name)| {
+            file.finding(at, &format!("{} imports {name}, which stands below it in src/lib.rs", order[own]))
+        })
+        .collect()
+}
+
+/// First path segments at `at`: one name, or those of a `{..}` group.
+fn names_after(code: &str, at: usize) -> Vec<(usize, String)> {
+    let name_at = |start: usize| {
+        let rest = &code[start..];
+        let lead = rest.len() - rest.trim_start().len();
+        let name: String = rest[lead..].chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+        (start + lead, name)
+    };
+    if !code[at..].starts_with('{') {
+        return vec![name_at(at)];
+    }
+    let (mut names, mut depth) = (vec![name_at(at + 1)], 0);
+    for (offset, c) in code[at..].char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 1 => names.push(name_at(at + offset + 1)),
+            _ => {}
+        }
+        if depth == 0 {
+            break;
+        }
+    }
+    names
+}
+
+/// Module names in the order of `src/lib.rs`.
+fn module_order(lib: &str) -> Vec<String> {
+    let code = blank(lib);
+    let declared =
+        |line: &str| line.trim().trim_start_matches("pub ").strip_prefix("mod ")?.strip_suffix(';').map(str::to_string);
+    code.lines().filter_map(declared).collect()
+}
+
+/// A kernel `x.wgsl` without its host wrapper `x.rs` or its native twin `x_cpu.rs`. Shader text without an entry point is
+/// shared by kernels and needs neither; probes of the executor itself (`src/gpu/*.wgsl`) simulate nothing and need no twin.
+fn lonely_kernels(files: &[Source]) -> Vec<String> {
+    let paths: BTreeSet<&str> = files.iter().map(|file| file.path.as_str()).collect();
+    let mut findings = Vec::new();
+    for file in files.iter().filter(|file| file.text.contains("@compute")) {
+        let Some(stem) = file.path.strip_suffix(".wgsl").filter(|stem| stem.starts_with("src/")) else { continue };
+        let probe = stem.strip_prefix("src/gpu/").is_some_and(|name| !name.contains('/'));
+        let siblings = [Some(format!("{stem}.rs")), (!probe).then(|| format!("{stem}_cpu.rs"))];
+        let missing = siblings.into_iter().flatten().filter(|sibling| !paths.contains(sibling.as_str()));
+        findings.extend(missing.map(|sibling| format!("{}: {sibling} is missing", file.path)));
+    }
+    findings
+}
+
+/// A Rust file that does not open with `//!`, or a shader that does not open with `//`.
+fn missing_header(file: &Source) -> Vec<String> {
+    let header = if file.is(".rs") { "//!" } else { "//" };
+    let wanted = file.is(".rs") || file.is(".wgsl");
+    if wanted && !file.text.starts_with(header) {
+        return vec![file.finding(0, &format!("the file does not open with {header} and what it is"))];
+    }
+    Vec::new()
+}
+
+/// Unfinished code and tests that never run.
+fn unfinished(file: &Source) -> Vec<String> {
+    if !file.is(".rs") {
+        return Vec::new();
+    }
+    let code = blank(&file.text);
+    let mut findings = Vec::new();
+    for word in ["todo!", "unimplemented!", "#[ignore"] {
+        findings.extend(
+            code.match_indices(word).map(|(at, _)| file.finding(at, &format!("{word} is not for committed code"))),
+        );
+    }
+    if file.path.starts_with("src/") {
+        findings.extend(
+            code.match_indices("allow(dead_code").map(|(at, _)| file.finding(at, "dead code is removed, not allowed")),
+        );
+    }
+    findings
+}
+
+/// More than [`LINES_MAX`] lines.
+fn too_long(file: &Source) -> Vec<String> {
+    let lines = file.text.lines().count();
+    if (file.is(".rs") || file.is(".wgsl")) && lines > LINES_MAX {
+        return vec![format!("{}: {lines} lines; split it ({LINES_MAX} at most)", file.path)];
+    }
+    Vec::new()
+}
+
+/// Citations such as `[Li et al. 2020, Sec. 3.1; Harmon et al. 2008]` whose key (`li2020`) is not in the bibliography.
+fn unknown_citations(file: &Source, bibliography: &str) -> Vec<String> {
+    let mut findings = Vec::new();
+    for (open, _) in file.text.match_indices('[') {
+        let rest = &file.text[open + 1..];
+        let Some(close) = rest.find(']').filter(|close| *close < 300) else { continue };
+        // A citation may go over a line's end inside a comment.
+        let flat: Vec<&str> = rest[..close]
+            .split_whitespace()
+            .filter(|word| !matches!(*word, "//" | "///" | "//!" | "#" | "*"))
+            .collect();
+        for key in flat.join(" ").split(';').flat_map(keys_of) {
+            if !bibliography.contains(&format!("{{{key},")) {
+                findings.push(file.finding(open, &format!("docs/references.bib has no entry {key}")));
+            }
+        }
+    }
+    findings
+}
+
+/// Bibliography keys of one citation: "Narain et al. 2012, 2013" -> narain2012, narain2013; nothing if it is none.
+fn keys_of(citation: &str) -> Vec<String> {
+    let citation = citation.trim();
+    // 2020, or 2020b for a second paper of that name and year.
+    let is_year = |word: &str| {
+        let digits = word.strip_suffix(|c: char| c.is_ascii_lowercase()).unwrap_or(word);
+        digits.len() == 4
+            && (digits.starts_with("19") || digits.starts_with("20"))
+            && digits.bytes().all(|b| b.is_ascii_digit())
+    };
+    let words: Vec<&str> = citation.split(' ').map(|word| word.trim_end_matches(',')).collect();
+    let Some(first_year) = words.iter().position(|word| is_year(word)) else { return Vec::new() };
+    let name = |word: &str| {
+        word.starts_with(char::is_uppercase) && word.len() > 1 && word.chars().all(|c| c.is_alphabetic() || c == '-')
+    };
+    let joins = |word: &str| matches!(word, "et" | "al." | "and" | "&") || name(word);
+    if first_year == 0 || !name(words[0]) || !words[..first_year].iter().all(|word| joins(word)) {
+        return Vec::new();
+    }
+    let surname = words[0].to_lowercase();
+    words[first_year..].iter().take_while(|word| is_year(word)).map(|year| format!("{surname}{year}")).collect()
+}
+
+/// Commands without an example in the README.
+fn missing_commands<'a>(readme: &str, commands: &[&'a str]) -> Vec<&'a str> {
+    commands.iter().copied().filter(|name| !readme.contains(&format!("`loomtree {name} "))).collect()
+}
+
+/// Names in the first column of a Markdown table, among `known`, in the order of their rows.
+fn rows_of<'a>(markdown: &'a str, known: &[String]) -> Vec<&'a str> {
+    let name = |line: &'a str| line.strip_prefix("| `")?.split_once("` |").map(|(name, _)| name);
+    markdown.lines().filter_map(name).filter(|name| known.iter().any(|other| other == name)).collect()
+}
+
+/// Paths that exist on one machine only.
+fn machine_paths(file: &Source) -> Vec<String> {
+    // Put together here, so that this file does not find itself.
+    let roots = ["work/", "home/", "root/", "Users/"].map(|folder| format!("/{folder}"));
+    let mut findings = Vec::new();
+    for root in &roots {
+        for (at, _) in file.text.match_indices(root.as_str()) {
+            let before = file.text[..at].chars().next_back();
+            // ../home/ and example.org/home/ are no paths of a machine.
+            if !before.is_some_and(|c| c.is_alphanumeric() || matches!(c, '.' | '_' | '-' | '/' | '}')) {
+                findings.push(file.finding(at, &format!("{root}.. exists on one machine only")));
+            }
+        }
+    }
+    findings
+}
+
+// ---- reading ----
+
+/// Rust text with comments, strings and characters replaced by blanks; line ends and lengths stay.
+fn blank(text: &str) -> String {
+    let bytes = text.as_bytes();
+    let mut out = bytes.to_vec();
+    let mut i = 0;
+    while i < bytes.len() {
+        let end = end_of_token(bytes, i);
+        if end == i {
+            i += 1;
+            continue;
+        }
+        out[i..end].iter_mut().filter(|b| **b != b'\n').for_each(|b| *b = b' ');
+        i = end;
+    }
+    String::from_utf8(out).expect("whole tokens are blanked, and they begin and end between characters")
+}
+
+/// End of the comment, string or character that begins at `i`; `i` if none does.
+fn end_of_token(bytes: &[u8], i: usize) -> usize {
+    let rest = &bytes[i..];
+    let find =
+        |needle: &[u8], from: usize| rest[from..].windows(needle.len()).position(|w| w == needle).map(|p| from + p);
+    if rest.starts_with(b"//") {
+        return i + find(b"\n", 0).unwrap_or(rest.len());
+    }
+    if rest.starts_with(b"/*") {
+        let (mut depth, mut at) = (1, 2);
+        while depth > 0 && at < rest.len() {
+            let (step, change) = if rest[at..].starts_with(b"/*") {
+                (2, 1)
+            } else if rest[at..].starts_with(b"*/") {
+                (2, -1)
+            } else {
+                (1, 0)
+            };
+            depth += change;
+            at += step;
+        }
+        return i + at;
+    }
+    if rest[0] == b'r' && (i == 0 || !is_word(bytes[i - 1]) || bytes[i - 1] == b'b') {
+        let hashes = rest[1..].iter().take_while(|b| **b == b'#').count();
+        if rest.get(1 + hashes) == Some(&b'"') {
+            let close = [b"\"".as_slice(), &b"#".repeat(hashes)].concat();
+            return i + find(&close, 2 + hashes).map_or(rest.len(), |at| at + close.len());
+        }
+        return i;
+    }
+    if rest[0] == b'"' {
+        return i + quoted(rest, b'"');
+    }
+    // 'a' and '\n' are characters, 'a without a closing quote is a lifetime.
+    let width = rest.get(1).map_or(1, |b| (b.leading_ones() as usize).max(1));
+    if rest[0] == b'\'' && (rest.get(1) == Some(&b'\\') || rest.get(1 + width) == Some(&b'\'')) {
+        return i + quoted(rest, b'\'');
+    }
+    i
+}
+
+fn is_word(byte: u8) -> bool {
+    byte.is_ascii_alphanumeric() || byte == b'_'
+}
+
+/// Length of a literal from its opening to its closing quote.
+fn quoted(rest: &[u8], quote: u8) -> usize {
+    let mut at = 1;
+    while at < rest.len() && rest[at] != quote {
+        at += if rest[at] == b'\\' { 2 } else { 1 };
+    }
+    (at + 1).min(rest.len())
+}
+
+/// All text of the project. Files that are not UTF-8 are not text.
+fn project() -> Vec<Source> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut paths: Vec<PathBuf> = children(root).into_iter().filter(|path| path.is_file()).collect();
+    let mut folders: Vec<PathBuf> = FOLDERS.iter().map(|folder| root.join(folder)).collect();
+    while let Some(folder) = folders.pop() {
+        for path in children(&folder) {
+            if path.is_dir() { folders.push(path) } else { paths.push(path) }
+        }
+    }
+    paths.sort();
+    let relative =
+        |path: &Path| path.strip_prefix(root).map(|p| p.to_string_lossy().replace('\\', "/")).unwrap_or_default();
+    // .git is a file in a linked checkout and holds a path by design.
+    let own = paths.iter().filter(|path| relative(path) != ".git");
+    own.filter_map(|path| Some(Source { path: relative(path), text: fs::read_to_string(path).ok()? })).collect()
+}
+
+fn children(folder: &Path) -> Vec<PathBuf> {
+    fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
+}
+
+fn assert_tidy(rule: impl Fn(&Source) -> Vec<String>) {
+    let files = project();
+    assert!(files.iter().any(|file| file.path == "src/lib.rs"), "the project's text was not found");
+    let findings: Vec<String> = files.iter().flat_map(rule).collect();
+    assert!(findings.is_empty(), "\n{}\n", findings.join("\n"));
+}
+
+fn text_of(path: &str) -> String {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path))
+        .unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+// ---- the tree ----
+
+#[test]
+fn modules_import_only_what_stands_above_them() {
+    let order = module_order(&text_of("src/lib.rs"));
+    assert!(order.len() > 10 && order[0] == "math", "src/lib.rs was not understood: {order:?}");
+    assert_tidy(|file| upward_imports(file, &order));
+}
+
+#[test]
+fn kernels_have_a_wrapper_and_a_native_twin() {
+    let findings = lonely_kernels(&project());
+    assert!(findings.is_empty(), "\n{}\n", findings.join("\n"));
+}
+
+#[test]
+fn files_say_what_they_are() {
+    assert_tidy(missing_header);
+}
+
+#[test]
+fn nothing_is_unfinished() {
+    assert_tidy(unfinished);
+}
+
+#[test]
+fn files_fit_a_head() {
+    assert_tidy(too_long);
+}
+
+#[test]
+fn citations_are_in_the_bibliography() {
+    let bibliography = text_of("docs/references.bib");
+    assert_tidy(|file| unknown_citations(file, &bibliography));
+}
+
+#[test]
+fn no_file_names_a_path_of_one_machine() {
+    assert_tidy(machine_paths);
+}
+
+#[test]
+fn the_readme_shows_every_command() {
+    let help = Command::new(env!("CARGO_BIN_EXE_loomtree")).arg("--help").output().expect("the program starts");
+    let help = String::from_utf8_lossy(&help.stdout);
+    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let commands: Vec<&str> =
+        listed.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").collect();
+    assert!(commands.contains(&"run"), "the help was not understood:\n{help}");
+    assert_eq!(missing_commands(&text_of("README.md"), &commands), [""; 0], "README.md has no example of them");
+}
+
+#[test]
+fn the_architecture_page_shows_every_module_in_order() {
+    let order = module_order(&text_of("src/lib.rs"));
+    assert_eq!(rows_of(&text_of("ARCHITECTURE.md"), &order), order, "table of modules in ARCHITECTURE.md");
+}
+
+// ---- the rules on bad snippets ----
+
+fn order() -> Vec<String> {
+    module_order("//! pub mod not_this;\npub mod math;\npub mod gpu;\nmod solver;\npub mod output;\n")
+}
+
+#[test]
+fn upward_imports_are_found() {
+    assert_eq!(order(), ["math", "gpu", "solver", "output"]);
+    let found = |path: &str, text: &str| upward_imports(&Source::new(path, text), &order());
+    assert_eq!(
+        found("src/gpu/vec.rs", "//! x\nuse crate::solver::Pcg;\n"),
+        ["src/gpu/vec.rs:2: gpu imports solver, which stands below it in src/lib.rs"]
+    );
+    assert_eq!(found("src/gpu.rs", "use crate::{math, solver::{Pcg, gpu}, output};").len(), 2);
+    assert_eq!(found("src/gpu/mod.rs", "fn f() -> crate::output::Frame {}").len(), 1);
+    assert_eq!(found("src/gpu/vec.rs", "use super::super::solver;").len(), 1);
+    let fine = "//! crate::solver\nuse crate::math; /* crate::output /* */ crate::output */\nfn f<'a>(c: char) { let _ = (\"crate::output\", r#\"crate::\"output\"#, '\"', crate::gpu::X); }";
+    assert_eq!(found("src/gpu/vec.rs", fine), [""; 0]);
+    assert_eq!(found("src/output.rs", "use crate::{math, gpu, solver};"), [""; 0]);
+}
+
+#[test]
+fn lonely_kernels_are_found() {
+    let kernels = ["src/solver/spmv.wgsl", "src/solver/spmv.rs", "src/gpu/probe.wgsl"];
+    let mut files: Vec<Source> = kernels.iter().map(|path| Source::new(path, "@compute fn main() {}")).collect();
+    files.push(Source::new("src/gpu/prelude.wgsl", "fn helper() {}"));
+    assert_eq!(
+        lonely_kernels(&files),
+        ["src/solver/spmv.wgsl: src/solver/spmv_cpu.rs is missing", "src/gpu/probe.wgsl: src/gpu/probe.rs is missing"]
+    );
+}
+
+#[test]
+fn missing_headers_are_found() {
+    assert_eq!(missing_header(&Source::new("src/a.rs", "use std::fs;")).len(), 1);
+    assert_eq!(missing_header(&Source::new("src/a.wgsl", "fn main() {}")).len(), 1);
+    assert!(missing_header(&Source::new("src/a.rs", "//! What it is.\n")).is_empty());
+    assert!(missing_header(&Source::new("README.md", "# Loomtree")).is_empty());
+}
+
+#[test]
+fn unfinished_code_is_found() {
+    let bad = "#[test]\n#[ignore = \"slow\"]\nfn f() { todo!() }\n#[allow(dead_code)]\nfn g() { unimplemented!() }";
+    assert_eq!(unfinished(&Source::new("src/a.rs", bad)).len(), 4);
+    assert!(unfinished(&Source::new("src/a.rs", "// todo!\nlet text = \"unimplemented!\";")).is_empty());
+}
+
+#[test]
+fn long_files_are_found() {
+    assert_eq!(too_long(&Source::new("src/a.rs", &"\n".repeat(LINES_MAX + 1))).len(), 1);
+    assert!(too_long(&Source::new("src/a.rs", &"\n".repeat(LINES_MAX))).is_empty());
+}
+
+#[test]
+fn unknown_citations_are_found() {
+    let found =
+        |text: &str| unknown_citations(&Source::new("src/a.rs", text), "@article{li2020,\n@article{narain2012,\n");
+    // Years apart from names, so that these are no citations of this file.
+    let with_year = |text: &str| text.replace("YEAR", "2020").replace("OTHER", "2012");
+    assert_eq!(
+        found(&with_year("//! x [Li et al. YEAR, Sec. 3]\n//! [Nobody and Else YEAR,\n//! Fig. 2]")),
+        ["src/a.rs:2: docs/references.bib has no entry nobody2020"]
+    );
+    assert_eq!(
+        found(&with_year("[Narain et al. OTHER, YEAR]")),
+        ["src/a.rs:1: docs/references.bib has no entry narain2020"]
+    );
+    assert_eq!(found(&with_year("[Li et al. YEAR; Missing OTHER]")).len(), 1);
+    assert_eq!(found(&with_year("[Li et al. YEARb]")), ["src/a.rs:1: docs/references.bib has no entry li2020b"]);
+    assert!(found("let a = [1, 2020]; [x.y](z 2020) [Vec; 2020] [See 12 of 2020]").is_empty());
+}
+
+#[test]
+fn missing_commands_are_found() {
+    assert_eq!(missing_commands("| `run` | `loomtree run x.toml` |", &["run", "doctor"]), ["doctor"]);
+}
+
+#[test]
+fn missing_and_misplaced_modules_are_found() {
+    let table = "| Module | |\n|---|---|\n| `gpu` | x |\n| `math` | x |\n| `coming` | x |\n";
+    assert_eq!(rows_of(table, &order()), ["gpu", "math"]);
+}
+
+#[test]
+fn machine_paths_are_found() {
+    let path = |folder: &str| format!("let a = \"/{folder}/x\";");
+    for folder in ["work", "home", "root"] {
+        assert_eq!(machine_paths(&Source::new("src/a.rs", &path(folder))).len(), 1, "{folder}");
+    }
+    assert!(machine_paths(&Source::new("docs/a.md", "https://example.org/home/x ../work/ /tmp/x")).is_empty());
+}
