@@ -66,9 +66,11 @@ pub struct Binding<'a> {
 
 impl GpuExecutor {
     /// Opens adapter number `adapter`, or the default one of `rank`, and tests that it computes what kernels rely on.
-    pub(super) fn open(adapter: Option<usize>, rank: usize) -> Result<GpuExecutor, GpuError> {
+    /// Kernels see at most `binding_bytes` bytes of an array at once, fewer if that is the adapter's limit.
+    pub(super) fn open(adapter: Option<usize>, rank: usize, binding_bytes: u64) -> Result<GpuExecutor, GpuError> {
         let (adapter, summary) = adapter::select(adapter, rank)?;
-        let limits = adapter.limits();
+        let mut limits = adapter.limits();
+        limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(binding_bytes);
         let request = wgpu::DeviceDescriptor {
             label: Some("loomtree"),
             required_limits: limits.clone(),

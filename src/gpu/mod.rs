@@ -78,7 +78,7 @@ impl Executor {
     /// A device. `adapter` is a number from [`adapters`]; by default ranks take turns among the best ones, software only
     /// where there is nothing else ([`Executor::device_name`] says so).
     pub fn gpu(adapter: Option<usize>, rank: usize) -> Result<Executor, GpuError> {
-        GpuExecutor::open(adapter, rank).map(|gpu| Executor::Gpu(Box::new(gpu)))
+        GpuExecutor::open(adapter, rank, u64::MAX).map(|gpu| Executor::Gpu(Box::new(gpu)))
     }
 
     /// A device if one is named or there is a hardware one, otherwise a native executor with `threads` threads.

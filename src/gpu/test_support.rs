@@ -1,6 +1,6 @@
 //! Help for tests that need a device.
 
-use super::Executor;
+use super::{Executor, GpuExecutor};
 
 /// A device for a test, or None (after a line on standard output) on a machine without adapters.
 /// Panics without an adapter where `LOOMTREE_REQUIRE_GPU=1`, and wherever an adapter exists but gives no device.
@@ -13,6 +13,16 @@ pub fn executor() -> Option<Executor> {
     }
     match Executor::gpu(None, 0) {
         Ok(executor) => Some(executor),
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// As [`executor`], on a device that pretends to bind at most `bytes` bytes of an array, so that small arrays are split as
+/// large ones are.
+pub fn executor_binding(bytes: u64) -> Option<Executor> {
+    executor()?;
+    match GpuExecutor::open(None, 0, bytes) {
+        Ok(gpu) => Some(Executor::Gpu(Box::new(gpu))),
         Err(error) => panic!("{error}"),
     }
 }

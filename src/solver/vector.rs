@@ -9,7 +9,7 @@ static START: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wg
 static DOT: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "dot_product");
 static UPDATE: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "update");
 /// CHUNK_THREADS of the shader.
-const CHUNK_THREADS: u64 = 256;
+const CHUNK_THREADS: u64 = 128;
 
 gpu_struct! {
     struct VectorParams { rows: u32, chunk_rows: u32, u_first: u32, alpha: f32, beta: f32 }

@@ -1,5 +1,5 @@
 // The vector work of a PCG iteration; vector_cpu.rs has the formulas. One workgroup per chunk of rows: its sums do not
-// depend on how many chunks the rank has. Each invocation sums its rows, then the workgroup adds along a fixed tree.
+// depend on how many chunks the rank has. Each invocation sums its rows, then the workgroup adds in a fixed order.
 
 struct VectorParams {
     rows: u32,
@@ -10,7 +10,9 @@ struct VectorParams {
     beta: f32,
 }
 
-const CHUNK_THREADS: u32 = 256u;
+const CHUNK_THREADS: u32 = 128u;
+// Partial sums of the workgroup that are added last.
+const SUM_GROUPS: u32 = 8u;
 // Sums of a chunk: r.u, r.r, w.u.
 const SUMS: u32 = 3u;
 
@@ -27,17 +29,28 @@ const SUMS: u32 = 3u;
 @group(0) @binding(10) var<uniform> params: VectorParams;
 
 var<workgroup> partial: array<vec2<f32>, CHUNK_THREADS>;
+var<workgroup> group_sums: array<vec2<f32>, SUM_GROUPS>;
 
+// Sum over the workgroup, for its first invocation. Two barriers instead of one per level of a binary tree: software
+// drivers switch between all invocations at each.
 fn chunk_sum(local: u32, own: vec2<f32>) -> vec2<f32> {
     partial[local] = own;
     workgroupBarrier();
-    for (var step = CHUNK_THREADS / 2u; step > 0u; step /= 2u) {
-        if (local < step) {
-            partial[local] += partial[local + step];
+    var sum = vec2<f32>(0.0);
+    if (local < SUM_GROUPS) {
+        for (var i = local; i < CHUNK_THREADS; i += SUM_GROUPS) {
+            sum += partial[i];
         }
-        workgroupBarrier();
+        group_sums[local] = sum;
     }
-    return partial[0];
+    workgroupBarrier();
+    sum = vec2<f32>(0.0);
+    if (local == 0u) {
+        for (var i = 0u; i < SUM_GROUPS; i++) {
+            sum += group_sums[i];
+        }
+    }
+    return sum;
 }
 
 // inverse_diagonal * r for one row; sets r to 0 on a pinned row, which has a zero inverse.
