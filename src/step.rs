@@ -15,6 +15,7 @@ use crate::forces::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, 
 use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::integrator::advance::Advance;
 use crate::integrator::pins::Pins;
+use crate::integrator::scatter::Scatter;
 use crate::interconnect::QueueNode;
 use crate::model::RankModel;
 use crate::scene::{Motion, Settings};
@@ -129,6 +130,7 @@ pub struct Simulation {
     spmv: PipelinedSpmv,
     pcg: Pcg,
     advance: Advance,
+    scatter: Scatter,
     /// Slots over stored blocks of the matrix.
     pub padding_ratio: f64,
     state_traffic: TrafficCounter,
@@ -182,6 +184,7 @@ impl Simulation {
             fill: Fill::new(ex),
             pcg: Pcg::new(ex, &partition, rank),
             advance: Advance::new(ex),
+            scatter: Scatter::new(ex),
             padding_ratio: layout.padding_ratio(),
             rows_start: partition.rows_of(rank).start,
             own_rows: rows,
@@ -228,7 +231,7 @@ impl Simulation {
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.vectors.x.fill_zero(&self.executor);
-        self.advance.scatter(&self.executor, &targets.rows, &targets.velocity_changes, 0, &mut self.vectors.x);
+        self.scatter.apply(&self.executor, &targets.rows, &targets.velocity_changes, 0, &mut self.vectors.x);
         let params = PcgParams { relative_tolerance: self.settings.relative_tolerance, max_iterations: self.settings.max_iterations };
         self.spmv.traffic = TrafficCounter::default();
         let solved = self.pcg.solve(&self.executor, transport, &mut self.spmv, &self.matrix, &self.inverse_diagonal, &self.rhs, &mut self.vectors, self.pins_move, &params, &mut self.recorder);
@@ -238,8 +241,8 @@ impl Simulation {
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
         let start = self.recorder.now();
         self.advance.advance(&self.executor, self.settings.step_s as f32, &self.vectors.x, self.own_start, &mut self.velocities, &mut self.positions);
-        self.advance.scatter(&self.executor, &targets.rows, &targets.velocities, self.own_start, &mut self.velocities);
-        self.advance.scatter(&self.executor, &targets.rows, &targets.positions, self.own_start, &mut self.positions);
+        self.scatter.apply(&self.executor, &targets.rows, &targets.velocities, self.own_start, &mut self.velocities);
+        self.scatter.apply(&self.executor, &targets.rows, &targets.positions, self.own_start, &mut self.positions);
         self.recorder.end(EventName::Advance, Activity::Compute, start, self.own_rows as u64 * 60, self.own_rows as u64 * 9);
         clock.lap(&mut seconds.advance);
 

@@ -11,6 +11,7 @@ use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS};
 use loomtree::gpu::test_support::{self, Seeded};
 use loomtree::gpu::{CpuExecutor, DeviceVec, Executor};
 use loomtree::integrator::advance::Advance;
+use loomtree::integrator::scatter::Scatter;
 use loomtree::math::Vec3;
 use loomtree::model::{GlobalModel, RankModel};
 use loomtree::partition::RowPartition;
@@ -221,12 +222,12 @@ fn advancing_and_scattering_equal_the_native_twins() {
             DeviceVec::upload(executor, &values)
         };
         let (dv, mut v, mut x) = (vector(rows), vector(rows + 50), vector(rows + 50));
-        let advance = Advance::new(executor);
+        let (advance, scatter) = (Advance::new(executor), Scatter::new(executor));
         advance.advance(executor, 0.01, &dv, first * 3, &mut v, &mut x);
         let set: Vec<u32> = (0..rows as u32).step_by(3).collect();
         let to: Vec<[f32; 3]> = set.iter().map(|&r| [r as f32, 0.5, -1.0]).collect();
-        advance.scatter(executor, &set, &to, first * 3, &mut x);
-        advance.scatter(executor, &[], &[], first * 3, &mut x);
+        scatter.apply(executor, &set, &to, first * 3, &mut x);
+        scatter.apply(executor, &[], &[], first * 3, &mut x);
         let found = [x.read(executor), v.read(executor)];
         assert_eq!(executor.take_fault(), None);
         found

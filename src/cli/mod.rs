@@ -50,8 +50,12 @@ pub fn exit_code(result: Result<(), CliError>) -> std::process::ExitCode {
     }
 }
 
-/// Log lines go to stderr; `LOOMTREE_LOG` sets what is shown (default: warnings).
+/// First thing in every program: Vulkan loaders complain on stderr about a missing runtime folder; log lines go to stderr; `LOOMTREE_LOG` sets what is shown (default: warnings).
 pub fn start_log() {
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // SAFETY: called first in `main`, before any other thread exists.
+        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
+    }
     let filter = tracing_subscriber::EnvFilter::try_from_env("LOOMTREE_LOG").unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("loomtree=warn"));
     // A second call (tests) keeps the first log.
     let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().try_init();

@@ -1,4 +1,4 @@
-//! CPU twins of `advance.wgsl` and `scatter.wgsl`.
+//! CPU twin of `advance.wgsl`.
 
 use crate::gpu::CpuExecutor;
 
@@ -14,11 +14,4 @@ pub fn advance(cpu: &CpuExecutor, step_s: f32, dv: &[f32], velocities: &mut [f32
             *x += step_s * v;
         }
     });
-}
-
-/// out[row] = values[i] for the i-th row of `rows`.
-pub fn scatter(rows: &[u32], values: &[[f32; 3]], first: usize, out: &mut [f32]) {
-    for (&row, value) in rows.iter().zip(values) {
-        out[first + row as usize * 3..][..3].copy_from_slice(value);
-    }
 }

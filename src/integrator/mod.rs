@@ -4,3 +4,5 @@
 pub mod advance;
 mod advance_cpu;
 pub mod pins;
+pub mod scatter;
+mod scatter_cpu;
