@@ -20,6 +20,8 @@ enum Command {
     Run(cli::run::RunArgs),
     /// Show the work queues for a topology
     Schedule(cli::schedule::ScheduleArgs),
+    /// Solve a symmetric positive definite system on N workers
+    Solve(cli::solve::SolveArgs),
     /// Draw the frames of a run as PNG
     Render(cli::render::RenderArgs),
     /// Show adapters, cores, shared memory and what dead runs have left
@@ -34,6 +36,7 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(args) => cli::run::run(args, Launch::Spawn),
         Command::Schedule(args) => cli::schedule::run(args),
+        Command::Solve(args) => cli::solve::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &[], triangles_of),
         Command::Worker(args) => cli::worker::run(args),
