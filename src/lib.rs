@@ -16,6 +16,7 @@ pub mod assembly;
 pub mod solver;
 pub mod integrator;
 pub mod model;
+pub mod linear_system;
 pub mod collision;
 pub mod impact_zone;
 pub mod step;

@@ -6,6 +6,7 @@ pub mod doctor;
 pub mod render;
 pub mod run;
 pub mod schedule;
+pub mod solve;
 pub mod worker;
 
 /// A command that ended without its result: what to print to stderr and how to exit.

@@ -1,0 +1,333 @@
+//! `loomtree solve`: the distributed PCG on its own, for any symmetric positive definite matrix. JSON goes to stdout.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::CliError;
+use super::run::{ExchangeArg, ExecutorArg};
+use crate::coordinator::plan::plan_transfers;
+use crate::gpu::Executor;
+use crate::interconnect::{Plan, ScheduleKind};
+use crate::linear_system::{
+    BlockSystem, RankSystem, SolveParams, SolveResult, read_right_hand_side, read_system, solve_rank, write_solution,
+};
+use crate::math::DIM;
+use crate::output::write_atomically;
+use crate::partition::RowPartition;
+use crate::protocol::ExecutorChoice;
+use crate::solver::ExchangeMode;
+use crate::transport::{InProcessTransport, RANKS_MAX};
+
+/// Arguments of `loomtree solve`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SolveArgs {
+    /// Matrix: Matrix Market (coordinate real symmetric, or general with symmetric values), or 3x3 blocks as CLTHBSR1 (.bsr)
+    pub matrix: PathBuf,
+    /// Right-hand side: a Matrix Market array or one number per line; 'matrix' = the one stored in a .bsr file
+    /// [default: A*1, so that the solution is 1 everywhere]
+    #[arg(long, value_name = "FILE")]
+    pub rhs: Option<PathBuf>,
+    /// Workers, each with its own device and block of rows
+    #[arg(long, short = 'n', value_name = "N", default_value_t = 1)]
+    pub workers: usize,
+    /// Relative residual |b - A x| / |b| to reach, checked in double precision
+    #[arg(long, value_name = "R", default_value_t = 0.01, value_parser = tolerance)]
+    pub rtol: f64,
+    /// Most PCG iterations
+    #[arg(long, value_name = "N", default_value_t = 2000)]
+    pub max_iterations: u32,
+    /// Write the solution as a Matrix Market array
+    #[arg(long, value_name = "FILE")]
+    pub solution: Option<PathBuf>,
+    /// What a matrix-vector product exchanges: halo = only the rows that are read, full = whole sub-vectors (P-Cloth)
+    #[arg(long, value_enum, default_value = "halo")]
+    pub exchange: ExchangeArg,
+    /// Order of the transfers; auto = the cheapest by the modelled cost
+    #[arg(long, default_value = "auto")]
+    pub schedule: ScheduleKind,
+    /// Topology file; workers sit on its first GPUs [default: a balanced binary tree]
+    #[arg(long, value_name = "FILE")]
+    pub topology: Option<PathBuf>,
+    /// What runs the kernels; auto = a hardware GPU where there is one, else cpu
+    #[arg(long, value_enum, default_value = "auto")]
+    pub executor: ExecutorArg,
+    /// Adapter of the gpu executor (numbers: loomtree doctor) [default: rank modulo adapters]
+    #[arg(long, value_name = "I")]
+    pub adapter: Option<usize>,
+    /// Threads of each worker on the cpu executor [default: cores / workers]
+    #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    /// Solve K times and time products on their own, for benchmarks; the median counts
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub repeat: u32,
+}
+
+fn tolerance(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value < 1.0 => Ok(value),
+        _ => Err("expected a number between 0 and 1".to_string()),
+    }
+}
+
+/// A solve that can start: everything that can be refused has been checked.
+pub struct SolveJob {
+    /// The arguments.
+    pub args: SolveArgs,
+    /// The matrix.
+    pub system: BlockSystem,
+    /// Right-hand side, one value per row of the file.
+    pub rhs: Vec<f64>,
+    /// Rows and ranks.
+    pub partition: RowPartition,
+    /// Work queues and how they were chosen.
+    pub transfers: Plan,
+    /// Numbers for all ranks.
+    pub params: SolveParams,
+    /// Threads of each rank on the cpu executor.
+    pub threads: usize,
+}
+
+/// What the report needs beyond the results.
+pub struct SolveFacts {
+    rows: usize,
+    block_rows: usize,
+    workers: usize,
+    exchange: ExchangeMode,
+    schedule: ScheduleKind,
+    rtol: f64,
+    max_iterations: u32,
+    solution: Option<PathBuf>,
+}
+
+/// The JSON on stdout. The first six names are a contract.
+#[derive(Debug, Serialize)]
+pub struct SolveReport {
+    /// Rows of the matrix in the file.
+    pub rows: usize,
+    /// PCG iterations.
+    pub iterations: u32,
+    /// True if the residual met the tolerance.
+    pub converged: bool,
+    /// |b - A x| / |b| in double precision.
+    pub relative_residual: f64,
+    /// Seconds of the solve, after the setup (median if repeated).
+    pub seconds: f64,
+    /// Bytes that all workers received from each other in one solve.
+    pub bytes_exchanged: u64,
+    workers: usize,
+    executor: String,
+    exchange: ExchangeMode,
+    schedule: &'static str,
+    block_rows: usize,
+    blocks: u64,
+    /// Block slots, padding included, over stored blocks.
+    padding_ratio: f64,
+    /// Matrix-vector products.
+    products: u32,
+    /// Corrections after the first PCG.
+    refinements: u32,
+    /// Bytes received by all workers per product.
+    bytes_per_product: f64,
+    milliseconds_per_iteration: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seconds_best: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    milliseconds_per_iteration_best: Option<f64>,
+    /// Milliseconds of one product (best).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spmv_ms: Option<f64>,
+    /// Bytes that the kernels of all workers move in a product over its time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spmv_gb_s: Option<f64>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad input (exit code 2), or a solve that failed or did not converge (exit code 1).
+pub fn run(args: SolveArgs) -> Result<(), CliError> {
+    let job = prepare(args)?;
+    let facts = job.facts();
+    let (results, executor) = run_in_process(job)?;
+    report(&facts, &executor, &results)
+}
+
+/// Reads and checks everything.
+///
+/// # Errors
+/// Bad input.
+pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
+    if args.workers == 0 || args.workers > RANKS_MAX {
+        return Err(CliError::bad_input(format!("--workers {}: expected 1 to {RANKS_MAX}", args.workers)));
+    }
+    if let Some(path) = &args.solution {
+        check_writable(path)?;
+    }
+    let (system, stored_rhs) = read_system(&args.matrix).map_err(CliError::bad_input)?;
+    let rhs = match &args.rhs {
+        None => system.times_ones(),
+        Some(path) if path.as_os_str() == "matrix" => stored_rhs.ok_or_else(|| {
+            let matrix = args.matrix.display();
+            CliError::bad_input(format!("--rhs matrix: {matrix} holds no right-hand side; only .bsr files (CLTHBSR1) do"))
+        })?,
+        Some(path) => read_right_hand_side(path, system.scalar_rows).map_err(CliError::bad_input)?,
+    };
+    let (workers, block_rows) = (args.workers, system.block_rows());
+    if workers > block_rows {
+        return Err(CliError::bad_input(format!(
+            "--workers {workers}: the matrix has only {block_rows} block rows (three rows each); use at most as many workers"
+        )));
+    }
+    let partition = RowPartition::new(block_rows, workers);
+    let topology = args.topology.as_deref();
+    let (transfers, _) = plan_transfers(topology, args.schedule, workers, partition.sub_vector_rows()).map_err(CliError::bad_input)?;
+    let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+    let threads = args.threads.map_or((cores / workers).max(1), usize::from);
+    let params = SolveParams {
+        relative_tolerance: args.rtol,
+        max_iterations: args.max_iterations,
+        repeat: args.repeat,
+        time_products: args.repeat > 1,
+        host_threads: threads,
+    };
+    Ok(SolveJob { args, system, rhs, partition, transfers, params, threads })
+}
+
+impl SolveJob {
+    /// What the report needs of the job once the system is given away.
+    pub fn facts(&self) -> SolveFacts {
+        SolveFacts {
+            rows: self.system.scalar_rows,
+            block_rows: self.system.block_rows(),
+            workers: self.args.workers,
+            exchange: self.args.exchange.into(),
+            schedule: self.transfers.kind,
+            rtol: self.args.rtol,
+            max_iterations: self.args.max_iterations,
+            solution: self.args.solution.clone(),
+        }
+    }
+}
+
+/// Solves with the ranks as threads of this process; the results in rank order and the executor's name.
+///
+/// # Errors
+/// The executor cannot be had, or the solve failed.
+pub fn run_in_process(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliError> {
+    let SolveJob { args, system, rhs, partition, transfers, params, threads } = job;
+    let mut parts: Vec<RankSystem> = Vec::with_capacity(partition.ranks());
+    let collected: Result<(), std::convert::Infallible> = system.split(rhs, &partition, |_, part| {
+        parts.push(part);
+        Ok(())
+    });
+    let Ok(()) = collected;
+    let transports = InProcessTransport::group(partition.ranks());
+    let mode: ExchangeMode = args.exchange.into();
+    let (args, transfers, params) = (&args, &transfers, &params);
+    let outcomes: Vec<Result<(SolveResult, String), String>> = std::thread::scope(|scope| {
+        let start = |(part, mut transport): (RankSystem, InProcessTransport)| {
+            scope.spawn(move || {
+                let executor = executor(args.executor.into(), args.adapter, part.plan.rank, threads)?;
+                let queue = &transfers.schedule.queues[part.plan.rank];
+                let solved = solve_rank(&executor, &mut transport, &part, mode, queue, params);
+                solved.map(|result| (result, executor.name().to_string())).map_err(|error| error.to_string())
+            })
+        };
+        let ranks: Vec<_> = parts.into_iter().zip(transports).map(start).collect();
+        let panicked = |_| Err("a worker thread panicked".to_string());
+        ranks.into_iter().map(|rank| rank.join().unwrap_or_else(panicked)).collect()
+    });
+    let mut results = Vec::with_capacity(outcomes.len());
+    let mut name = String::new();
+    for outcome in outcomes {
+        let (result, executor) = outcome.map_err(|error| CliError::failed(format!("{}: {error}", args.matrix.display())))?;
+        results.push(result);
+        name = executor;
+    }
+    Ok((results, name))
+}
+
+fn executor(choice: ExecutorChoice, adapter: Option<usize>, rank: usize, threads: usize) -> Result<Executor, String> {
+    let executor = match choice {
+        ExecutorChoice::Cpu => return Ok(Executor::cpu(threads)),
+        ExecutorChoice::Gpu => Executor::gpu(adapter, rank),
+        ExecutorChoice::Auto => Executor::auto(adapter, rank, threads),
+    };
+    executor.map_err(|error| error.to_string())
+}
+
+/// Writes the solution if it was asked for and prints the report.
+///
+/// # Errors
+/// The solution cannot be written, or the solve did not converge.
+pub fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> Result<(), CliError> {
+    if let Some(path) = &facts.solution {
+        let mut x: Vec<f64> = results.iter().flat_map(|result| result.x.iter().copied()).collect();
+        debug_assert_eq!(x.len(), facts.block_rows * DIM);
+        x.truncate(facts.rows);
+        write_atomically(path, |out| write_solution(out, &x)).map_err(CliError::bad_input)?;
+    }
+    let report = SolveReport::new(facts, executor, results);
+    let json = serde_json::to_string_pretty(&report);
+    println!("{}", json.map_err(|error| CliError::failed(format!("cannot print the report: {error}")))?);
+    if report.converged {
+        return Ok(());
+    }
+    let (residual, rtol, iterations) = (report.relative_residual, facts.rtol, report.iterations);
+    Err(CliError::failed(if iterations >= facts.max_iterations {
+        format!("not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; --max-iterations allows more")
+    } else {
+        format!("not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; the matrix is too ill-conditioned for corrections in single precision")
+    }))
+}
+
+impl SolveReport {
+    fn new(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> SolveReport {
+        let stats = &results[0].stats;
+        let mut seconds = stats.seconds.clone();
+        seconds.sort_by(f64::total_cmp);
+        let (median, best) = (seconds[seconds.len() / 2], seconds[0]);
+        let per_iteration = |seconds: f64| seconds * 1e3 / stats.iterations.max(1) as f64;
+        let repeated = |value: f64| (seconds.len() > 1).then_some(value);
+        SolveReport {
+            rows: facts.rows,
+            iterations: stats.iterations,
+            converged: stats.converged,
+            relative_residual: stats.relative_residual,
+            seconds: median,
+            bytes_exchanged: stats.bytes_exchanged,
+            workers: facts.workers,
+            executor: executor.to_string(),
+            exchange: facts.exchange,
+            schedule: facts.schedule.name(),
+            block_rows: facts.block_rows,
+            blocks: stats.blocks,
+            padding_ratio: stats.slots as f64 / stats.blocks as f64,
+            products: stats.products,
+            refinements: stats.refinements,
+            bytes_per_product: stats.product_bytes as f64 / stats.products.max(1) as f64,
+            milliseconds_per_iteration: per_iteration(median),
+            seconds_best: repeated(best),
+            milliseconds_per_iteration_best: repeated(per_iteration(best)),
+            spmv_ms: stats.product.map(|(seconds, _)| seconds * 1e3),
+            spmv_gb_s: stats.product.map(|(seconds, bytes)| bytes as f64 / seconds * 1e-9),
+        }
+    }
+}
+
+/// Finds out before a long solve that its result could not be written.
+fn check_writable(path: &std::path::Path) -> Result<(), CliError> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
+    let refused = |what: String| CliError::bad_input(format!("--solution {}: {what}", path.display()));
+    if path.is_dir() {
+        return Err(refused("is a folder; name a file".to_string()));
+    }
+    if !folder.is_dir() {
+        return Err(refused(format!("there is no folder {}", folder.display())));
+    }
+    match tempfile::tempfile_in(folder) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(refused(format!("cannot write into {}: {error}", folder.display()))),
+    }
+}

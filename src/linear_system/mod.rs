@@ -1,0 +1,88 @@
+//! Linear systems of any origin: readers of matrix and right-hand-side files, block form, the parts of the ranks, and the
+//! distributed solve of one system to a residual that is checked in double precision.
+//!
+//! Rows stay in the order of the file; a system whose neighbours lie far apart in that order exchanges more.
+
+mod block_csr_file;
+mod matrix_market;
+mod precondition;
+mod rank_system;
+mod residual;
+mod right_hand_side;
+mod solve;
+mod system;
+#[cfg(test)]
+mod tests;
+mod validate;
+
+pub use block_csr_file::{BLOCK_CSR_MAGIC, parse_block_csr, read_block_csr};
+pub use matrix_market::{parse_matrix_market, read_matrix_market};
+pub use rank_system::{RankSystem, RankSystemArrays, RankSystemError};
+pub use right_hand_side::{parse_right_hand_side, read_right_hand_side, write_solution};
+pub use solve::{SolveError, SolveParams, SolveResult, SolveStats, solve_rank};
+pub use system::{BlockSystem, Values};
+
+use std::path::Path;
+
+use thiserror::Error;
+
+/// Why a file is not a system that can be solved. Every message names the file and the place in it.
+#[derive(Debug, Error)]
+pub enum SystemError {
+    /// The file cannot be read.
+    #[error("{file}: {cause}")]
+    Io {
+        /// The file.
+        file: String,
+        /// The system's words.
+        cause: std::io::Error,
+    },
+    /// A text file is malformed.
+    #[error("{file}:{line}: {what}")]
+    Line {
+        /// The file.
+        file: String,
+        /// Line, from 1.
+        line: u64,
+        /// What is wrong and what would be right.
+        what: String,
+    },
+    /// A binary file is malformed.
+    #[error("{file}, byte {offset}: {what}")]
+    Offset {
+        /// The file.
+        file: String,
+        /// Byte, from 0.
+        offset: u64,
+        /// What is wrong and what would be right.
+        what: String,
+    },
+    /// The numbers are readable and are no system that this solver takes.
+    #[error("{file}: {what}")]
+    System {
+        /// The file.
+        file: String,
+        /// What is wrong and what would be right.
+        what: String,
+    },
+}
+
+/// Reads a system from a file: CLTHBSR1 if it starts with those letters, else Matrix Market. The second value is the
+/// right-hand side stored in the file (CLTHBSR1 only).
+///
+/// # Errors
+/// The file is unreadable, malformed, or not symmetric with a positive diagonal.
+pub fn read_system(path: &Path) -> Result<(BlockSystem, Option<Vec<f64>>), SystemError> {
+    let file = path.display().to_string();
+    let mut start = Vec::new();
+    let io = |cause| SystemError::Io { file: file.clone(), cause };
+    let opened = std::fs::File::open(path).map_err(io)?;
+    let read = std::io::Read::read_to_end(&mut std::io::Read::take(opened, BLOCK_CSR_MAGIC.len() as u64), &mut start);
+    read.map_err(io)?;
+    if start == BLOCK_CSR_MAGIC {
+        let (system, rhs) = read_block_csr(path)?;
+        Ok((system, Some(rhs)))
+    } else {
+        Ok((read_matrix_market(path)?, None))
+    }
+}

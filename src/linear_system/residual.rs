@@ -1,0 +1,142 @@
+//! Residual b - A x in double precision from the values of the file: what the f32 solve is held against.
+//!
+//! x is kept as a pair of f32 (48 bits), so that a halo row has the same bits on every rank that reads it. Runs on the host
+//! whatever the executor of the solve is.
+
+use super::rank_system::RankSystem;
+use super::system::Values;
+use crate::assembly::sell::BLOCK;
+use crate::gpu::{CpuExecutor, DeviceVec, Executor};
+use crate::interconnect::QueueNode;
+use crate::math::DIM;
+use crate::solver::{HaloExchange, ReductionTree, TrafficCounter};
+use crate::telemetry::Recorder;
+use crate::transport::{Transport, TransportError};
+
+/// The solution of one rank's rows and what computes its residual. Everything is in scaled units: the matrix over
+/// `matrix_scale`, the right-hand side over `rhs_scale`.
+pub(super) struct Residual<'a> {
+    system: &'a RankSystem,
+    cpu: CpuExecutor,
+    host: Executor,
+    halo: HaloExchange,
+    high: DeviceVec<f32>,
+    low: DeviceVec<f32>,
+    x: Vec<f64>,
+    tree: ReductionTree,
+    /// b - A x of the own rows.
+    pub(super) r: Vec<f64>,
+    /// Bytes received for residuals.
+    pub(super) traffic: TrafficCounter,
+}
+
+impl<'a> Residual<'a> {
+    /// x = 0, r = b.
+    pub(super) fn new(system: &'a RankSystem, queue: Vec<QueueNode>, threads: usize) -> Residual<'a> {
+        let host = Executor::cpu(1);
+        let len = system.plan.local_rows * DIM;
+        let mut residual = Residual {
+            halo: HaloExchange::new(system.plan.clone(), queue),
+            high: DeviceVec::zeros(&host, len),
+            low: DeviceVec::zeros(&host, len),
+            x: vec![0.0; len],
+            tree: ReductionTree::new(&system.partition),
+            r: Vec::new(),
+            traffic: TrafficCounter::default(),
+            cpu: CpuExecutor::new(threads),
+            system,
+            host,
+        };
+        residual.reset();
+        residual
+    }
+
+    /// x = 0, r = b.
+    pub(super) fn reset(&mut self) {
+        let scale = self.system.rhs_scale.recip();
+        self.r.clear();
+        self.r.extend(self.system.arrays.rhs.iter().map(|b| b * scale));
+        self.high.fill_zero(&self.host);
+        self.low.fill_zero(&self.host);
+        self.traffic = TrafficCounter::default();
+    }
+
+    /// x += scale * d on the own rows.
+    pub(super) fn add(&mut self, scale: f64, d: &[f32]) {
+        let own = self.system.plan.own.start * DIM..self.system.plan.own.end * DIM;
+        let (high, low) = (&mut self.high.as_mut_slice()[own.clone()], &mut self.low.as_mut_slice()[own]);
+        for ((high, low), d) in high.iter_mut().zip(low).zip(d) {
+            let x = *high as f64 + *low as f64 + scale * *d as f64;
+            *high = x as f32;
+            *low = (x - *high as f64) as f32;
+        }
+    }
+
+    /// r = b - A x, on all ranks together.
+    pub(super) fn update(&mut self, transport: &mut dyn Transport, recorder: &mut Recorder) -> Result<(), TransportError> {
+        self.halo.publish(&self.host, transport, &[&self.high, &self.low], recorder)?;
+        let halves = &mut [&mut self.high, &mut self.low];
+        self.halo.receive(&self.host, transport, halves, recorder, &mut self.traffic)?;
+        for (x, (high, low)) in self.x.iter_mut().zip(self.high.as_slice().iter().zip(self.low.as_slice())) {
+            *x = *high as f64 + *low as f64;
+        }
+        let scale = self.system.rhs_scale.recip();
+        for (r, b) in self.r.iter_mut().zip(&self.system.arrays.rhs) {
+            *r = b * scale;
+        }
+        let arrays = &self.system.arrays;
+        let (scale, r) = (self.system.matrix_scale.recip(), &mut self.r);
+        let cpu = &self.cpu;
+        match &arrays.values {
+            Values::F32(values) => subtract(cpu, &arrays.offsets, &arrays.columns, values, scale, &self.x, r),
+            Values::F64(values) => subtract(cpu, &arrays.offsets, &arrays.columns, values, scale, &self.x, r),
+        }
+        Ok(())
+    }
+
+    /// 2-norm of r over all ranks, the same bits for every rank count.
+    pub(super) fn norm(&self, transport: &mut dyn Transport) -> Result<f64, TransportError> {
+        let chunk = self.system.partition.chunk_rows() * DIM;
+        let sums: Vec<[f64; 1]> = self.r.chunks(chunk).map(|r| [r.iter().map(|v| v * v).sum::<f64>()]).collect();
+        Ok(self.tree.all_reduce(transport, &sums)?[0].sqrt())
+    }
+
+    /// x of the own rows, in scaled units.
+    pub(super) fn solution(&self) -> Vec<f64> {
+        let own = self.system.plan.own.start * DIM..self.system.plan.own.end * DIM;
+        let halves = self.high.as_slice()[own.clone()].iter().zip(&self.low.as_slice()[own]);
+        halves.map(|(high, low)| *high as f64 + *low as f64).collect()
+    }
+}
+
+/// r -= scale A x, every row in ascending column order. Bytes per block: 36 or 72 of values and 4 of columns.
+fn subtract<T: Copy + Into<f64> + Sync>(
+    cpu: &CpuExecutor,
+    offsets: &[u32],
+    columns: &[u32],
+    values: &[T],
+    scale: f64,
+    x: &[f64],
+    r: &mut [f64],
+) {
+    let blocks = values.as_chunks::<BLOCK>().0;
+    let x = x.as_chunks::<DIM>().0;
+    cpu.for_ranges_mut(r, DIM, 64, |rows, r| {
+        for (row, r) in rows.zip(r.as_chunks_mut::<DIM>().0) {
+            let mut sum = [0.0f64; DIM];
+            let range = offsets[row] as usize..offsets[row + 1] as usize;
+            for (block, &column) in blocks[range.clone()].iter().zip(&columns[range]) {
+                let x = &x[column as usize];
+                for i in 0..DIM {
+                    for j in 0..DIM {
+                        let a: f64 = block[i * DIM + j].into();
+                        sum[i] += a * x[j];
+                    }
+                }
+            }
+            for i in 0..DIM {
+                r[i] -= scale * sum[i];
+            }
+        }
+    });
+}

@@ -1,0 +1,333 @@
+//! Distributed solve of a linear system: PCG in single precision inside iterative refinement in double precision
+//! [Wilkinson 1963; Carson and Higham 2018].
+//!
+//! The residual that counts is b - A x in f64. One PCG reaches it down to about 1e-5 of b (less for ill-conditioned
+//! systems); then the correction A d = r is solved in turn, which converges as long as the f32 copy of the matrix is a good
+//! preconditioner: condition numbers (after block Jacobi) up to about 1e6.
+
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::precondition::inverse_block;
+use super::rank_system::{RankSystem, power_of_two};
+use super::residual::Residual;
+use crate::assembly::sell::{BLOCK, value_index};
+use crate::assembly::{SellLayout, SellMatrix};
+use crate::gpu::{DeviceVec, Executor};
+use crate::interconnect::QueueNode;
+use crate::math::DIM;
+use crate::solver::{ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv};
+use crate::telemetry::Recorder;
+use crate::transport::{Transport, TransportError};
+
+/// Deepest relative residual asked of one PCG in f32.
+const INNER_TOLERANCE: f64 = 1e-5;
+/// A refinement must bring the residual at least down to this part of the one before, else there is no progress.
+const PROGRESS: f64 = 0.5;
+/// Products timed on their own.
+const TIMED_PRODUCTS: u32 = 20;
+
+/// What is asked of a solve; the same on all ranks.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct SolveParams {
+    /// Stop when |b - A x| <= this * |b|, 2-norms in f64.
+    pub relative_tolerance: f64,
+    /// Stop after this many PCG iterations in total.
+    pub max_iterations: u32,
+    /// Solve this many times from zero (at least once); for timing.
+    pub repeat: u32,
+    /// Also time products on their own.
+    pub time_products: bool,
+    /// Threads of the residual on the host.
+    pub host_threads: usize,
+}
+
+/// What came of it; the same on all ranks.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SolveStats {
+    /// PCG iterations, all refinements together.
+    pub iterations: u32,
+    /// True if the residual met the tolerance.
+    pub converged: bool,
+    /// |b - A x| / |b|, computed in f64 from the values of the file.
+    pub relative_residual: f64,
+    /// Corrections solved after the first PCG.
+    pub refinements: u32,
+    /// Matrix-vector products of one solve.
+    pub products: u32,
+    /// Seconds of each solve: the slowest rank, from the first product to the last iteration. The residual that confirms
+    /// the result is left out, those that lead to a refinement are in.
+    pub seconds: Vec<f64>,
+    /// Bytes received by all ranks in one solve, residuals included.
+    pub bytes_exchanged: u64,
+    /// Of these, for products.
+    pub product_bytes: u64,
+    /// Stored blocks of all ranks.
+    pub blocks: u64,
+    /// Block slots of all ranks, padding included.
+    pub slots: u64,
+    /// Seconds of one product (best, slowest rank) and bytes that the kernels of all ranks move in it, if timed.
+    pub product: Option<(f64, u64)>,
+}
+
+/// What a rank hands back.
+#[derive(Clone, Debug)]
+pub struct SolveResult {
+    /// Numbers of the solve.
+    pub stats: SolveStats,
+    /// Solution on the own rows, three values per block row (padding included), in the units of the file.
+    pub x: Vec<f64>,
+}
+
+/// Why there is no solution.
+#[derive(Debug, Error)]
+pub enum SolveError {
+    /// A transfer failed.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+    /// Indefinite, or too ill-conditioned to be told from it in f32.
+    #[error(
+        "the matrix is not positive definite, or too ill-conditioned for single precision: p'Ap = {curvature:.3e} in iteration {iteration}, with a relative residual of {relative_residual:.3e}"
+    )]
+    NotPositiveDefinite {
+        /// PCG iteration, all refinements together.
+        iteration: u32,
+        /// p'Ap in scaled units.
+        curvature: f64,
+        /// Residual reached.
+        relative_residual: f64,
+    },
+    /// Overflow.
+    #[error("the solve met a value that is not finite in iteration {iteration}; the matrix is likely close to singular")]
+    NotFinite {
+        /// PCG iteration, all refinements together.
+        iteration: u32,
+    },
+}
+
+/// Solves A x = b on all ranks together. `queue`: this rank's work queue. All ranks return the same error, except for
+/// failed transfers.
+///
+/// # Errors
+/// A transfer failed, or the matrix is not positive definite. Not converging is no error but `converged == false`.
+pub fn solve_rank(
+    executor: &Executor,
+    transport: &mut dyn Transport,
+    system: &RankSystem,
+    mode: ExchangeMode,
+    queue: &[QueueNode],
+    params: &SolveParams,
+) -> Result<SolveResult, SolveError> {
+    let mut solver = RankSolver::new(executor, system, mode, queue, params);
+    let mut stats = SolveStats::default();
+    let mut seconds = Vec::new();
+    for _ in 0..params.repeat.max(1) {
+        transport.barrier()?;
+        let mut own_seconds = 0.0;
+        stats = solver.solve(transport, params, &mut own_seconds)?;
+        seconds.push(all_max(transport, own_seconds)?);
+    }
+    stats.seconds = seconds;
+    if params.time_products {
+        stats.product = Some(solver.time_products(transport)?);
+    }
+    let own = [stats.bytes_exchanged, stats.product_bytes, stats.blocks, stats.slots];
+    [stats.bytes_exchanged, stats.product_bytes, stats.blocks, stats.slots] = all_sum(transport, own)?;
+    let unit = system.rhs_scale / system.matrix_scale;
+    Ok(SolveResult { stats, x: solver.residual.solution().into_iter().map(|x| x * unit).collect() })
+}
+
+/// What one rank holds during solves.
+struct RankSolver<'a> {
+    executor: &'a Executor,
+    matrix: SellMatrix,
+    inverse_diagonal: DeviceVec<f32>,
+    rhs: DeviceVec<f32>,
+    vectors: PcgVectors,
+    spmv: PipelinedSpmv,
+    pcg: Pcg,
+    residual: Residual<'a>,
+    recorder: Recorder,
+    slots: usize,
+}
+
+impl<'a> RankSolver<'a> {
+    fn new(
+        executor: &'a Executor,
+        system: &'a RankSystem,
+        mode: ExchangeMode,
+        queue: &[QueueNode],
+        params: &SolveParams,
+    ) -> RankSolver<'a> {
+        let (partition, plan, arrays) = (&system.partition, &system.plan, &system.arrays);
+        let layout = match mode {
+            ExchangeMode::Halo => SellLayout::halo(&arrays.offsets, &arrays.columns, plan.own.clone()),
+            ExchangeMode::Full => {
+                let rows_of: Vec<_> = (0..partition.ranks()).map(|rank| partition.rows_of(rank)).collect();
+                let order: Vec<usize> = queue.iter().map(|node| node.vector).collect();
+                let columns = &arrays.columns;
+                SellLayout::full(&arrays.offsets, columns, &plan.global_from_local, &rows_of, plan.rank, &order)
+            }
+        };
+        let rows = plan.own.len();
+        let mut matrix = SellMatrix::new(executor, rows, &layout);
+        let (values, inverse_diagonal) = device_values(system, &layout);
+        matrix.values = DeviceVec::upload(executor, &values);
+        let halo = HaloExchange::new(plan.clone(), queue.to_vec());
+        RankSolver {
+            inverse_diagonal: DeviceVec::upload(executor, &inverse_diagonal),
+            rhs: DeviceVec::zeros(executor, rows * DIM),
+            vectors: PcgVectors::new(executor, rows, plan.local_rows * DIM),
+            spmv: PipelinedSpmv::new(executor, mode, halo, queue.to_vec(), partition.sub_vector_rows()),
+            pcg: Pcg::new(executor, partition, plan.rank),
+            residual: Residual::new(system, queue.to_vec(), params.host_threads),
+            recorder: Recorder::new(),
+            slots: layout.slots(),
+            executor,
+            matrix,
+        }
+    }
+
+    /// One solve from x = 0. Adds to `seconds`; counts are those of this rank.
+    fn solve(
+        &mut self,
+        transport: &mut dyn Transport,
+        params: &SolveParams,
+        seconds: &mut f64,
+    ) -> Result<SolveStats, SolveError> {
+        self.residual.reset();
+        self.spmv.traffic = Default::default();
+        let mut stats = SolveStats { blocks: self.matrix.blocks as u64, slots: self.slots as u64, ..Default::default() };
+        let b_norm = self.residual.norm(transport)?;
+        let mut norm = b_norm;
+        stats.converged = b_norm == 0.0;
+        let mut clock = Instant::now();
+        while !stats.converged {
+            let relative = norm / b_norm;
+            let wanted = params.relative_tolerance / relative;
+            // A correction aims a little below, or rounding would ask for one more.
+            let wanted = if stats.iterations == 0 { wanted } else { 0.9 * wanted };
+            let inner = PcgParams {
+                relative_tolerance: wanted.max(INNER_TOLERANCE),
+                max_iterations: params.max_iterations - stats.iterations,
+            };
+            let stop = self.correct(transport, norm, &inner, &mut stats)?;
+            *seconds += clock.elapsed().as_secs_f64();
+            clock = Instant::now();
+            self.residual.update(transport, &mut self.recorder)?;
+            norm = self.residual.norm(transport)?;
+            stats.relative_residual = norm / b_norm;
+            if !norm.is_finite() {
+                return Err(SolveError::NotFinite { iteration: stats.iterations });
+            }
+            stats.converged = stats.relative_residual <= params.relative_tolerance;
+            let progress = stats.relative_residual <= PROGRESS * relative;
+            match stop {
+                _ if stats.converged => {}
+                Some(curvature) if !progress => {
+                    let (iteration, relative_residual) = (stats.iterations, stats.relative_residual);
+                    return Err(SolveError::NotPositiveDefinite { iteration, curvature, relative_residual });
+                }
+                _ if !progress && inner.relative_tolerance <= PROGRESS || stats.iterations >= params.max_iterations => break,
+                _ => stats.refinements += 1,
+            }
+        }
+        stats.product_bytes = self.spmv.traffic.received_bytes;
+        stats.bytes_exchanged = stats.product_bytes + self.residual.traffic.received_bytes;
+        Ok(stats)
+    }
+
+    /// x += d with A d = r solved by PCG; the curvature if PCG met one that is not positive.
+    fn correct(
+        &mut self,
+        transport: &mut dyn Transport,
+        norm: f64,
+        params: &PcgParams,
+        stats: &mut SolveStats,
+    ) -> Result<Option<f64>, SolveError> {
+        // A power of two near the largest values keeps the right-hand side exact and within f32.
+        let scale = power_of_two(norm);
+        let rhs: Vec<f32> = self.residual.r.iter().map(|r| (r / scale) as f32).collect();
+        self.rhs.write_range(self.executor, 0, &rhs);
+        self.vectors.x.fill_zero(self.executor);
+        let (inverse, vectors) = (&self.inverse_diagonal, &mut self.vectors);
+        let solved = self.pcg.solve(self.executor, transport, &mut self.spmv, &self.matrix, inverse, &self.rhs, vectors, false, params, &mut self.recorder);
+        let mut stop = None;
+        match solved {
+            Ok(info) => {
+                stats.iterations += info.iterations;
+                stats.products += info.products;
+            }
+            Err(PcgError::NotPositiveDefinite { iteration, curvature }) => {
+                // Near the end of what f32 can do this is rounding; the residual tells.
+                stats.iterations += iteration;
+                stats.products += iteration + 1;
+                stop = Some(curvature);
+            }
+            Err(PcgError::NotFinite { iteration }) => {
+                return Err(SolveError::NotFinite { iteration: stats.iterations + iteration });
+            }
+            Err(PcgError::Transport(error)) => return Err(error.into()),
+        }
+        self.residual.add(scale, &self.vectors.x.read(self.executor));
+        Ok(stop)
+    }
+
+    /// Best time of a product (slowest rank) and the bytes its kernels move on all ranks.
+    fn time_products(&mut self, transport: &mut dyn Transport) -> Result<(f64, u64), TransportError> {
+        let mut best = f64::INFINITY;
+        let mut y = DeviceVec::zeros(self.executor, self.rhs.len());
+        let mut one = vec![0.0f32; 1];
+        for _ in 0..TIMED_PRODUCTS {
+            transport.barrier()?;
+            let clock = Instant::now();
+            self.spmv.apply(self.executor, transport, &self.matrix, &mut self.vectors.u, &mut y, &mut self.recorder)?;
+            // On a device this waits for the product.
+            y.read_range(self.executor, 0, &mut one);
+            best = best.min(all_max(transport, clock.elapsed().as_secs_f64())?);
+        }
+        let own: u64 = (0..self.matrix.sections.len()).map(|section| self.matrix.section_bytes(section)).sum();
+        Ok((best, all_sum(transport, [own])?[0]))
+    }
+}
+
+/// The rows in the layout and precision of the device, and the inverses of the diagonal blocks.
+fn device_values(system: &RankSystem, layout: &SellLayout) -> (Vec<f32>, Vec<f32>) {
+    let (arrays, own) = (&system.arrays, &system.plan.own);
+    let scale = system.matrix_scale.recip();
+    let mut values = vec![0.0f32; layout.slots() * BLOCK];
+    let mut inverse_diagonal = vec![0.0f32; own.len() * 6];
+    for (row, inverse) in inverse_diagonal.as_chunks_mut::<6>().0.iter_mut().enumerate() {
+        for k in arrays.offsets[row] as usize..arrays.offsets[row + 1] as usize {
+            let block: [f64; BLOCK] = std::array::from_fn(|c| arrays.values.get(k * BLOCK + c) * scale);
+            for (c, value) in block.iter().enumerate() {
+                values[value_index(layout.block_address[k], c)] = *value as f32;
+            }
+            if arrays.columns[k] as usize == own.start + row {
+                *inverse = inverse_block(&block).map(|v| v as f32);
+            }
+        }
+    }
+    (values, inverse_diagonal)
+}
+
+fn all_max(transport: &mut dyn Transport, own: f64) -> Result<f64, TransportError> {
+    let mut gathered = Vec::new();
+    transport.all_gather(&[own], &mut gathered)?;
+    Ok(gathered.iter().flatten().copied().fold(own, f64::max))
+}
+
+fn all_sum<const N: usize>(transport: &mut dyn Transport, own: [u64; N]) -> Result<[u64; N], TransportError> {
+    let mut gathered = Vec::new();
+    // Exact: counts stay far below 2^53.
+    transport.all_gather(&own.map(|v| v as f64), &mut gathered)?;
+    let mut sums = [0; N];
+    for values in &gathered {
+        for (sum, value) in sums.iter_mut().zip(values) {
+            *sum += *value as u64;
+        }
+    }
+    Ok(sums)
+}

@@ -1,0 +1,146 @@
+//! What every matrix must hold before it is solved: finite values, a positive diagonal within the range of single
+//! precision, symmetry, no diagonal block with a negative direction. Positive definiteness as a whole shows in the solve.
+
+use super::precondition::{Pivots, pivots};
+use super::system::{BlockSystem, Values};
+use crate::assembly::sell::BLOCK;
+use crate::math::DIM;
+
+/// Smallest diagonal value relative to the largest: below, the f32 copy of the matrix would underflow.
+const SMALLEST_DIAGONAL: f64 = 1e-24;
+
+/// Checks and completes a matrix; `values` are those of the file. The diagonal of padding rows (rows past `scalar_rows`) is
+/// set to the largest diagonal value, so that padding never widens the range of values; its solution is 0.
+///
+/// # Errors
+/// A sentence about the first thing that is wrong, with rows and columns counted from 1.
+pub(super) fn validated(
+    scalar_rows: usize,
+    offsets: Vec<u32>,
+    columns: Vec<u32>,
+    values: Values,
+) -> Result<BlockSystem, String> {
+    let mut system = BlockSystem { scalar_rows, offsets, columns, values, largest_diagonal: 0.0 };
+    finite(&system)?;
+    let diagonal = diagonal_blocks(&system)?;
+    let mut largest = (0.0f64, 0);
+    let mut smallest = (f64::INFINITY, 0);
+    for row in 0..scalar_rows {
+        let value = system.values.get(diagonal[row / DIM] as usize * BLOCK + row % DIM * 4);
+        if value <= 0.0 {
+            return Err(format!(
+                "row {0}, column {0}: the diagonal value {value:e} is not positive; the solver takes symmetric positive definite matrices",
+                row + 1
+            ));
+        }
+        if value > largest.0 {
+            largest = (value, row);
+        }
+        if value < smallest.0 {
+            smallest = (value, row);
+        }
+    }
+    if smallest.0 < largest.0 * SMALLEST_DIAGONAL {
+        return Err(format!(
+            "the diagonal spans from {:e} (row {}) to {:e} (row {}); the solver takes at most a factor of 1e24: scale rows and columns",
+            smallest.0,
+            smallest.1 + 1,
+            largest.0,
+            largest.1 + 1
+        ));
+    }
+    system.largest_diagonal = largest.0;
+    let padding = scalar_rows..system.block_rows() * DIM;
+    for row in padding {
+        let at = diagonal[row / DIM] as usize * BLOCK + row % DIM * 4;
+        match &mut system.values {
+            Values::F32(values) => values[at] = largest.0 as f32,
+            Values::F64(values) => values[at] = largest.0,
+        }
+    }
+    for (row, &k) in diagonal.iter().enumerate() {
+        let block: [f64; BLOCK] = std::array::from_fn(|c| system.values.get(k as usize * BLOCK + c));
+        if pivots(&block) == Pivots::Negative {
+            let first = row * DIM + 1;
+            let last = (first + 2).min(scalar_rows);
+            return Err(format!("rows {first} to {last}: their diagonal block is not positive definite, so the matrix is not"));
+        }
+    }
+    symmetric(&system, &diagonal)?;
+    Ok(system)
+}
+
+fn finite(system: &BlockSystem) -> Result<(), String> {
+    let bad = match &system.values {
+        Values::F32(values) => values.iter().position(|v| !v.is_finite()),
+        Values::F64(values) => values.iter().position(|v| !v.is_finite()),
+    };
+    let Some(at) = bad else { return Ok(()) };
+    let block = at / BLOCK;
+    let row = system.offsets.partition_point(|&start| start as usize <= block) - 1;
+    let (i, j) = (row * DIM + at % BLOCK / DIM + 1, system.columns[block] as usize * DIM + at % DIM + 1);
+    Err(format!("row {i}, column {j}: the value is not a finite number"))
+}
+
+/// Index of the diagonal block of every block row.
+fn diagonal_blocks(system: &BlockSystem) -> Result<Vec<u32>, String> {
+    let row_of = |row: usize| {
+        let range = system.offsets[row] as usize..system.offsets[row + 1] as usize;
+        match system.columns[range.clone()].binary_search(&(row as u32)) {
+            Ok(k) => Ok((range.start + k) as u32),
+            Err(_) => Err(format!("row {0}, column {0}: the diagonal value is missing; it must be positive", row * DIM + 1)),
+        }
+    };
+    (0..system.block_rows()).map(row_of).collect()
+}
+
+/// Compares every block with the one across the diagonal. A block that is missing there counts as zero. One cursor per
+/// row: the rows that point at row j come in ascending order, as do the columns of row j.
+fn symmetric(system: &BlockSystem, diagonal: &[u32]) -> Result<(), String> {
+    // Rounding of a matrix that was summed in another order above and below the diagonal.
+    let tolerance = match system.values {
+        Values::F32(_) => 1e-5,
+        Values::F64(_) => 1e-10,
+    };
+    let size = |row: usize| system.values.get(diagonal[row / DIM] as usize * BLOCK + row % DIM * 4);
+    let compare = |i: usize, j: usize, upper: Option<usize>, lower: Option<usize>| -> Result<(), String> {
+        for c in 0..BLOCK {
+            let (row, column) = (i * DIM + c / DIM, j * DIM + c % DIM);
+            let above = upper.map_or(0.0, |k| system.values.get(k * BLOCK + c));
+            let below = lower.map_or(0.0, |k| system.values.get(k * BLOCK + c % DIM * DIM + c / DIM));
+            if above != below && (above - below).abs() > tolerance * (size(row) * size(column)).sqrt() {
+                return Err(format!(
+                    "the matrix is not symmetric: row {}, column {} is {above:e} and the value across the diagonal is {below:e}",
+                    row + 1,
+                    column + 1
+                ));
+            }
+        }
+        Ok(())
+    };
+    let rows = system.block_rows();
+    let mut cursor: Vec<u32> = system.offsets[..rows].to_vec();
+    for i in 0..rows {
+        compare(i, i, Some(diagonal[i] as usize), Some(diagonal[i] as usize))?;
+        for k in diagonal[i] as usize + 1..system.offsets[i + 1] as usize {
+            let j = system.columns[k] as usize;
+            let mut lower = None;
+            while lower.is_none() && cursor[j] < diagonal[j] && system.columns[cursor[j] as usize] as usize <= i {
+                let (at, column) = (cursor[j] as usize, system.columns[cursor[j] as usize] as usize);
+                cursor[j] += 1;
+                if column == i {
+                    lower = Some(at);
+                } else {
+                    compare(column, j, None, Some(at))?;
+                }
+            }
+            compare(i, j, Some(k), lower)?;
+        }
+    }
+    for j in 0..rows {
+        for at in cursor[j]..diagonal[j] {
+            compare(system.columns[at as usize] as usize, j, None, Some(at as usize))?;
+        }
+    }
+    Ok(())
+}
