@@ -1,0 +1,113 @@
+//! Swept, inflated boxes of features. If two features come within the query's radius of each other (in exact arithmetic,
+//! at any common time between start and end), their boxes overlap; the reverse is not promised.
+
+use glam::Vec3A;
+
+use super::{BroadError, CollisionMesh, Query};
+
+/// Relative widening of every bound: more than the rounding of a few f32 operations on the coordinates, so that a test
+/// that decides with rounded numbers is still handed the pair.
+const SLACK: f32 = 1.0 / (1 << 21) as f32;
+/// Largest coordinate, metres; beyond it squares leave f32.
+const MOST_M: f32 = 1e18;
+
+/// An axis-aligned box.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Aabb {
+    pub lo: Vec3A,
+    pub hi: Vec3A,
+}
+
+impl Aabb {
+    /// Overlaps nothing; neutral for [`Aabb::join`].
+    pub const EMPTY: Aabb = Aabb { lo: Vec3A::INFINITY, hi: Vec3A::NEG_INFINITY };
+
+    #[inline(always)]
+    pub fn join(self, other: Aabb) -> Aabb {
+        Aabb { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
+    }
+
+    #[inline(always)]
+    pub fn clip(self, other: &Aabb) -> Aabb {
+        Aabb { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
+    }
+
+    /// Touching boxes overlap.
+    #[inline(always)]
+    pub fn overlaps(&self, other: &Aabb) -> bool {
+        (self.lo.cmple(other.hi) & other.lo.cmple(self.hi)).all()
+    }
+
+    /// Longest side.
+    #[inline(always)]
+    pub fn extent(&self) -> f32 {
+        (self.hi - self.lo).max_element()
+    }
+}
+
+/// The positions of a query, checked.
+pub(super) struct Motion<'a> {
+    start: &'a [f32],
+    end: &'a [f32],
+    pad: Vec3A,
+}
+
+impl<'a> Motion<'a> {
+    /// Refuses positions and radii that boxes cannot be built from.
+    pub fn new(mesh: &CollisionMesh, query: &Query<'a>) -> Result<Motion<'a>, BroadError> {
+        for (which, positions) in [("start", query.x_t0), ("end", query.x_t1)] {
+            if positions.len() != 3 * mesh.vertices {
+                return Err(BroadError::PositionCount { which, values: positions.len(), vertices: mesh.vertices });
+            }
+            // Chunks without a branch inside; a NaN fails the comparison.
+            for (chunk, values) in positions.chunks(1024).enumerate() {
+                if !values.iter().fold(true, |fine, x| fine & (x.abs() <= MOST_M)) {
+                    let at = values.iter().position(|x| !(x.abs() <= MOST_M)).unwrap_or(0);
+                    return Err(BroadError::Position { which, vertex: (chunk * 1024 + at) / 3, value_m: values[at] });
+                }
+            }
+        }
+        if !(query.radius_m >= 0.0 && query.radius_m <= MOST_M) {
+            return Err(BroadError::Radius { radius_m: query.radius_m });
+        }
+        Ok(Motion { start: query.x_t0, end: query.x_t1, pad: Vec3A::splat(0.5 * query.radius_m * (1.0 + SLACK)) })
+    }
+
+    /// Box of the path of a vertex, not inflated.
+    #[inline(always)]
+    fn path(&self, vertex: u32) -> Aabb {
+        let at = 3 * vertex as usize;
+        let (a, b) = (&self.start[at..at + 3], &self.end[at..at + 3]);
+        let (a, b) = (Vec3A::new(a[0], a[1], a[2]), Vec3A::new(b[0], b[1], b[2]));
+        Aabb { lo: a.min(b), hi: a.max(b) }
+    }
+
+    /// Every operation is monotone in its argument also after rounding, hence: bounds whose gap is at most the radius
+    /// meet, and the box of a triangle holds the boxes of its features.
+    #[inline(always)]
+    fn inflate(&self, path: Aabb) -> Aabb {
+        let (lo, hi) = (path.lo - self.pad, path.hi + self.pad);
+        Aabb { lo: lo - lo.abs() * SLACK, hi: hi + hi.abs() * SLACK }
+    }
+
+    /// Holds the boxes of all cloth features.
+    pub fn cloth_bounds(&self, mesh: &CollisionMesh) -> Aabb {
+        let path = (0..mesh.cloth_vertices as u32).fold(Aabb::EMPTY, |bounds, v| bounds.join(self.path(v)));
+        self.inflate(path)
+    }
+
+    #[inline(always)]
+    pub fn vertex(&self, vertex: u32) -> Aabb {
+        self.inflate(self.path(vertex))
+    }
+
+    #[inline(always)]
+    pub fn edge(&self, [a, b]: [u32; 2]) -> Aabb {
+        self.inflate(self.path(a).join(self.path(b)))
+    }
+
+    #[inline(always)]
+    pub fn triangle(&self, [a, b, c]: [u32; 3]) -> Aabb {
+        self.inflate(self.path(a).join(self.path(b)).join(self.path(c)))
+    }
+}
