@@ -20,13 +20,10 @@ enum Command {
     Run(cli::run::RunArgs),
     /// Show the work queues for a topology
     Schedule(cli::schedule::ScheduleArgs),
-<<<<<<< HEAD
     /// Check a scene or a mesh
     Check(cli::check::CheckArgs),
-=======
     /// Solve a symmetric positive definite system on N workers
     Solve(cli::solve::SolveArgs),
->>>>>>> solve
     /// Draw the frames of a run as PNG
     Render(cli::render::RenderArgs),
     /// Show adapters, cores, shared memory and what dead runs have left
@@ -43,11 +40,8 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(args) => cli::run::run(args, Launch::Spawn),
         Command::Schedule(args) => cli::schedule::run(args),
-<<<<<<< HEAD
         Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
-=======
         Command::Solve(args) => cli::solve::run(args),
->>>>>>> solve
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),

@@ -204,12 +204,7 @@ impl Crew {
             let pid = heartbeat.pid as u32;
             let place = if heartbeat.step == 0 { "while setting up".to_string() } else { format!("in step {}", heartbeat.step) };
             let child_ended = self.children.get_mut(rank).is_some_and(|child| matches!(child.try_wait(), Ok(Some(_))));
-<<<<<<< HEAD
             if child_ended || self.control.has_ended(rank) {
-                let pid = self.children.get(rank).map_or(pid, Child::id);
-=======
-            if child_ended || self.control.has_ended(rank)? {
->>>>>>> faults
                 // Its last words may be on the way.
                 while let Some(bytes) = self.control.try_receive(rank)? {
                     if let Ok((ToCoordinator::Failed(failure), _)) = decode::<ToCoordinator>(&bytes) {
@@ -257,15 +252,8 @@ impl Crew {
         }
         if !self.all_gone() {
             for rank in 0..self.ranks() {
-<<<<<<< HEAD
-                let pid = self.control.heartbeat(rank).pid as i32;
-                let gone = self.control.has_ended(rank);
-                if let (false, Some(pid)) = (gone, rustix::process::Pid::from_raw(pid)) {
-                    let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
-=======
-                if !self.control.has_ended(rank).unwrap_or(true) {
+                if !self.control.has_ended(rank) {
                     kill(self.control.heartbeat(rank).pid as u32);
->>>>>>> faults
                 }
             }
             for child in &mut self.children {
