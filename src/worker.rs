@@ -1,7 +1,7 @@
 //! A worker process: one rank, its device and its rows. It does what the coordinator's messages say and ends by itself
 //! when the coordinator does.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::rc::Rc;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use crate::model::{RankArrays, RankModel};
 use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Simulation, StepError};
 use crate::transport::{
-    ControlError, ControlWorker, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName, SoloTransport, Transport, decode, encode,
+    ControlError, ControlWorker, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName, SoloTransport, Transport, TransportError, decode, encode,
 };
 
 /// How long a worker waits for the coordinator when it starts or reports, seconds.
@@ -41,6 +41,7 @@ pub enum WorkerError {
 struct Inbox {
     control: Rc<RefCell<ControlWorker>>,
     waiting: Rc<RefCell<VecDeque<Vec<u8>>>>,
+    told_to_stop: Rc<Cell<bool>>,
 }
 
 impl Inbox {
@@ -55,6 +56,7 @@ impl Inbox {
             let stop = matches!(decode::<ToWorker>(&message), Ok((ToWorker::Stop, _)));
             self.waiting.borrow_mut().push_back(message);
             if stop {
+                self.told_to_stop.set(true);
                 return true;
             }
         }
@@ -74,7 +76,12 @@ impl Inbox {
 
     fn send(&self, message: &ToCoordinator, arrays: &[&[u8]]) -> Result<(), WorkerError> {
         let bytes = encode(message, arrays)?;
-        Ok(self.control.borrow_mut().send(&bytes)?)
+        Ok(self.control.borrow_mut().send(bytes)?)
+    }
+
+    /// What is left to do after a failed transfer: nothing if it failed because the run is over, else report it.
+    fn interrupted(&self, failure: WorkerFailure) -> Result<(), WorkerError> {
+        if self.told_to_stop.get() { Ok(()) } else { Err(self.fail(failure)) }
     }
 
     fn fail(&self, failure: WorkerFailure) -> WorkerError {
@@ -106,7 +113,7 @@ pub fn run(run: &RunName, rank: usize) -> Result<(), WorkerError> {
 
 fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
     let control = ControlWorker::connect(run, rank, COORDINATOR_PATIENCE)?;
-    let inbox = Inbox { control: Rc::new(RefCell::new(control)), waiting: Rc::default() };
+    let inbox = Inbox { control: Rc::new(RefCell::new(control)), waiting: Rc::default(), told_to_stop: Rc::default() };
     let bytes = inbox.next()?;
     let (message, arrays) = decode::<ToWorker>(&bytes)?;
     match message {
@@ -125,7 +132,10 @@ fn simulate(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup, exch
     let executor = make_executor(setup, rank).map_err(|message| inbox.fail(WorkerFailure::BadInput(message)))?;
     let (name, device) = (executor.name().to_string(), executor.device_name());
     let mut simulation = Simulation::new(executor, model, exchange).map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
-    let mut transport = connect(run, rank, inbox, setup)?;
+    let mut transport = match connect(run, rank, inbox, setup) {
+        Ok(transport) => transport,
+        Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),
+    };
     let ready = WorkerReady { executor: name, device, padding_ratio: simulation.padding_ratio, epoch_unix_ns: simulation.recorder.epoch_unix_ns, memory_bytes: simulation.memory_bytes() };
     inbox.send(&ToCoordinator::Ready(ready), &[])?;
     loop {
@@ -137,7 +147,7 @@ fn simulate(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup, exch
                         let events = simulation.recorder.take();
                         inbox.send(&ToCoordinator::StepDone(stats), &[bytemuck::cast_slice(&events)])?;
                     }
-                    Err(error) => return Err(inbox.fail(failure_of(error))),
+                    Err(error) => return inbox.interrupted(failure_of(error)),
                 }
             }
             ToWorker::SendState => {
@@ -161,17 +171,14 @@ fn failure_of(error: StepError) -> WorkerFailure {
 }
 
 /// Connects with all other ranks; a single rank needs no shared memory.
-fn connect(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup) -> Result<Box<dyn Transport>, WorkerError> {
+fn connect(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup) -> Result<Box<dyn Transport>, TransportError> {
     let hook = inbox.clone();
     if setup.ranks == 1 {
         let transport = SoloTransport::new(Box::new(move || hook.should_stop()));
         return Ok(Box::new(transport));
     }
     let options = IceoryxOptions { rank, ranks: setup.ranks, max_len: setup.max_message_values, deadline: Duration::from_secs_f64(setup.patience_s), on_wait: Box::new(move || hook.should_stop()) };
-    match IceoryxTransport::connect(run, options) {
-        Ok(transport) => Ok(Box::new(transport)),
-        Err(error) => Err(inbox.fail(WorkerFailure::Transport(error.to_string()))),
-    }
+    Ok(Box::new(IceoryxTransport::connect(run, options)?))
 }
 
 /// The executor that `setup` asks for.

@@ -78,7 +78,7 @@ fn child_process() {
             loop {
                 let message = worker.receive(WATCHDOG).expect("receive").expect("a message");
                 worker.heartbeat().progress(message.len() as u64, 3);
-                worker.send(&message).expect("send");
+                worker.send(message.as_slice()).expect("send");
                 if message == b"." {
                     worker.flush().expect("flush");
                     return;
@@ -111,7 +111,7 @@ fn messages_of_all_lengths_go_both_ways() {
         // All at once: more than fits into any buffer, so the channel has to take turns.
         for rank in 0..3 {
             for (number, &len) in lengths.iter().enumerate() {
-                coordinator.send(rank, &bytes(len, number + rank)).unwrap();
+                coordinator.send(rank, bytes(len, number + rank)).unwrap();
             }
         }
         for rank in (0..3).rev() {
@@ -148,7 +148,7 @@ fn a_message_of_64_mb() {
         let array = bytes(64_000_000, 5);
         let message = encode(&("positions".to_string(), 17u64), &[&array, b"tail"]).unwrap();
         let files = run.shared_memory_files();
-        coordinator.send(0, &message).unwrap();
+        coordinator.send(0, message.as_slice()).unwrap();
         let back = receive_from(&mut coordinator, 0);
         assert!(back == message);
         let ((name, step), arrays) = decode::<(String, u64)>(&back).unwrap();
@@ -187,7 +187,7 @@ fn the_coordinator_sees_a_worker_die() {
         assert_eq!(coordinator.heartbeat(0), last);
         assert!(coordinator.silence(0).unwrap() >= Duration::from_millis(60));
         for _ in 0..10 {
-            coordinator.send(0, &bytes(300_000, 1)).unwrap();
+            coordinator.send(0, bytes(300_000, 1)).unwrap();
         }
         assert!(!coordinator.all_sent(0));
         assert!(!coordinator.has_ended(1).unwrap());
@@ -213,7 +213,7 @@ fn a_worker_sees_the_coordinator_die() {
             Err(error) => error,
         };
         assert!(matches!(end, ControlError::CoordinatorGone { pid } if pid == child.0.id()));
-        let error = worker.send(&bytes(2_000_000, 1)).unwrap_err();
+        let error = worker.send(bytes(2_000_000, 1)).unwrap_err();
         assert!(error.to_string().contains("has ended"), "{error}");
     });
 }

@@ -1,6 +1,7 @@
 //! The workers of a run as seen by the coordinator: started (or waited for), spoken to, watched, and gone afterwards.
 //! Says nothing about what is simulated.
 
+use std::io::Write;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -14,6 +15,8 @@ use crate::transport::{ControlCoordinator, ControlError, MessageError, RunError,
 const FAREWELL: Duration = Duration::from_secs(2);
 /// Longest sleep between two looks at the workers.
 const LOOK: Duration = Duration::from_millis(50);
+/// How long the other workers get to explain a failure better than the first report of it does.
+const ECHO: Duration = Duration::from_millis(500);
 
 /// Where the workers come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -70,7 +73,10 @@ pub struct Crew {
     control: ControlCoordinator,
     children: Vec<Child>,
     heartbeat_limit: Duration,
-    step: u32,
+    /// By rank: has reported that it cannot go on, so its end is no news.
+    gave_up: Vec<bool>,
+    /// When the first such report came, and the one that explains most.
+    reported: Option<(Instant, CrewError)>,
     run: RunName,
     // Dropped last: as long as it lives, the run counts as alive.
     _member: RunMember,
@@ -81,10 +87,12 @@ impl Crew {
     pub fn assemble(ranks: usize, launch: &Launch, heartbeat_limit: Duration) -> Result<Crew, CrewError> {
         let (run, member) = RunName::create("coordinator")?;
         let control = ControlCoordinator::create(&run, ranks)?;
-        let mut crew = Crew { control, children: Vec::new(), heartbeat_limit, step: 0, run, _member: member };
+        let (children, gave_up) = (Vec::new(), vec![false; ranks]);
+        let mut crew = Crew { control, children, heartbeat_limit, gave_up, reported: None, run, _member: member };
         match launch {
             Launch::Spawn => crew.spawn(ranks)?,
-            Launch::Await => println!("{}", crew.run),
+            // Nobody may be reading; then nobody starts workers either, and they are missed soon enough.
+            Launch::Await => drop(writeln!(std::io::stdout(), "{}", crew.run)),
         }
         Ok(crew)
     }
@@ -117,11 +125,8 @@ impl Crew {
 
     /// Sends a message to one worker.
     pub fn send(&mut self, rank: usize, message: &ToWorker, arrays: &[&[u8]]) -> Result<(), CrewError> {
-        if let ToWorker::Step { step, .. } = message {
-            self.step = *step;
-        }
         let bytes = encode(message, arrays).map_err(|source| CrewError::Message { rank, source })?;
-        Ok(self.control.send(rank, &bytes)?)
+        Ok(self.control.send(rank, bytes)?)
     }
 
     /// Sends a message without arrays to all workers.
@@ -144,15 +149,13 @@ impl Crew {
     pub fn collect(&mut self, limit: Duration, mut take: impl FnMut(usize, ToCoordinator, &[&[u8]]) -> bool) -> Result<(), CrewError> {
         let mut missing: Vec<usize> = (0..self.ranks()).collect();
         let start = Instant::now();
-        let mut reported = None;
         loop {
-            let mut failure = None;
             let mut taken = Vec::new();
             for &rank in &missing {
                 let Some(bytes) = self.control.try_receive(rank)? else { continue };
                 let (message, arrays) = decode::<ToCoordinator>(&bytes).map_err(|source| CrewError::Message { rank, source })?;
                 match message {
-                    ToCoordinator::Failed(why) => failure = worse(failure, CrewError::Failed { rank, failure: why }),
+                    ToCoordinator::Failed(failure) => self.note_failure(rank, failure),
                     other => match take(rank, other, &arrays) {
                         true => taken.push(rank),
                         false => return Err(CrewError::OutOfTurn { rank }),
@@ -160,22 +163,7 @@ impl Crew {
                 }
             }
             missing.retain(|rank| !taken.contains(rank));
-            if let Some(failure) = failure {
-                // A worker that lost another one reports first; look who is really to blame before giving up.
-                let (_, since) = reported.get_or_insert((None, Instant::now()));
-                let since = *since;
-                reported = Some((Some(failure), since));
-            }
-            if let Err(error) = self.look_after(start, limit) {
-                return Err(error);
-            }
-            match &mut reported {
-                Some((Some(failure), _)) if !is_transport(failure) => return Err(reported.and_then(|(f, _)| f).expect("just seen")),
-                Some((failure, since)) if since.elapsed() > self.heartbeat_limit + LOOK => {
-                    return Err(failure.take().expect("set together with the time"));
-                }
-                _ => {}
-            }
+            self.look_after(start, limit)?;
             if missing.is_empty() {
                 return Ok(());
             }
@@ -183,32 +171,65 @@ impl Crew {
         }
     }
 
-    /// Finds dead, hung and missing workers.
+    /// Remembers that a worker cannot go on, and why, unless another one has explained it better.
+    fn note_failure(&mut self, rank: usize, failure: WorkerFailure) {
+        self.gave_up[rank] = true;
+        let new = CrewError::Failed { rank, failure };
+        self.reported = Some(match self.reported.take() {
+            Some((since, old)) if weight(&old) >= weight(&new) => (since, old),
+            Some((since, _)) => (since, new),
+            None => (Instant::now(), new),
+        });
+    }
+
+    /// The reported failure, once nothing better is to be expected: a worker that has lost another one reports before
+    /// it is known who is really to blame, and of ranks that see the same failed solve one knows the vertex.
+    fn verdict(&mut self) -> Result<(), CrewError> {
+        let Some((since, error)) = &self.reported else { return Ok(()) };
+        let patience = match weight(error) {
+            0 => self.heartbeat_limit + LOOK,
+            1 => ECHO,
+            _ => Duration::ZERO,
+        };
+        if since.elapsed() < patience && !self.gave_up.iter().all(|&gave_up| gave_up) {
+            return Ok(());
+        }
+        self.reported.take().map_or(Ok(()), |(_, error)| Err(error))
+    }
+
+    /// Finds dead, hung and missing workers, and those that gave up.
     fn look_after(&mut self, start: Instant, limit: Duration) -> Result<(), CrewError> {
-        for rank in 0..self.ranks() {
+        for rank in (0..self.ranks()).filter(|&rank| !self.gave_up[rank]).collect::<Vec<_>>() {
             let heartbeat = self.control.heartbeat(rank);
             let pid = heartbeat.pid as u32;
             let place = if heartbeat.step == 0 { "while setting up".to_string() } else { format!("in step {}", heartbeat.step) };
             let child_ended = self.children.get_mut(rank).is_some_and(|child| matches!(child.try_wait(), Ok(Some(_))));
             if child_ended || self.control.has_ended(rank)? {
-                let pid = self.children.get(rank).map_or(pid, Child::id);
                 // Its last words may be on the way.
-                if let Some(bytes) = self.control.try_receive(rank)?
-                    && let Ok((ToCoordinator::Failed(failure), _)) = decode::<ToCoordinator>(&bytes)
-                {
-                    return Err(CrewError::Failed { rank, failure });
+                while let Some(bytes) = self.control.try_receive(rank)? {
+                    if let Ok((ToCoordinator::Failed(failure), _)) = decode::<ToCoordinator>(&bytes) {
+                        self.note_failure(rank, failure);
+                    }
                 }
+                if self.gave_up[rank] {
+                    continue;
+                }
+                let pid = self.children.get(rank).map_or(pid, Child::id);
                 return Err(CrewError::Died { rank, pid, place });
             }
             match self.control.silence(rank) {
-                Some(silence) if silence > limit => return Err(CrewError::Hung { rank, pid, place, silence_s: silence.as_secs_f64() }),
+                Some(silence) if silence > limit => {
+                    // It would not hear a farewell, and the others need not wait for it.
+                    kill(pid);
+                    return Err(CrewError::Hung { rank, pid, place, silence_s: silence.as_secs_f64() });
+                }
                 None if start.elapsed() > limit.max(Duration::from_secs(60)) => {
                     return Err(CrewError::Missing { rank, waited_s: start.elapsed().as_secs_f64() });
                 }
                 _ => {}
             }
         }
-        Ok(())
+        self.verdict()
     }
 
     /// Tells all workers to leave and makes sure that they have.
@@ -223,14 +244,16 @@ impl Crew {
         }
         let start = Instant::now();
         while start.elapsed() < FAREWELL && !self.all_gone() {
+            for rank in 0..self.ranks() {
+                // A worker leaves when its last message has been taken, whatever it says.
+                while let Ok(Some(_)) = self.control.try_receive(rank) {}
+            }
             let _ = self.control.wait(Duration::from_millis(10));
         }
         if !self.all_gone() {
             for rank in 0..self.ranks() {
-                let pid = self.control.heartbeat(rank).pid as i32;
-                let gone = self.control.has_ended(rank).unwrap_or(true);
-                if let (false, Some(pid)) = (gone, rustix::process::Pid::from_raw(pid)) {
-                    let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
+                if !self.control.has_ended(rank).unwrap_or(true) {
+                    kill(self.control.heartbeat(rank).pid as u32);
                 }
             }
             for child in &mut self.children {
@@ -260,14 +283,18 @@ impl Drop for Crew {
     }
 }
 
-fn is_transport(error: &CrewError) -> bool {
-    matches!(error, CrewError::Failed { failure: WorkerFailure::Transport(_), .. })
+/// Ends a worker that does not listen any more. It has been seen alive, so the number is still its own.
+fn kill(pid: u32) {
+    if let Some(pid) = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw) {
+        let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
+    }
 }
 
-/// The failure that explains more: a lost connection is only the echo of something else.
-fn worse(old: Option<CrewError>, new: CrewError) -> Option<CrewError> {
-    match old {
-        Some(old) if !is_transport(&old) => Some(old),
-        _ => Some(new),
+/// How much a failure explains: a lost connection (0) is only the echo of something else.
+fn weight(error: &CrewError) -> u8 {
+    match error {
+        CrewError::Failed { failure: WorkerFailure::Transport(_), .. } => 0,
+        CrewError::Failed { failure: WorkerFailure::Other(_), .. } => 1,
+        _ => 2,
     }
 }

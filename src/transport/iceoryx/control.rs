@@ -142,11 +142,11 @@ impl ControlCoordinator {
         self.links.get_mut(rank).ok_or(ControlError::NoSuchRank { rank, ranks })
     }
 
-    /// Sends `message` to a worker: takes a copy and returns at once; what does not fit into the worker's buffers yet
-    /// follows during later calls of this type ([`ControlCoordinator::wait`] is the natural one).
-    pub fn send(&mut self, rank: usize, message: &[u8]) -> Result<(), ControlError> {
+    /// Sends `message` to a worker: keeps it (or a copy of a slice) and returns at once; what does not fit into the
+    /// worker's buffers yet follows during later calls of this type ([`ControlCoordinator::wait`] is the natural one).
+    pub fn send(&mut self, rank: usize, message: impl Into<Vec<u8>>) -> Result<(), ControlError> {
         let link = self.link(rank)?;
-        link.sender.outbox.push(message.to_vec());
+        link.sender.outbox.push(message.into());
         link.pump()
     }
 

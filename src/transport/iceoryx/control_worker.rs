@@ -147,8 +147,8 @@ impl ControlWorker {
     ///
     /// # Errors
     /// The coordinator has ended or takes nothing within the deadline.
-    pub fn send(&mut self, message: &[u8]) -> Result<(), ControlError> {
-        self.sender.outbox.push(message.to_vec());
+    pub fn send(&mut self, message: impl Into<Vec<u8>>) -> Result<(), ControlError> {
+        self.sender.outbox.push(message.into());
         self.wait_until("the coordinator to take a message", |worker| worker.sender.outbox.is_empty())
     }
 
