@@ -1,6 +1,7 @@
 //! What a run leaves in its directory while it goes on: frames, report, trace, recipe, checkpoints.
 
 use std::fmt::Display;
+use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
@@ -32,6 +33,8 @@ fn write_error(error: impl Display) -> RecordError {
 /// Writes a run's files.
 pub struct Recorder {
     directory: RunDirectory,
+    made: MadeFolders,
+    manifest: Option<RunManifest>,
     options: RunOptions,
     fingerprint: u64,
     first: Option<Checkpoint>,
@@ -45,9 +48,10 @@ pub struct Recorder {
 impl Recorder {
     /// Prepares the run directory; with [`Existing::Resume`] also returns the checkpoint to go on from.
     pub fn open(plan: &RunPlan, options: &RunOptions, places: &RunPlaces) -> Result<(Recorder, Option<Checkpoint>), RecordError> {
+        let made = MadeFolders::for_run(&places.out);
         let directory = RunDirectory::create(&places.out, places.existing).map_err(|error| RecordError::BadInput(error.to_string()))?;
         let fingerprint = scene_fingerprint(&plan.scene);
-        let mut resumed = None;
+        let (mut resumed, mut manifest) = (None, None);
         if places.existing == Existing::Resume {
             let latest = checkpoint::latest(&directory.checkpoints());
             latest.notes.iter().for_each(|note| tracing::warn!("{note}"));
@@ -60,14 +64,18 @@ impl Recorder {
             resumed = Some(found);
         } else {
             let text = std::fs::read_to_string(&places.scene).map_err(write_error)?;
-            RunManifest::new(&places.scene, &text, options).and_then(|mut manifest| manifest.save(&directory)).map_err(write_error)?;
+            manifest = Some(RunManifest::new(&places.scene, &text, options).map_err(write_error)?);
         }
-        let recorder = Recorder { directory, options: options.clone(), fingerprint, first: resumed.clone(), frames: None, report: None, trace: None, epochs: Vec::new(), last: None };
+        let recorder = Recorder { directory, made, manifest, options: options.clone(), fingerprint, first: resumed.clone(), frames: None, report: None, trace: None, epochs: Vec::new(), last: None };
         Ok((recorder, resumed))
     }
 
-    /// The workers are there: starts report, trace and frames.
+    /// The workers are there: starts recipe, report, trace and frames. Before this nothing is written.
     pub fn begin(&mut self, plan: &RunPlan, ready: &[WorkerReady]) -> Result<(), RecordError> {
+        self.made.0.clear();
+        if let Some(manifest) = &mut self.manifest {
+            manifest.save(&self.directory).map_err(write_error)?;
+        }
         let scene = &plan.scene;
         let devices: Vec<String> = ready.iter().map(|worker| worker.device.clone()).collect();
         let mut header = ReportHeader {
@@ -179,6 +187,27 @@ impl Recorder {
         match self.report {
             Some(report) => report.finish(status).map(|_| ()).map_err(write_error),
             None => Ok(()),
+        }
+    }
+}
+
+/// Folders that this start makes, the innermost first: removed again if nothing gets written into them.
+struct MadeFolders(Vec<PathBuf>);
+
+impl MadeFolders {
+    /// Call before the folders are made.
+    fn for_run(out: &Path) -> MadeFolders {
+        let inner = [out.join("frames"), out.join("checkpoint")];
+        let all = inner.iter().map(PathBuf::as_path).chain(out.ancestors());
+        MadeFolders(all.filter(|folder| !folder.as_os_str().is_empty() && !folder.exists()).map(PathBuf::from).collect())
+    }
+}
+
+impl Drop for MadeFolders {
+    fn drop(&mut self) {
+        for folder in &self.0 {
+            // Not there or not empty: then it stays as it is.
+            let _ = std::fs::remove_dir(folder);
         }
     }
 }
