@@ -1,5 +1,11 @@
 //! The coordinator of a run: starts the workers, gives them their parts, drives them step by step, collects frames and
 //! keeps report, trace and checkpoints. It never does simulation maths.
+//!
+//! With `loomtree run` it lives in that process and only the workers are children; `loomtree-coordinator` is the same code
+//! on its own. A coordinator in a third process would protect nothing more: workers watch the coordinator's process
+//! whatever its name, leave by themselves when it is gone, and the last one removes what the run has put on the machine.
+//! Not covered: a coordinator killed before it has started a worker leaves a few empty files (`loomtree doctor --clean`),
+//! and a worker that hangs while it is being set up is only noticed after [`SETUP_LIMIT`].
 
 pub mod crew;
 pub mod plan;
@@ -96,7 +102,7 @@ pub fn run(mut plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: 
         None => 0,
     };
     let state = State { positions: plan.scene.mesh.positions.clone(), velocities: plan.scene.velocities.clone() };
-    let mut crew = Crew::assemble(options.workers, launch, Duration::from_secs_f64(options.heartbeat_s)).map_err(failed)?;
+    let mut crew = Crew::assemble(options.workers, launch, options.heartbeat()).map_err(failed)?;
     let mut driver = Driver { plan: &plan, options, recorder: &mut recorder, original_from_global: Vec::new(), state, done: first_step, seconds: 0.0 };
     let result = driver.drive(&mut crew, first_step, resumed.as_ref());
     let (done, seconds, original_from_global) = (driver.done, driver.seconds, std::mem::take(&mut driver.original_from_global));
@@ -128,7 +134,8 @@ fn check_space(plan: &RunPlan) -> Result<(), RunError> {
 
 /// Longest message between ranks: positions and velocities of a whole row block.
 fn message_values(plan: &RunPlan) -> usize {
-    plan.partition.sub_vector_rows() * 6
+    // A single rank has nobody to send to.
+    if plan.partition.ranks() == 1 { 0 } else { plan.partition.sub_vector_rows() * 6 }
 }
 
 /// Why driving ended early.
@@ -138,6 +145,9 @@ enum DriveError {
     Crew(#[from] CrewError),
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// Seen in the collected state; what a solve runs into is seen by a worker.
+    #[error("step {step}: the {quantity} of vertex {vertex} is not finite; likely too large: simulation.step_s, the start velocity or a force")]
+    NotFinite { step: u32, vertex: usize, quantity: &'static str },
 }
 
 impl DriveError {
@@ -189,15 +199,16 @@ impl Driver<'_> {
             self.done = step;
             self.recorder.step(self.plan, &stats, &events, start.elapsed().as_secs_f64())?;
             let stop = STOP_REQUESTED.load(Ordering::Relaxed);
-            let frame_ends = step % settings.steps_per_frame == 0;
+            let frame_ends = step.is_multiple_of(settings.steps_per_frame);
             if frame_ends || stop {
                 self.collect_state(crew)?;
+                self.check_state(step)?;
             }
             let frame = step / settings.steps_per_frame;
             if frame_ends {
                 let hash = self.recorder.frame(self.plan, frame, step, &self.state.positions, &self.state.velocities)?;
                 let every = self.options.checkpoint_every;
-                if every > 0 && frame % every == 0 && step != last_step {
+                if every > 0 && frame.is_multiple_of(every) && step != last_step {
                     self.recorder.keep_last_state()?;
                 }
                 progress.frame(frame, step, &stats[0], &hash, self.seconds / (step - first_step) as f64);
@@ -227,9 +238,9 @@ impl Driver<'_> {
             max_message_values: message_values(self.plan),
             patience_s: 3600.0,
         };
-        RankModel::split(&model, &self.plan.partition, |rank, part| {
+        RankModel::split(&model, &self.plan.partition, |rank, mut part| {
             let exchange = ExchangePlan { mode: self.options.exchange, queue: self.plan.transfers.schedule.queues[rank].clone() };
-            let arrays = part.arrays.clone();
+            let arrays = std::mem::take(&mut part.arrays);
             crew.send(rank, &ToWorker::Simulate { setup: setup.clone(), exchange, model: Box::new(part) }, &arrays.to_bytes())?;
             // One part at a time in flight: the coordinator's memory stays at one part.
             crew.flush(rank, SETUP_LIMIT)
@@ -250,7 +261,7 @@ impl Driver<'_> {
         let ranks = self.plan.partition.ranks();
         let mut stats = vec![StepStats::default(); ranks];
         let mut events = vec![Vec::new(); ranks];
-        let limit = Duration::from_secs_f64(self.options.heartbeat_s);
+        let limit = self.options.heartbeat();
         crew.collect(limit, |rank, message, arrays| match (message, arrays) {
             (ToCoordinator::StepDone(done), [bytes]) => {
                 stats[rank] = done;
@@ -265,7 +276,7 @@ impl Driver<'_> {
     fn collect_state(&mut self, crew: &mut Crew) -> Result<(), DriveError> {
         crew.broadcast(&ToWorker::SendState)?;
         let (partition, order, state) = (&self.plan.partition, &self.original_from_global, &mut self.state);
-        let limit = Duration::from_secs_f64(self.options.heartbeat_s);
+        let limit = self.options.heartbeat();
         crew.collect(limit, |rank, message, arrays| {
             let rows = partition.rows_of(rank);
             let (ToCoordinator::State, [positions, velocities]) = (message, arrays) else { return false };
@@ -279,6 +290,16 @@ impl Driver<'_> {
             }
             true
         })?;
+        Ok(())
+    }
+
+    /// A state that is not finite is neither shown as a frame nor kept as one to go on from.
+    fn check_state(&self, step: u32) -> Result<(), DriveError> {
+        for (quantity, values) in [("position", &self.state.positions), ("velocity", &self.state.velocities)] {
+            if let Some(vertex) = values.iter().position(|value| !value.is_finite()) {
+                return Err(DriveError::NotFinite { step, vertex, quantity });
+            }
+        }
         Ok(())
     }
 }

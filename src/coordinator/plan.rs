@@ -2,6 +2,7 @@
 //! refused here.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -53,6 +54,14 @@ pub struct RunOptions {
     pub trace_steps: u32,
 }
 
+impl RunOptions {
+    /// [`RunOptions::heartbeat_s`]; what no clock can hold (a run.toml may be edited) is as good as for ever.
+    pub fn heartbeat(&self) -> Duration {
+        let forever = Duration::from_secs(1_000_000_000);
+        Duration::try_from_secs_f64(self.heartbeat_s).unwrap_or(forever).min(forever)
+    }
+}
+
 mod schedule_name {
     use crate::interconnect::ScheduleKind;
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
@@ -96,6 +105,9 @@ pub enum PlanError {
     /// A number out of range.
     #[error("--workers {workers}: {what}")]
     Workers { workers: usize, what: String },
+    /// More steps than can be counted.
+    #[error("{frames} frames of {steps_per_frame} steps each are too many: at most {} steps are possible", u32::MAX - 1)]
+    Steps { frames: u32, steps_per_frame: u32 },
 }
 
 /// A run that can start.
@@ -126,6 +138,11 @@ impl RunPlan {
         }
         if workers > rows {
             return Err(PlanError::Workers { workers, what: format!("the cloth has only {rows} vertices; use at most as many workers") });
+        }
+        let (frames, steps_per_frame) = (scene.settings.frames, scene.settings.steps_per_frame);
+        // The last number stays free, so that counting past the last step is possible.
+        if frames.checked_mul(steps_per_frame).is_none_or(|steps| steps == u32::MAX) {
+            return Err(PlanError::Steps { frames, steps_per_frame });
         }
         let partition = RowPartition::new(rows, workers);
         let (transfers, topology) = plan_transfers(options.topology.as_deref(), options.schedule, workers, partition.sub_vector_rows())?;
