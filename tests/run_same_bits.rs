@@ -1,0 +1,61 @@
+//! The same bits from real worker processes, whatever their number and schedule, and from run to run.
+
+mod process_support;
+
+use process_support::{Place, flag, repository};
+
+const FRAMES: usize = 20;
+
+/// Runs the flag of this test with `flags` and returns frames and hashes.
+fn hashes(place: &Place, out: &str, flags: &str) -> Vec<(u64, String)> {
+    let ended = place.run(&format!("run flag.toml --executor cpu --out {out} {flags}")).expect(0);
+    assert_eq!(place.report(out)["status"], "done", "{}", ended.story);
+    place.hashes(out)
+}
+
+fn flag_place() -> (Place, Vec<(u64, String)>) {
+    let place = Place::new();
+    place.write("flag.toml", flag(1500, 3, FRAMES as u32));
+    let one = hashes(&place, "one", "--workers 1");
+    assert_eq!(one.len(), FRAMES + 1);
+    assert!(one.windows(2).all(|pair| pair[1].0 == pair[0].0 + 1 && pair[1].1 != pair[0].1), "the flag moves: {one:?}");
+    (place, one)
+}
+
+#[test]
+fn two_three_four_and_eight_workers_give_the_bits_of_one() {
+    let (place, one) = flag_place();
+    for workers in [2, 3, 4, 8] {
+        assert_eq!(
+            hashes(&place, &format!("many{workers}"), &format!("--workers {workers}")),
+            one,
+            "{workers} workers"
+        );
+    }
+    assert_eq!(hashes(&place, "again", "--workers 4"), one, "4 workers once more");
+}
+
+#[test]
+fn schedules_topologies_and_threads_change_no_bit() {
+    let (place, one) = flag_place();
+    for schedule in ["fat-tree", "ring", "direct"] {
+        assert_eq!(hashes(&place, schedule, &format!("--workers 4 --schedule {schedule}")), one, "{schedule}");
+        assert_eq!(place.report(schedule)["schedule"], schedule);
+    }
+    let topology = repository("topology/pcie_4.toml");
+    assert_eq!(hashes(&place, "pcie", &format!("--workers 4 --topology {}", topology.display())), one, "pcie_4");
+    assert_eq!(hashes(&place, "threads", "--workers 2 --threads 3"), one, "3 threads each");
+}
+
+#[test]
+fn full_exchange_repeats_its_bits() {
+    let place = Place::new();
+    place.write("flag.toml", flag(1000, 2, FRAMES as u32));
+    for workers in [3, 4] {
+        let run =
+            |out: &str| hashes(&place, &format!("{out}{workers}"), &format!("--workers {workers} --exchange full"));
+        let first = run("first");
+        assert_eq!(first.len(), FRAMES + 1);
+        assert_eq!(run("second"), first, "{workers} workers");
+    }
+}
