@@ -99,8 +99,13 @@ fn an_adapter_that_is_not_there() {
     let place = Place::new();
     place.write("flag.toml", flag(200, 2, 3));
     for out in ["out", "one/two"] {
-        let ended = place.run(&format!("run flag.toml --workers 2 --executor gpu --adapter 4711 --out {out}")).expect(2);
-        assert!(!ended.error().is_empty() && !place.path(out).exists() && !place.path("one").exists(), "{}", ended.story);
+        let ended =
+            place.run(&format!("run flag.toml --workers 2 --executor gpu --adapter 4711 --out {out}")).expect(2);
+        assert!(
+            !ended.error().is_empty() && !place.path(out).exists() && !place.path("one").exists(),
+            "{}",
+            ended.story
+        );
     }
 }
 
@@ -109,7 +114,11 @@ fn places_that_cannot_be_written() {
     let place = Place::new();
     place.write("flag.toml", flag(200, 2, 3));
     place.write("file", "");
-    for (out, word) in [("file", "is a file"), ("file/below", "cannot write to file/below"), ("/proc/loomtree", "cannot write to /proc/loomtree")] {
+    for (out, word) in [
+        ("file", "is a file"),
+        ("file/below", "cannot write to file/below"),
+        ("/proc/loomtree", "cannot write to /proc/loomtree"),
+    ] {
         let ended = place.run(&format!("run flag.toml --executor cpu --out {out}")).expect(2);
         assert!(ended.error().contains(word) && ended.error().contains("--out"), "{}", ended.story);
     }
@@ -122,7 +131,11 @@ fn a_run_that_is_there_is_not_overwritten_by_accident() {
     place.run("run flag.toml --executor cpu --out out").expect(0);
     let hashes = place.hashes("out");
     let ended = place.run("run flag.toml --executor cpu --out out --frames 1").expect(2);
-    assert!(["already holds a run", "--resume", "--overwrite"].iter().all(|word| ended.error().contains(word)), "{}", ended.story);
+    assert!(
+        ["already holds a run", "--resume", "--overwrite"].iter().all(|word| ended.error().contains(word)),
+        "{}",
+        ended.story
+    );
     assert_eq!(place.hashes("out"), hashes);
     place.run("run flag.toml --executor cpu --out out --frames 1 --overwrite").expect(0);
     assert_eq!(place.hashes("out"), hashes[..2]);
@@ -140,7 +153,8 @@ fn too_little_shared_memory_and_a_read_only_place() {
     let words = "run flag.toml --executor cpu --workers 4 --out";
     place.write("small.sh", format!("mount -t tmpfs -o size=1M tmpfs /dev/shm && exec {program} {words} out\n"));
     place.write("locked.sh", format!("mount -t tmpfs -o ro tmpfs locked && exec {program} {words} locked/out\n"));
-    let probe = std::process::Command::new("unshare").args(["-m", "sh", "probe.sh"]).current_dir(place.path("")).output();
+    let probe =
+        std::process::Command::new("unshare").args(["-m", "sh", "probe.sh"]).current_dir(place.path("")).output();
     if !probe.is_ok_and(|output| output.status.success()) {
         println!("skipped: no right to mount in a namespace of its own");
         return;

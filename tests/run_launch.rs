@@ -19,7 +19,10 @@ fn two_workers_give_the_bits_of_loomtree_run() {
     let place = Place::new();
     let scene = repository("scenes/flag.toml");
     let flags = "--resolution 1000 --frames 2 --executor cpu";
-    launch(&place, &format!("{} 2 {flags} --out by-hand", scene.display()), &[]).wait().expect(0).says(&["done: 20 steps"]);
+    launch(&place, &format!("{} 2 {flags} --out by-hand", scene.display()), &[])
+        .wait()
+        .expect(0)
+        .says(&["done: 20 steps"]);
     place.run(&format!("run {} --workers 1 {flags} --out straight", scene.display())).expect(0);
     let hashes = place.hashes("by-hand");
     assert_eq!(hashes.len(), 3);

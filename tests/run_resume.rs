@@ -16,7 +16,8 @@ fn ctrl_c_stops_after_the_step_and_resume_goes_on_with_the_same_bits() {
     let place = Place::new();
     // Frames so long that the stop falls between two of them.
     place.write("flag.toml", flag(1000, 50, 1_000_000));
-    let mut running = place.start("run flag.toml --executor cpu --threads 1 --workers 4 --out out --checkpoint-every 0");
+    let mut running =
+        place.start("run flag.toml --executor cpu --threads 1 --workers 4 --out out --checkpoint-every 0");
     running.wait_for_frame("out", 1);
     signal(running.pid(), Signal::INT);
     let ended = running.wait().expect(0).says(&["stopping after the current step", "stopped; continue with --resume"]);

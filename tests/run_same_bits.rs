@@ -8,7 +8,7 @@ const FRAMES: usize = 20;
 
 /// Runs the flag of this test with `flags` and returns frames and hashes.
 fn hashes(place: &Place, out: &str, flags: &str) -> Vec<(u64, String)> {
-    let ended = place.run(&format!("run flag.toml --executor cpu --threads 1 --out {out} {flags}")).expect(0);
+    let ended = place.run(&format!("run flag.toml --executor cpu --out {out} {flags}")).expect(0);
     assert_eq!(place.report(out)["status"], "done", "{}", ended.story);
     place.hashes(out)
 }
@@ -26,7 +26,11 @@ fn flag_place() -> (Place, Vec<(u64, String)>) {
 fn two_three_four_and_eight_workers_give_the_bits_of_one() {
     let (place, one) = flag_place();
     for workers in [2, 3, 4, 8] {
-        assert_eq!(hashes(&place, &format!("many{workers}"), &format!("--workers {workers}")), one, "{workers} workers");
+        assert_eq!(
+            hashes(&place, &format!("many{workers}"), &format!("--workers {workers}")),
+            one,
+            "{workers} workers"
+        );
     }
     assert_eq!(hashes(&place, "again", "--workers 4"), one, "4 workers once more");
 }
@@ -48,7 +52,8 @@ fn full_exchange_repeats_its_bits() {
     let place = Place::new();
     place.write("flag.toml", flag(1000, 2, FRAMES as u32));
     for workers in [3, 4] {
-        let run = |out: &str| hashes(&place, &format!("{out}{workers}"), &format!("--workers {workers} --exchange full"));
+        let run =
+            |out: &str| hashes(&place, &format!("{out}{workers}"), &format!("--workers {workers} --exchange full"));
         let first = run("first");
         assert_eq!(first.len(), FRAMES + 1);
         assert_eq!(run("second"), first, "{workers} workers");

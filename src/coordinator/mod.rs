@@ -199,7 +199,7 @@ impl Driver<'_> {
             self.done = step;
             self.recorder.step(self.plan, &stats, &events, start.elapsed().as_secs_f64())?;
             let stop = STOP_REQUESTED.load(Ordering::Relaxed);
-            let frame_ends = step % settings.steps_per_frame == 0;
+            let frame_ends = step.is_multiple_of(settings.steps_per_frame);
             if frame_ends || stop {
                 self.collect_state(crew)?;
                 self.check_state(step)?;
@@ -208,7 +208,7 @@ impl Driver<'_> {
             if frame_ends {
                 let hash = self.recorder.frame(self.plan, frame, step, &self.state.positions, &self.state.velocities)?;
                 let every = self.options.checkpoint_every;
-                if every > 0 && frame % every == 0 && step != last_step {
+                if every > 0 && frame.is_multiple_of(every) && step != last_step {
                     self.recorder.keep_last_state()?;
                 }
                 progress.frame(frame, step, &stats[0], &hash, self.seconds / (step - first_step) as f64);

@@ -106,7 +106,7 @@ pub enum PlanError {
     #[error("--workers {workers}: {what}")]
     Workers { workers: usize, what: String },
     /// More steps than can be counted.
-    #[error("{frames} frames of {steps_per_frame} steps each are too many: at most {} steps are possible", u32::MAX)]
+    #[error("{frames} frames of {steps_per_frame} steps each are too many: at most {} steps are possible", u32::MAX - 1)]
     Steps { frames: u32, steps_per_frame: u32 },
 }
 

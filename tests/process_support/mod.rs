@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, kill_process};
 pub use rustix::process::Signal;
+use rustix::process::{Pid, kill_process};
 
 /// Generous: it only turns a hang into a failure.
 const WATCHDOG: Duration = Duration::from_secs(120);
@@ -135,13 +135,23 @@ impl Place {
     }
 
     fn leftovers(&self, runs: &BTreeSet<String>) -> Vec<String> {
-        let mut found: Vec<String> = self.processes().into_iter().map(|(pid, line)| format!("process {pid}: {line}")).collect();
+        let mut found: Vec<String> =
+            self.processes().into_iter().map(|(pid, line)| format!("process {pid}: {line}")).collect();
         let named = |folder: &Path| -> Vec<String> {
-            fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+            fs::read_dir(folder)
+                .into_iter()
+                .flatten()
+                .flatten()
+                .map(|entry| entry.file_name().to_string_lossy().into_owned())
+                .collect()
         };
         found.extend(named(&self.path("tmp")).into_iter().map(|name| format!("temp folder: {name}")));
         let shared = named(Path::new("/dev/shm")).into_iter();
-        found.extend(shared.filter(|name| runs.iter().any(|run| name.contains(run.as_str()))).map(|name| format!("shared memory: {name}")));
+        found.extend(
+            shared
+                .filter(|name| runs.iter().any(|run| name.contains(run.as_str())))
+                .map(|name| format!("shared memory: {name}")),
+        );
         found
     }
 
@@ -149,7 +159,10 @@ impl Place {
     pub fn hashes(&self, out: &str) -> Vec<(u64, String)> {
         let report = self.report(out);
         let frames = report["frames"].as_array().expect("frames in the report");
-        frames.iter().map(|f| (f["frame"].as_u64().expect("a number"), f["state_hash"].as_str().expect("a hash").to_string())).collect()
+        frames
+            .iter()
+            .map(|f| (f["frame"].as_u64().expect("a number"), f["state_hash"].as_str().expect("a hash").to_string()))
+            .collect()
     }
 
     /// `report.json` of a run directory.
@@ -208,7 +221,9 @@ impl Running<'_> {
 
     fn look(&mut self) {
         let entries = fs::read_dir(self.place.path("tmp")).into_iter().flatten().flatten();
-        self.runs.extend(entries.filter_map(|entry| entry.file_name().to_str()?.strip_prefix("loomtree-").map(str::to_string)));
+        self.runs.extend(
+            entries.filter_map(|entry| entry.file_name().to_str()?.strip_prefix("loomtree-").map(str::to_string)),
+        );
     }
 
     /// Waits until `find` finds something while the program runs.
@@ -237,7 +252,10 @@ impl Running<'_> {
         let ending = format!(" --rank {rank} ");
         self.wait_for(&format!("worker {rank}"), |running| {
             let processes = running.place.processes();
-            processes.into_iter().find(|(_, line)| line.contains("--run") && line.ends_with(&ending)).map(|(pid, _)| pid)
+            processes
+                .into_iter()
+                .find(|(_, line)| line.contains("--run") && line.ends_with(&ending))
+                .map(|(pid, _)| pid)
         })
     }
 
