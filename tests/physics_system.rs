@@ -229,7 +229,7 @@ fn rank_rows(model: &GlobalModel, part: &RankModel) -> RankRows {
     let tables = FillTables::new(&ex, &pattern, &layout, &triangle_rows, &hinge_rows);
     let mut matrix = SellMatrix::new(&ex, own.len(), &layout);
     let (mut b, mut inverse) = (DeviceVec::zeros(&ex, own.len() * 3), DeviceVec::zeros(&ex, own.len() * 6));
-    let fill = FillParams { gravity: DOWN.to_array(), step_s: STEP_S as f32, rows: own.len() as u32, padding: [0; 3] };
+    let fill = FillParams { gravity: DOWN.to_array(), step_s: STEP_S as f32, rows: own.len() as u32 };
     let (masses, pinned) = (DeviceVec::upload(&ex, &arrays.masses), DeviceVec::zeros(&ex, own.len()));
     Fill::new(&ex).apply(
         &ex,

@@ -3,8 +3,9 @@
 use super::advance_cpu;
 use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource, gpu_struct};
 
-static ADVANCE: KernelSource = KernelSource::new::<AdvanceParams>("integrator/advance.wgsl", include_str!("advance.wgsl"), "advance");
-static SCATTER: KernelSource = KernelSource::new::<ScatterParams>("integrator/scatter.wgsl", include_str!("scatter.wgsl"), "scatter")
+const TEXT: &str = include_str!("advance.wgsl");
+static ADVANCE: KernelSource = KernelSource::new::<AdvanceParams>("integrator/advance.wgsl", TEXT, "advance");
+static SCATTER: KernelSource = KernelSource::new::<ScatterParams>("integrator/advance.wgsl", TEXT, "scatter")
     .with_structs(&[ScatterEntry::LAYOUT]);
 
 gpu_struct! {

@@ -1,4 +1,4 @@
-//! CPU twins of `advance.wgsl` and `scatter.wgsl`.
+//! CPU twins of `advance.wgsl`.
 
 use crate::gpu::CpuExecutor;
 
