@@ -307,7 +307,7 @@ mod tests {
             assert_eq!(bytes % u64::from(gpu.limits.min_storage_buffer_offset_alignment), 0, "{item_bytes}");
             let windows: Vec<_> = gpu.windows(items + 1, item_bytes).collect();
             assert_eq!(windows, [0..items, items..items + 1]);
-            assert_eq!(gpu.windows(0, item_bytes).collect::<Vec<_>>(), [0..0]);
+            assert!(gpu.windows(0, item_bytes).eq(std::iter::once(0..0)));
         }
     }
 
