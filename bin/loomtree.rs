@@ -24,6 +24,8 @@ enum Command {
     Render(cli::render::RenderArgs),
     /// Show adapters, cores, shared memory and what dead runs have left
     Doctor(cli::doctor::DoctorArgs),
+    /// Test collision queries with rational coordinates against their truth
+    Ccd(cli::ccd::CcdArgs),
     /// A worker process; started by `loomtree run`
     #[command(hide = true)]
     Worker(cli::worker::WorkerArgs),
@@ -36,6 +38,7 @@ fn main() -> ExitCode {
         Command::Schedule(args) => cli::schedule::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &[], triangles_of),
+        Command::Ccd(args) => cli::ccd::run(args),
         Command::Worker(args) => cli::worker::run(args),
     };
     cli::exit_code(result)

@@ -1,5 +1,6 @@
 //! Command line: one file per command; `bin/` only calls in here.
 
+pub mod ccd;
 pub mod doctor;
 pub mod render;
 pub mod run;
