@@ -17,6 +17,11 @@ use super::closest::{above_triangle, across_segments, segment_ends, triangle_bor
 use super::real::{Real, V, add, dot, of, scale, sub};
 use crate::math::Vec3;
 
+/// A step below this many roundoffs of the whole is short.
+const SHORT_STEP: f32 = 128.0;
+/// So many short steps in a row are a contact: a true one ends in them, where rounding leaves no better plane.
+const SHORT_STEPS: u32 = 2;
+
 /// The differences of a stencil at both ends of the step.
 #[derive(Clone, Copy)]
 pub(super) struct Motion<T> {
@@ -177,6 +182,7 @@ pub(super) fn advance<T: Real>(motion: &Motion<T>, start: T, planes: u32) -> Adv
     let mut begun = start > T::ZERO;
     // How far ahead the next turning plane aims: a few times what the last step reached.
     let mut stride = T::ONE;
+    let mut short_steps = 0;
     for count in 0..planes {
         let (directions, inside) = motion.directions(t);
         let mut found = None;
@@ -209,7 +215,11 @@ pub(super) fn advance<T: Real>(motion: &Motion<T>, start: T, planes: u32) -> Adv
             }
         }
         stride = T::of(4.0) * (reached - t);
+        short_steps = if reached - t < T::of(SHORT_STEP) * T::ROUNDOFF { short_steps + 1 } else { 0 };
         t = reached;
+        if short_steps == SHORT_STEPS {
+            return Advance::Until(t);
+        }
     }
     Advance::Limited(t)
 }
