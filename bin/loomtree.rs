@@ -30,6 +30,8 @@ enum Command {
     Doctor(cli::doctor::DoctorArgs),
     /// Measure this program on this machine
     Bench(cli::bench::BenchArgs),
+    /// Test collision queries with rational coordinates against their truth
+    Ccd(cli::ccd::CcdArgs),
     /// A worker process; started by `loomtree run`
     #[command(hide = true)]
     Worker(cli::worker::WorkerArgs),
@@ -45,6 +47,7 @@ fn main() -> ExitCode {
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),
+        Command::Ccd(args) => cli::ccd::run(args),
         Command::Worker(args) => cli::worker::run(args),
     };
     cli::exit_code(result)

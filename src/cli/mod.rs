@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod check;
+pub mod ccd;
 pub mod doctor;
 pub mod render;
 pub mod run;

@@ -2,6 +2,7 @@
 //! detection. Stages pass [`Candidate`]s: pairs of features that may touch, not pairs that do.
 
 pub mod broad;
+pub mod elementary;
 
 use bytemuck::{Pod, Zeroable};
 

@@ -10,7 +10,7 @@ use crate::math::Vec3;
 use super::{TriangleMesh, locality_order};
 
 /// Triangles of a leaf of the tree.
-const LEAF: usize = 2;
+const LEAF: usize = 4;
 
 /// The first pair of triangles (smallest pair of indices) that share a point without sharing the vertex there.
 /// Vertices at the same place count as one vertex, so that unwelded seams are no fault.
@@ -88,31 +88,32 @@ fn build(order: &[u32], start: usize, nodes: &mut Vec<Node>, corners: &impl Fn(u
 }
 
 fn triangles_meet(a: [Vec3; 3], b: [Vec3; 3]) -> bool {
-    let bounds = |t: [Vec3; 3]| (t[0].min(t[1]).min(t[2]), t[0].max(t[1]).max(t[2]));
-    let ((low_a, high_a), (low_b, high_b)) = (bounds(a), bounds(b));
-    if low_a.cmpgt(high_b).any() || low_b.cmpgt(high_a).any() {
-        return false;
-    }
-    // Every edge of either begins at a corner of the other.
-    if a.iter().filter(|corner| b.contains(corner)).count() >= 2 {
-        return false;
-    }
     let meets = |edges: [Vec3; 3], face: [Vec3; 3]| (0..3).any(|i| edge_meets_face(edges[i], edges[(i + 1) % 3], face));
     meets(a, b) || meets(b, a)
 }
 
-/// Does the closed segment pq meet the closed triangle? An edge that begins at a corner of the triangle does not count.
+/// An edge that begins at a corner of the triangle does not count.
 fn edge_meets_face(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
-    if face.contains(&p) || face.contains(&q) {
-        return false;
-    }
-    if clearly_apart(p, q, face) {
-        return false;
-    }
     let [a, b, c] = face;
+    !face.contains(&p) && !face.contains(&q) && edge_crosses_triangle(p, q, a, b, c)
+}
+
+/// Do the closed segment pq and the closed triangle abc share a point? Exact for finite f32 coordinates whose products
+/// neither overflow nor underflow in f64 (sizes from 1e-60 to 1e60).
+///
+/// Closed means: touching counts, also coplanar overlap, an end on the face, a corner on the edge and a shared vertex. A
+/// caller who tests neighbours leaves out pairs with a common vertex. A segment of length zero is a point, a triangle
+/// without area is its three edges.
+pub fn edge_crosses_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> bool {
+    if clearly_apart(p, q, [a, b, c]) {
+        return false;
+    }
     let (side_p, side_q) = (orient(a, b, c, p), orient(a, b, c, q));
     if side_p == 0.0 && side_q == 0.0 {
-        return coplanar_edge_meets_face(p, q, face);
+        return match widest_projection(&[a, b, c]) {
+            Some(dropped) => coplanar_edge_meets_face(p, q, [a, b, c], dropped),
+            None => segments_meet(p, q, a, b) || segments_meet(p, q, b, c) || segments_meet(p, q, c, a),
+        };
     }
     if (side_p > 0.0 && side_q > 0.0) || (side_p < 0.0 && side_q < 0.0) {
         return false;
@@ -149,29 +150,61 @@ fn clearly_apart(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
     all_beyond(margin, &corners.map(|corner| across.dot(corner - p)))
 }
 
-fn coplanar_edge_meets_face(p: Vec3, q: Vec3, [a, b, c]: [Vec3; 3]) -> bool {
-    // Dropping the axis closest to the normal keeps the triangle's area, and dropping a coordinate is exact.
-    let normal = (b - a).as_dvec3().cross((c - a).as_dvec3()).abs();
-    let dropped = if normal.x >= normal.y && normal.x >= normal.z {
-        0
-    } else if normal.y >= normal.z {
-        1
-    } else {
-        2
+/// Without the coordinate `dropped`: exact.
+fn flat(v: Vec3, dropped: usize) -> Coord<f32> {
+    Coord { x: v[(dropped + 1) % 3], y: v[(dropped + 2) % 3] }
+}
+
+/// The coordinate to drop so that the first three of the coplanar `points` that are not on one line span most area; none
+/// if all are on one line.
+fn widest_projection(points: &[Vec3]) -> Option<usize> {
+    let area = |dropped: usize, third: Vec3| {
+        orient2d(flat(points[0], dropped), flat(points[1], dropped), flat(third, dropped)).abs()
     };
-    let flat = |v: Vec3| Coord { x: v[(dropped + 1) % 3], y: v[(dropped + 2) % 3] };
-    let turn = |a: Vec3, b: Vec3, c: Vec3| orient2d(flat(a), flat(b), flat(c));
+    points[2..].iter().find_map(|&third| {
+        let widest = (0..3).max_by(|&i, &j| area(i, third).total_cmp(&area(j, third)))?;
+        (area(widest, third) > 0.0).then_some(widest)
+    })
+}
+
+fn coplanar_edge_meets_face(p: Vec3, q: Vec3, [a, b, c]: [Vec3; 3], dropped: usize) -> bool {
+    let turn = |a: Vec3, b: Vec3, c: Vec3| orient2d(flat(a, dropped), flat(b, dropped), flat(c, dropped));
     let inside = |v: Vec3| {
         let turns = [turn(a, b, v), turn(b, c, v), turn(c, a, v)];
         turns.iter().all(|&t| t >= 0.0) || turns.iter().all(|&t| t <= 0.0)
     };
-    // Proper crossings suffice: a segment that touches the boundary from outside either ends there or passes a corner,
-    // and one through the inside crosses a side properly or has an end inside.
-    let crosses = |s: Vec3, t: Vec3| {
-        let opposite = |x: f64, y: f64| (x > 0.0 && y < 0.0) || (x < 0.0 && y > 0.0);
-        opposite(turn(p, q, s), turn(p, q, t)) && opposite(turn(s, t, p), turn(s, t, q))
-    };
-    inside(p) || inside(q) || crosses(a, b) || crosses(b, c) || crosses(c, a)
+    inside(p) || inside(q) || [(a, b), (b, c), (c, a)].into_iter().any(|(s, t)| coplanar_segments_meet(turn, [p, q], [s, t]))
+}
+
+/// Segments in one plane, not all on one line unless they meet in an end of one; `turn` is the orientation in that plane.
+fn coplanar_segments_meet(turn: impl Fn(Vec3, Vec3, Vec3) -> f64, [p, q]: [Vec3; 2], [s, t]: [Vec3; 2]) -> bool {
+    let same_side = |x: f64, y: f64| (x > 0.0 && y > 0.0) || (x < 0.0 && y < 0.0);
+    let (of_s, of_t, of_p, of_q) = (turn(p, q, s), turn(p, q, t), turn(s, t, p), turn(s, t, q));
+    if of_s == 0.0 && of_t == 0.0 && of_p == 0.0 && of_q == 0.0 {
+        return collinear_segments_meet([p, q], [s, t]);
+    }
+    !same_side(of_s, of_t) && !same_side(of_p, of_q)
+}
+
+/// Segments on one line overlap iff their boxes do.
+fn collinear_segments_meet([p, q]: [Vec3; 2], [s, t]: [Vec3; 2]) -> bool {
+    p.min(q).cmple(s.max(t)).all() && s.min(t).cmple(p.max(q)).all()
+}
+
+/// Do two closed segments in space share a point? Points are segments as well.
+fn segments_meet(p: Vec3, q: Vec3, s: Vec3, t: Vec3) -> bool {
+    if orient(p, q, s, t) != 0.0 {
+        return false;
+    }
+    // A projection along which the common plane keeps its shape; two points at one place do not name a plane.
+    let points = if p == q { [s, t, p, p] } else { [p, q, s, t] };
+    match widest_projection(&points) {
+        None => collinear_segments_meet([p, q], [s, t]),
+        Some(dropped) => {
+            let turn = |a: Vec3, b: Vec3, c: Vec3| orient2d(flat(a, dropped), flat(b, dropped), flat(c, dropped));
+            coplanar_segments_meet(turn, [p, q], [s, t])
+        }
+    }
 }
 
 fn orient(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> f64 {
@@ -209,6 +242,34 @@ mod tests {
         assert!(meets([[-9., -9., 0.], [30., -9., 0.], [-9., 30., 0.]]), "around");
         assert!(!meets([[4., 0., 0.], [4., 4., 0.], [0., 4., 0.]]), "sharing an unwelded edge");
         assert!(!meets([[5., 5., 0.], [5., 6., 0.], [6., 5., 0.]]), "beside");
+    }
+
+    #[test]
+    fn edges_against_thin_and_collapsed_triangles() {
+        let crosses = |p: [f32; 3], q: [f32; 3], a: [f32; 3], b: [f32; 3], c: [f32; 3]| {
+            let [p, q, a, b, c] = [p, q, a, b, c].map(Vec3::from);
+            let found = edge_crosses_triangle(p, q, a, b, c);
+            for (b, c) in [(b, c), (c, b)] {
+                assert_eq!(found, edge_crosses_triangle(p, q, a, b, c));
+                assert_eq!(found, edge_crosses_triangle(q, p, c, a, b));
+            }
+            found
+        };
+        let (o, x, xx) = ([0.; 3], [1., 0., 0.], [2., 0., 0.]);
+        assert!(crosses([0.5, -1., 0.], [0.5, 1., 0.], o, x, xx), "a line for a triangle, crossed");
+        assert!(crosses([2., -1., 0.], [2., 1., 0.], o, x, xx), "crossed at its end");
+        assert!(!crosses([2.1, -1., 0.], [2.1, 1., 0.], o, x, xx), "passed by");
+        assert!(!crosses([0.5, -1., 1e-30], [0.5, 1., 1e-30], o, x, xx), "passed above");
+        assert!(crosses([1.5, 0., 0.], [9., 0., 0.], o, x, xx), "along it");
+        assert!(!crosses([2.5, 0., 0.], [9., 0., 0.], o, x, xx), "behind it");
+        assert!(crosses(x, x, o, o, xx) && !crosses([1., 1e-30, 0.], [1., 1e-30, 0.], o, o, xx), "a point on a line");
+        assert!(crosses(x, x, x, x, x) && !crosses(o, o, x, x, x), "points");
+        assert!(crosses([-1., 0., 0.], [3., 0., 0.], x, x, x), "a point for a triangle, on the edge");
+        assert!(!crosses([-1., 0., 0.], [3., 1e-7, 0.], x, x, x), "beside the edge");
+        // An area of 2^-48 next to sides of length 1: the projection must be chosen by exact areas.
+        let third = [1.0 + f32::EPSILON, 1.0 + f32::EPSILON, 1.0];
+        assert!(crosses([0.5, 0.5, 0.5], [0.5, 0.5, 2.], o, [1., 1., 1.], third), "a needle, touched");
+        assert!(!crosses([0.25, 0.5, 0.5], [0.25, 0.5, 2.], o, [1., 1., 1.], third), "a needle, missed");
     }
 
     #[test]

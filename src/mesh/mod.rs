@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use crate::math::{Vec2, Vec3};
 
 pub use adjacency::{Hinge, hinges, unique_edges};
-pub use intersect::first_intersection;
+pub use intersect::{edge_crosses_triangle, first_intersection};
 pub use material::{flatten_triangle, flatten_triangles};
 pub use obj::parse_obj;
 pub use order::{locality_order, ordering_coordinates};

@@ -1,0 +1,344 @@
+//! `loomtree ccd`: runs the continuous collision test on a file of queries with rational coordinates and counts misses
+//! and false hits against the file's truth.
+//!
+//! The product works in f32, so coordinates are rounded to f32 first; that changes the question, and often the right
+//! answer. The truth for the rounded question is taken from the first of: `--truth`; `STEM.exact.csv` beside the
+//! queries; `KIND_pairs.csv` in the folder above (both with a column `hit_f32`, one row per query in the same order). Failing
+//! these, the seventh column of the queries counts, which answers the question before rounding: then "truth" in the output
+//! is "unrounded", and a miss may be the rounding's. Without any truth, "missed" and "false_hits" are null.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::ValueEnum;
+use serde::Serialize;
+
+use super::CliError;
+use crate::collision::elementary::{DecidedBy, StencilKind, ccd};
+use crate::math::Vec3;
+
+/// Rows of a query: four vertices at the start, then at the end of the step.
+const ROWS: usize = 8;
+
+/// Arguments of `loomtree ccd`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct CcdArgs {
+    /// CSV, 8 rows per query: x, y, z as numerator, denominator each, then optionally the truth (0 or 1)
+    pub queries: PathBuf,
+    /// vf = rows are vertex, face corners; ee = first edge, second edge
+    #[arg(long)]
+    pub kind: CcdKind,
+    /// Distance that counts as contact, metres
+    #[arg(long, value_name = "METRES", default_value_t = 0.0, value_parser = separation)]
+    pub minimum_separation: f32,
+    /// CSV with a column hit_f32 (and toi_f32): the truth for coordinates rounded to f32, one row per query
+    #[arg(long, value_name = "CSV")]
+    pub truth: Option<PathBuf>,
+}
+
+/// What the queries of a file are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CcdKind {
+    /// Vertex against face
+    Vf,
+    /// Edge against edge
+    Ee,
+}
+
+fn separation(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value >= 0.0 && value.is_finite() => Ok(value),
+        _ => Err("a distance is a number of metres, 0 or more".into()),
+    }
+}
+
+/// A query with coordinates rounded to f32.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Query {
+    /// Positions at the start of the step.
+    pub x_t0: [Vec3; 4],
+    /// Positions at the end of the step.
+    pub x_t1: [Vec3; 4],
+    /// The file's truth before rounding, if it has the seventh column.
+    pub hit: Option<bool>,
+}
+
+/// Truth of a query.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// Do the parts touch?
+    pub hit: bool,
+    /// Earliest time, where known.
+    pub toi: Option<f64>,
+}
+
+/// What the command prints.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CcdReport {
+    pub queries: usize,
+    pub hits: usize,
+    /// Hits of the truth that were not found; null without a truth.
+    pub missed: Option<usize>,
+    /// Hits found that the truth does not have; null without a truth.
+    pub false_hits: Option<usize>,
+    /// Hits found whose time is later than the truth's: as bad as a miss.
+    pub late: Option<usize>,
+    /// "rounded", "unrounded" or "none": see the module.
+    pub truth: &'static str,
+    pub decided_by: DecidedByCounts,
+    pub ns_per_query: f64,
+}
+
+/// Queries by what decided them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct DecidedByCounts {
+    pub boxes: usize,
+    pub planes: usize,
+    pub fallback: usize,
+    pub plane_limit: usize,
+}
+
+/// Why a line of a file is wrong: line counting from 1, what and what would be right.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: {what}")]
+pub struct CsvFault {
+    /// Line counting from 1.
+    pub line: usize,
+    /// What is wrong and what would be right.
+    pub what: String,
+}
+
+/// Runs the command; the report goes to stdout.
+///
+/// # Errors
+/// A file cannot be read or is malformed (exit code 2), or a hit was missed or found too late (exit code 1).
+pub fn run(args: CcdArgs) -> Result<(), CliError> {
+    write_ccd(&args, &mut io::stdout().lock())
+}
+
+/// Runs the command; the report goes to `out`. A reader that went away is no error.
+///
+/// # Errors
+/// As [`run`].
+pub fn write_ccd(args: &CcdArgs, out: &mut impl Write) -> Result<(), CliError> {
+    let queries = parse_queries(&read(&args.queries)?).map_err(|fault| in_file(&args.queries, &fault))?;
+    let (truth, truth_name) = truth_of(args, &queries)?;
+    let kind = if args.kind == CcdKind::Vf { StencilKind::VertexFace } else { StencilKind::EdgeEdge };
+    let report = check(kind, &queries, truth.as_deref(), truth_name, args.minimum_separation);
+    let text = serde_json::to_string_pretty(&report).map_err(CliError::failed)?;
+    match writeln!(out, "{text}") {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => return Err(CliError::failed(error)),
+        _ => {}
+    }
+    let (missed, late) = (report.missed.unwrap_or(0), report.late.unwrap_or(0));
+    if missed + late > 0 {
+        let name = args.queries.display();
+        return Err(CliError::failed(format!("{name}: {missed} contacts missed, {late} found later than they happen")));
+    }
+    Ok(())
+}
+
+/// Tests all queries and compares with the truth; `truth` has one entry per query.
+pub fn check(
+    kind: StencilKind,
+    queries: &[Query],
+    truth: Option<&[Truth]>,
+    truth_name: &'static str,
+    minimum_separation: f32,
+) -> CcdReport {
+    let started = Instant::now();
+    let answers: Vec<_> = queries.iter().map(|q| ccd(kind, q.x_t0, q.x_t1, minimum_separation)).collect();
+    let ns = started.elapsed().as_nanos() as f64;
+    let mut decided_by = DecidedByCounts::default();
+    for answer in &answers {
+        match answer.decided_by {
+            DecidedBy::Boxes => decided_by.boxes += 1,
+            DecidedBy::Planes => decided_by.planes += 1,
+            DecidedBy::Fallback => decided_by.fallback += 1,
+            DecidedBy::PlaneLimit => decided_by.plane_limit += 1,
+        }
+    }
+    let count = |wrong: fn(Option<f32>, &Truth) -> bool| {
+        truth.map(|truth| answers.iter().zip(truth).filter(|(answer, truth)| wrong(answer.toi, truth)).count())
+    };
+    CcdReport {
+        queries: queries.len(),
+        hits: answers.iter().filter(|answer| answer.toi.is_some()).count(),
+        missed: count(|toi, truth| toi.is_none() && truth.hit),
+        false_hits: count(|toi, truth| toi.is_some() && !truth.hit),
+        // The truth is a rounded time as well.
+        late: count(|toi, truth| matches!((toi, truth.toi), (Some(ours), Some(exact)) if f64::from(ours) > exact.next_up())),
+        truth: truth_name,
+        decided_by,
+        ns_per_query: (ns / queries.len().max(1) as f64).round(),
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, CliError> {
+    std::fs::read(path).map_err(|error| CliError::bad_input(format!("{}: cannot be read: {error}", path.display())))
+}
+
+fn in_file(path: &Path, fault: &CsvFault) -> CliError {
+    CliError::bad_input(format!("{}, {fault}", path.display()))
+}
+
+/// The truth and its name in the report.
+fn truth_of(args: &CcdArgs, queries: &[Query]) -> Result<(Option<Vec<Truth>>, &'static str), CliError> {
+    let kind = if args.kind == CcdKind::Vf { "vf" } else { "ee" };
+    let beside = args.queries.with_extension("exact.csv");
+    let above = args.queries.parent().and_then(Path::parent).map(|folder| folder.join(format!("{kind}_pairs.csv")));
+    let file = args.truth.clone().or_else(|| [Some(beside), above].into_iter().flatten().find(|path| path.is_file()));
+    if let Some(path) = file {
+        let truth = parse_truth(&read(&path)?).map_err(|fault| in_file(&path, &fault))?;
+        if truth.len() != queries.len() {
+            let (path, name, rows, wanted) = (path.display(), args.queries.display(), truth.len(), queries.len());
+            return Err(CliError::bad_input(format!("{path}: {rows} rows of truth, but {name} has {wanted} queries")));
+        }
+        return Ok((Some(truth), "rounded"));
+    }
+    if args.minimum_separation > 0.0 {
+        return Ok((None, "none"));
+    }
+    let column: Option<Vec<Truth>> = queries.iter().map(|q| q.hit.map(|hit| Truth { hit, toi: None })).collect();
+    Ok(match column.filter(|c| !c.is_empty()) {
+        Some(truth) => (Some(truth), "unrounded"),
+        None => (None, "none"),
+    })
+}
+
+/// Reads queries; empty lines are skipped.
+///
+/// # Errors
+/// A line that is no vertex, a truth that changes within a query, or a query cut short.
+pub fn parse_queries(bytes: &[u8]) -> Result<Vec<Query>, CsvFault> {
+    let mut queries = Vec::new();
+    let mut rows: Vec<(Vec3, Option<bool>)> = Vec::with_capacity(ROWS);
+    let mut last = 0;
+    for (line, text) in lines(bytes) {
+        last = line;
+        let row = parse_vertex(text).map_err(|what| CsvFault { line, what })?;
+        if rows.first().is_some_and(|first| first.1 != row.1) {
+            let what = "the truth differs from that of the rows above; the 8 rows of a query have the same".into();
+            return Err(CsvFault { line, what });
+        }
+        rows.push(row);
+        if rows.len() == ROWS {
+            let at = |start: usize| std::array::from_fn(|i| rows[start + i].0);
+            queries.push(Query { x_t0: at(0), x_t1: at(4), hit: rows[0].1 });
+            rows.clear();
+        }
+    }
+    if !rows.is_empty() {
+        let what = format!("the file ends after {} rows of a query; a query has {ROWS}", rows.len());
+        return Err(CsvFault { line: last, what });
+    }
+    Ok(queries)
+}
+
+/// Lines that are not blank, with their numbers.
+fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
+    bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii).zip(1..).filter(|(text, _)| !text.is_empty()).map(|(t, n)| (n, t))
+}
+
+fn columns(text: &[u8]) -> Result<Vec<&str>, String> {
+    let text = std::str::from_utf8(text).map_err(|_| "not text; a row is numbers with commas between".to_string())?;
+    Ok(text.split(',').map(str::trim).collect())
+}
+
+fn parse_vertex(text: &[u8]) -> Result<(Vec3, Option<bool>), String> {
+    let columns = columns(text)?;
+    if columns.len() != 6 && columns.len() != 7 {
+        let found = columns.len();
+        return Err(format!("{found} columns; a vertex is 3 pairs numerator, denominator, and optionally the truth"));
+    }
+    let hit = columns.get(6).map(|&text| parse_flag(text)).transpose()?;
+    let component = |c: usize| ratio_to_f32(columns[2 * c], columns[2 * c + 1]);
+    Ok((Vec3::new(component(0)?, component(1)?, component(2)?), hit))
+}
+
+fn parse_flag(text: &str) -> Result<bool, String> {
+    match text {
+        "0" => Ok(false),
+        "1" => Ok(true),
+        _ => Err(format!("{} is no truth; write 0 or 1", shown(text))),
+    }
+}
+
+/// At most a few characters of a field, for an error sentence.
+fn shown(text: &str) -> String {
+    let start: String = text.chars().take(24).collect();
+    format!("{start:?}")
+}
+
+/// The f32 nearest to the quotient of two decimal integers (ties to even). Exact up to 18 digits each; with more digits
+/// the quotient is rounded to f64 first, which is exact if it is an f64 and both integers are.
+fn ratio_to_f32(numerator: &str, denominator: &str) -> Result<f32, String> {
+    let integer = |text: &str| {
+        let digits = text.strip_prefix('-').unwrap_or(text);
+        let fine = !digits.is_empty() && digits.len() <= 400 && digits.bytes().all(|b| b.is_ascii_digit());
+        if fine { Ok(text.len()) } else { Err(format!("{} is no integer of at most 400 digits", shown(text))) }
+    };
+    let exact = integer(numerator)? <= 18 && integer(denominator)? <= 18;
+    let small = |text: &str| text.parse::<i64>().map_err(|_| format!("{} is no integer", shown(text)));
+    let value = if exact {
+        let (n, d) = (small(numerator)?, small(denominator)?);
+        if d <= 0 {
+            return Err(format!("{} is no denominator; write a positive integer", shown(denominator)));
+        }
+        let magnitude = nearest_f32(n.unsigned_abs(), d.unsigned_abs());
+        if n < 0 { -magnitude } else { magnitude }
+    } else {
+        let wide = |text: &str| text.parse::<f64>().map_err(|_| format!("{} is no integer", shown(text)));
+        let (n, d) = (wide(numerator)?, wide(denominator)?);
+        if !(d > 0.0 && d.is_finite()) {
+            return Err(format!("{} is no denominator; write a positive integer below 1e308", shown(denominator)));
+        }
+        (n / d) as f32
+    };
+    if value.is_finite() { Ok(value) } else { Err("the coordinate is too large for single precision".into()) }
+}
+
+/// n / d to the nearest f32, for d > 0 and both below 2^63: the result is never subnormal.
+fn nearest_f32(n: u64, d: u64) -> f32 {
+    if n == 0 {
+        return 0.0;
+    }
+    // A quotient of 64 or 65 bits and one more that says whether anything is left: f64 would round twice, so cut to 30
+    // bits first with the rest in the last bit; 30 bits fit f64 exactly and f32 rounds once.
+    let shift = 64 + n.leading_zeros() - 1;
+    let scaled = u128::from(n) << shift;
+    let (quotient, rest) = (scaled / u128::from(d), scaled % u128::from(d));
+    let cut = (128 - quotient.leading_zeros()) - 30;
+    let left = rest != 0 || quotient & ((1u128 << cut) - 1) != 0;
+    let head = ((quotient >> cut) as u64) << 1 | u64::from(left);
+    (head as f64 * 2f64.powi(cut as i32 - 1 - shift as i32)) as f32
+}
+
+/// Reads a table of truth: a header line with the columns `hit_f32` and optionally `toi_f32`, then a row per query.
+///
+/// # Errors
+/// The column is missing or a row has no proper entry in it.
+pub fn parse_truth(bytes: &[u8]) -> Result<Vec<Truth>, CsvFault> {
+    let mut lines = lines(bytes);
+    let missing = |line| CsvFault { line, what: "no column hit_f32; the first line names the columns".into() };
+    let (line, header) = lines.next().ok_or_else(|| missing(1))?;
+    let names = columns(header).map_err(|what| CsvFault { line, what })?;
+    let hit = names.iter().position(|&name| name == "hit_f32").ok_or_else(|| missing(line))?;
+    let toi = names.iter().position(|&name| name == "toi_f32");
+    lines
+        .map(|(line, text)| {
+            let fault = |what: String| CsvFault { line, what };
+            let row = columns(text).map_err(fault)?;
+            let hit = parse_flag(row.get(hit).copied().unwrap_or_default()).map_err(fault)?;
+            let toi = match toi.and_then(|c| row.get(c)).filter(|text| hit && !text.is_empty()) {
+                None => None,
+                Some(text) => match text.parse::<f64>() {
+                    Ok(time) if (0.0..=1.0).contains(&time) => Some(time),
+                    _ => return Err(fault(format!("{} is no time; write a number from 0 to 1", shown(text)))),
+                },
+            };
+            Ok(Truth { hit, toi })
+        })
+        .collect()
+}
