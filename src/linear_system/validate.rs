@@ -28,8 +28,9 @@ pub(super) fn validated(
     for row in 0..scalar_rows {
         let value = system.values.get(diagonal[row / DIM] as usize * BLOCK + row % DIM * 4);
         if value <= 0.0 {
+            let found = if value == 0.0 { "missing or zero".to_string() } else { format!("{value:e}") };
             return Err(format!(
-                "row {0}, column {0}: the diagonal value {value:e} is not positive; the solver takes symmetric positive definite matrices",
+                "row {0}, column {0}: the diagonal value is {found}; it must be positive, as in every symmetric positive definite matrix",
                 row + 1
             ));
         }
@@ -88,7 +89,7 @@ fn diagonal_blocks(system: &BlockSystem) -> Result<Vec<u32>, String> {
         let range = system.offsets[row] as usize..system.offsets[row + 1] as usize;
         match system.columns[range.clone()].binary_search(&(row as u32)) {
             Ok(k) => Ok((range.start + k) as u32),
-            Err(_) => Err(format!("row {0}, column {0}: the diagonal value is missing; it must be positive", row * DIM + 1)),
+            Err(_) => Err(format!("row {0}, column {0}: the diagonal value is missing or zero; it must be positive, as in every symmetric positive definite matrix", row * DIM + 1)),
         }
     };
     (0..system.block_rows()).map(row_of).collect()

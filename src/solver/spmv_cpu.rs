@@ -35,18 +35,137 @@ pub fn spmv(cpu: &CpuExecutor, slices: Range<u32>, accumulate: bool, row_of_lane
         let slices = first + range.start..first + range.end;
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature is there.
-            unsafe { multiply_avx2(slices, accumulate, &tables, rows) };
+            // SAFETY: the feature is there; the layout's columns and rows are within x and y.
+            unsafe { avx2::multiply(slices, accumulate, &tables, rows) };
             return;
         }
         multiply(slices, accumulate, &tables, rows);
     });
 }
 
+/// As [`multiply`] with explicit vectors: the same additions and products in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-unsafe fn multiply_avx2(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
-    multiply(slices, accumulate, tables, y);
+mod avx2 {
+    use std::arch::x86_64::*;
+    use std::ops::Range;
+
+    use super::{BLOCK, LANES, NO_ROW, Rows, Tables};
+
+    /// Floats of a vector; a slice is two of them.
+    const WIDTH: usize = 8;
+
+    /// # Safety
+    /// The processor has AVX2; columns of the slices are within x, rows within y and not worked on by another thread.
+    #[target_feature(enable = "avx2")]
+    pub unsafe fn multiply(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
+        // Gathers read four floats per column; that of the last column would end past x.
+        let last = (tables.x.len() / 3).saturating_sub(1) as u32;
+        for slice in slices {
+            let slots = tables.slice_offsets[slice] as usize..tables.slice_offsets[slice + 1] as usize;
+            let lanes = tables.row_of_lane[slice * LANES..].first_chunk::<LANES>();
+            let Some(lanes) = lanes else { return };
+            let mut start = [[0.0f32; LANES]; 3];
+            if accumulate {
+                for (lane, &row) in lanes.iter().enumerate().filter(|(_, row)| **row != NO_ROW) {
+                    for i in 0..3 {
+                        // SAFETY: contract.
+                        start[i][lane] = unsafe { *y.0.add(row as usize * 3 + i) };
+                    }
+                }
+            }
+            let columns = tables.columns[slots.start * LANES..slots.end * LANES].as_chunks::<LANES>().0;
+            let values = tables.values[slots.start * LANES * BLOCK..slots.end * LANES * BLOCK].as_chunks::<{ LANES * BLOCK }>().0;
+            // SAFETY: contract.
+            let sum = unsafe { slice_product(columns, values, tables.x, last, &start) };
+            for (lane, &row) in lanes.iter().enumerate().filter(|(_, row)| **row != NO_ROW) {
+                debug_assert!((row as usize * 3 + 2) < y.1);
+                for i in 0..3 {
+                    // SAFETY: contract.
+                    unsafe { *y.0.add(row as usize * 3 + i) = sum[i][lane] };
+                }
+            }
+        }
+    }
+
+    /// Adds the slots of one slice to `start`.
+    ///
+    /// # Safety
+    /// AVX2; columns are within x, whose last column is `last`.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    unsafe fn slice_product(columns: &[[u32; LANES]], values: &[[f32; LANES * BLOCK]], x: &[f32], last: u32, start: &[[f32; LANES]; 3]) -> [[f32; LANES]; 3] {
+        // SAFETY: loads and stores of LANES floats each; contract for the gathers.
+        unsafe {
+            let half = |i: usize, h: usize| _mm256_loadu_ps(start[i].as_ptr().add(h * WIDTH));
+            let mut sum = [[half(0, 0), half(0, 1)], [half(1, 0), half(1, 1)], [half(2, 0), half(2, 1)]];
+            let lasts = _mm256_set1_epi32(last as i32);
+            for (columns, values) in columns.iter().zip(values) {
+                let values = values.as_ptr();
+                for h in 0..2 {
+                    let columns = columns.as_ptr().add(h * WIDTH);
+                    let ends = _mm256_cmpeq_epi32(_mm256_loadu_si256(columns.cast()), lasts);
+                    let x = if _mm256_testz_si256(ends, ends) != 0 { gather(columns, x.as_ptr()) } else { gather_last(columns, x.as_ptr()) };
+                    for i in 0..3 {
+                        for j in 0..3 {
+                            let a = _mm256_loadu_ps(values.add((i * 3 + j) * LANES + h * WIDTH));
+                            sum[i][h] = _mm256_add_ps(sum[i][h], _mm256_mul_ps(a, x[j]));
+                        }
+                    }
+                }
+            }
+            let mut out = [[0.0f32; LANES]; 3];
+            for i in 0..3 {
+                for h in 0..2 {
+                    _mm256_storeu_ps(out[i].as_mut_ptr().add(h * WIDTH), sum[i][h]);
+                }
+            }
+            out
+        }
+    }
+
+    /// xyz of eight columns, one vector per component: eight loads of four floats and a transpose.
+    ///
+    /// # Safety
+    /// AVX2; eight columns, four floats from each of them are within x.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    unsafe fn gather(columns: *const u32, x: *const f32) -> [__m256; 3] {
+        // SAFETY: contract.
+        unsafe {
+            // Volatile keeps the index arithmetic scalar: the compiler would do it in vector registers and pay for every
+            // index that it takes out of them.
+            let load = |lane: usize| _mm_loadu_ps(x.add(columns.add(lane).read_volatile() as usize * 3));
+            // Lanes k and k + 4 share a register.
+            let pair = |k: usize| _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(load(k)), load(k + 4));
+            transpose([pair(0), pair(1), pair(2), pair(3)])
+        }
+    }
+
+    /// As [`gather`], reading three floats per column.
+    ///
+    /// # Safety
+    /// AVX2; eight columns within x.
+    #[target_feature(enable = "avx2")]
+    #[cold]
+    unsafe fn gather_last(columns: *const u32, x: *const f32) -> [__m256; 3] {
+        // SAFETY: contract.
+        unsafe {
+            let at = |lane: usize, j: usize| *x.add(*columns.add(lane) as usize * 3 + j);
+            let component = |j: usize| _mm256_setr_ps(at(0, j), at(1, j), at(2, j), at(3, j), at(4, j), at(5, j), at(6, j), at(7, j));
+            [component(0), component(1), component(2)]
+        }
+    }
+
+    /// First three columns of the 4x4 matrices in the lower and upper halves.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn transpose([a, b, c, d]: [__m256; 4]) -> [__m256; 3] {
+        let (ab_xy, cd_xy) = (_mm256_unpacklo_ps(a, b), _mm256_unpacklo_ps(c, d));
+        let (ab_zw, cd_zw) = (_mm256_unpackhi_ps(a, b), _mm256_unpackhi_ps(c, d));
+        let x = _mm256_shuffle_ps::<0b01_00_01_00>(ab_xy, cd_xy);
+        let y = _mm256_shuffle_ps::<0b11_10_11_10>(ab_xy, cd_xy);
+        [x, y, _mm256_shuffle_ps::<0b01_00_01_00>(ab_zw, cd_zw)]
+    }
 }
 
 #[inline(always)]
@@ -96,5 +215,57 @@ fn multiply(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assembly::SellLayout;
+    use crate::assembly::sell::value_index;
+
+    /// Rows of 1 to 9 blocks that all reach the last column now and then, on 77 own rows of 90.
+    fn system() -> (SellLayout, Vec<f32>, Vec<f32>) {
+        let (mut offsets, mut columns) = (vec![0u32], Vec::new());
+        for row in 0..77u32 {
+            let mut of_row: Vec<u32> = (0..1 + row % 9).map(|k| (row * 7 + k * k * 11) % 90).chain([row, 89 - row % 2]).collect();
+            of_row.sort_unstable();
+            of_row.dedup();
+            columns.extend(of_row);
+            offsets.push(columns.len() as u32);
+        }
+        let layout = SellLayout::halo(&offsets, &columns, 0..80);
+        let mut values = vec![0.0; layout.slots() * BLOCK];
+        for (k, &address) in layout.block_address.iter().enumerate() {
+            for c in 0..BLOCK {
+                values[value_index(address, c)] = ((k * 9 + c) as f32 * 0.731).sin();
+            }
+        }
+        (layout, values, (0..270).map(|i| (i as f32 * 0.317).cos()).collect())
+    }
+
+    #[test]
+    fn explicit_vectors_give_the_bits_of_the_plain_loops() {
+        let (layout, values, x) = system();
+        let tables = Tables { row_of_lane: &layout.row_of_lane, slice_offsets: &layout.slice_offsets, columns: &layout.columns, values: &values, x: &x };
+        for accumulate in [false, true] {
+            let (mut plain, mut chosen) = (vec![0.25f32; 77 * 3], vec![0.25f32; 77 * 3]);
+            for section in &layout.sections {
+                multiply(section.start as usize..section.end as usize, accumulate, &tables, Rows(plain.as_mut_ptr(), plain.len()));
+                spmv(&CpuExecutor::new(2), section.clone(), accumulate, &layout.row_of_lane, &layout.slice_offsets, &layout.columns, &values, &x, &mut chosen);
+            }
+            assert!(plain.iter().map(|v| v.to_bits()).eq(chosen.iter().map(|v| v.to_bits())));
+            assert!(plain.iter().all(|&v| v != 0.25));
+        }
+    }
+
+    #[test]
+    fn one_row_by_hand() {
+        let layout = SellLayout::halo(&[0, 1], &[0], 0..1);
+        let mut values = vec![0.0; layout.slots() * BLOCK];
+        (0..BLOCK).for_each(|c| values[value_index(0, c)] = c as f32 + 1.0);
+        let mut y = [0.0; 3];
+        spmv(&CpuExecutor::new(1), 0..1, false, &layout.row_of_lane, &layout.slice_offsets, &layout.columns, &values, &[1.0, 10.0, 100.0], &mut y);
+        assert_eq!(y, [321.0, 654.0, 987.0]);
     }
 }
