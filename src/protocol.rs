@@ -3,6 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::linear_system::{RankSystem, SolveParams, SolveStats};
 use crate::model::RankModel;
 use crate::step::{ExchangePlan, StepStats};
 
@@ -41,6 +42,8 @@ pub struct WorkerSetup {
 pub enum ToWorker {
     /// Be this rank of a simulation; arrays: those of the model.
     Simulate { setup: WorkerSetup, exchange: ExchangePlan, model: Box<RankModel> },
+    /// Be this rank of a linear solve, answer [`ToCoordinator::Solved`] and leave; arrays: those of the system.
+    Solve { setup: WorkerSetup, exchange: ExchangePlan, params: SolveParams, system: Box<RankSystem> },
     /// Advance to this step.
     Step { step: u32, record: bool },
     /// Send positions and velocities of the own rows.
@@ -58,6 +61,8 @@ pub enum ToCoordinator {
     StepDone(StepStats),
     /// Arrays: positions and velocities of the own rows.
     State,
+    /// A linear solve is done; array: the solution on the own rows, f64.
+    Solved { stats: SolveStats, executor: String },
     /// This rank cannot go on.
     Failed(WorkerFailure),
 }

@@ -9,6 +9,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use crate::gpu::Executor;
+use crate::linear_system::{RankSystem, RankSystemArrays, SolveError, SolveParams, solve_rank};
 use crate::model::{RankArrays, RankModel};
 use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Simulation, StepError};
@@ -123,6 +124,12 @@ fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
             drop(bytes);
             simulate(run, rank, &inbox, &setup, &exchange, *model)
         }
+        ToWorker::Solve { setup, exchange, params, mut system } => {
+            let arrays = RankSystemArrays::from_bytes(&arrays, system.double_precision);
+            system.arrays = arrays.map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
+            drop(bytes);
+            solve(run, rank, &inbox, &setup, &exchange, &params, &system)
+        }
         ToWorker::Stop => Ok(()),
         other => Err(inbox.fail(WorkerFailure::Other(format!("{other:?} before this worker was set up")))),
     }
@@ -155,8 +162,26 @@ fn simulate(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup, exch
                 inbox.send(&ToCoordinator::State, &[bytemuck::cast_slice(&positions), bytemuck::cast_slice(&velocities)])?;
             }
             ToWorker::Stop => return Ok(()),
-            ToWorker::Simulate { .. } => return Err(inbox.fail(WorkerFailure::Other("this worker is set up already".into()))),
+            ToWorker::Simulate { .. } | ToWorker::Solve { .. } => return Err(inbox.fail(WorkerFailure::Other("this worker is set up already".into()))),
         }
+    }
+}
+
+/// One linear solve; the worker leaves afterwards.
+fn solve(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup, exchange: &ExchangePlan, params: &SolveParams, system: &RankSystem) -> Result<(), WorkerError> {
+    let executor = make_executor(setup, rank).map_err(|message| inbox.fail(WorkerFailure::BadInput(message)))?;
+    let mut transport = match connect(run, rank, inbox, setup) {
+        Ok(transport) => transport,
+        Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),
+    };
+    match solve_rank(&executor, transport.as_mut(), system, exchange.mode, &exchange.queue, params) {
+        Ok(result) => {
+            let solved = ToCoordinator::Solved { stats: result.stats, executor: executor.name().to_string() };
+            inbox.send(&solved, &[bytemuck::cast_slice(&result.x)])?;
+            Ok(inbox.control.borrow_mut().flush()?)
+        }
+        Err(SolveError::Transport(error)) => inbox.interrupted(WorkerFailure::Transport(error.to_string())),
+        Err(error) => Err(inbox.fail(WorkerFailure::Other(error.to_string()))),
     }
 }
 

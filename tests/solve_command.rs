@@ -1,29 +1,22 @@
-//! `loomtree solve` as a library call and the matrices of other fields.
+//! `loomtree solve` as a user calls it: real worker processes, and matrices of other fields.
 
 use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
 
-use loomtree::cli::solve::{SolveArgs, SolveJob, prepare, report, run_in_process};
-use loomtree::linear_system::{SolveStats, read_right_hand_side};
+use loomtree::linear_system::read_right_hand_side;
 
-#[derive(clap::Parser)]
-struct Command {
-    #[command(flatten)]
-    args: SolveArgs,
+fn solve(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_loomtree"));
+    command.args(["solve", "--executor", "cpu"]).args(arguments).output().expect("the program starts")
 }
 
-fn job(arguments: &[&str]) -> Result<SolveJob, String> {
-    let arguments = ["solve", "--executor", "cpu"].iter().chain(arguments);
-    let command = <Command as clap::Parser>::try_parse_from(arguments).map_err(|error| error.to_string())?;
-    prepare(command.args).map_err(|error| {
-        assert_eq!(error.exit_code, 2);
-        error.message
-    })
-}
-
-fn stats(arguments: &[&str]) -> SolveStats {
-    let (results, executor) = run_in_process(job(arguments).expect("a valid job")).expect("solves");
-    assert_eq!(executor, "cpu");
-    results[0].stats.clone()
+/// The report of a solve and its exit code.
+fn report(arguments: &[&str]) -> (serde_json::Value, Option<i32>) {
+    let output = solve(arguments);
+    let text = String::from_utf8_lossy(&output.stdout);
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    let json = serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}{complaint}"));
+    (json, output.status.code())
 }
 
 /// A temporary folder with a 4x4 matrix; its block rows are 2.
@@ -41,10 +34,12 @@ fn the_solution_is_written_and_read_back() {
     let (rhs, solution) = (folder.path().join("b.txt"), folder.path().join("x.mtx"));
     std::fs::write(&rhs, "3\n4\n4\n3\n").expect("writes");
     let (rhs, out) = (rhs.display().to_string(), solution.display().to_string());
-    let job = job(&[&matrix, "--rhs", &rhs, "--rtol", "1e-9", "--workers", "2", "--solution", &out]).expect("valid");
-    let facts = job.facts();
-    let (results, executor) = run_in_process(job).expect("solves");
-    report(&facts, &executor, &results).expect("converged and written");
+    let (json, code) = report(&[&matrix, "--rhs", &rhs, "--rtol", "1e-9", "--workers", "2", "--solution", &out]);
+    assert_eq!(code, Some(0));
+    assert_eq!((json["rows"].as_u64(), json["workers"].as_u64()), (Some(4), Some(2)));
+    for key in ["iterations", "converged", "relative_residual", "seconds", "bytes_exchanged"] {
+        assert!(!json[key].is_null(), "{key} is missing in {json}");
+    }
     let x = read_right_hand_side(&solution, 4).expect("a Matrix Market array");
     for (x, exact) in x.iter().zip([1.0, 1.0, 0.5, 1.0]) {
         assert!((x - exact).abs() < 1e-8, "{x} instead of {exact}");
@@ -54,12 +49,23 @@ fn the_solution_is_written_and_read_back() {
 #[test]
 fn a_solve_that_does_not_converge_exits_with_1() {
     let (_folder, matrix) = folder();
-    let job = job(&[&matrix, "--max-iterations", "0"]).expect("valid");
-    let facts = job.facts();
-    let (results, executor) = run_in_process(job).expect("ends");
-    let error = report(&facts, &executor, &results).expect_err("not converged");
-    assert_eq!(error.exit_code, 1);
-    assert!(error.message.starts_with("not converged: relative residual 1.000e0 after 0 iterations"), "{error}");
+    let output = solve(&[&matrix, "--max-iterations", "0"]);
+    assert_eq!(output.status.code(), Some(1));
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(complaint.contains("not converged: relative residual 1.000e0 after 0 iterations"), "{complaint}");
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("the report is printed all the same");
+    assert_eq!(json["converged"], false);
+}
+
+#[test]
+fn an_indefinite_matrix_is_a_sentence_with_exit_code_1() {
+    let (folder, _) = folder();
+    let matrix = folder.path().join("indefinite.mtx");
+    std::fs::write(&matrix, "%%MatrixMarket matrix coordinate real symmetric\n2 2 3\n1 1 1\n2 2 1\n2 1 3\n").expect("writes");
+    let output = solve(&[&matrix.display().to_string(), "--rtol", "1e-6"]);
+    assert_eq!(output.status.code(), Some(1));
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(complaint.contains("not positive definite"), "{complaint}");
 }
 
 #[test]
@@ -75,7 +81,9 @@ fn bad_usage_is_one_sentence() {
         (vec![missing.as_str()], "nowhere"),
         (vec![&matrix, "--rtol", "2"], "expected a number between 0 and 1"),
     ] {
-        let message = job(&arguments).err().expect("must be refused");
+        let output = solve(&arguments);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
         assert!(message.contains(expected), "{message}");
     }
 }
@@ -100,13 +108,11 @@ fn matrices_of_other_fields_reach_their_tolerance() {
         for rtol in ["1e-2", "1e-5", "1e-8"] {
             let scalar_jacobi = counts[rtol].as_u64().expect("a count");
             for workers in ["1", "3"] {
-                let stats = stats(&[&matrix, "--rtol", rtol, "--workers", workers]);
-                println!(
-                    "{name} (cond {condition:.1e}) rtol {rtol}, {workers} workers: {} iterations (scalar Jacobi in f64: {scalar_jacobi}), {} corrections, residual {:.2e}, converged {}",
-                    stats.iterations, stats.refinements, stats.relative_residual, stats.converged
-                );
-                assert!(stats.converged, "{name}: {stats:?}");
-                assert!(stats.relative_residual <= rtol.parse::<f64>().expect("a number"));
+                let (json, code) = report(&[&matrix, "--rtol", rtol, "--workers", workers]);
+                println!("{name} (cond {condition:.1e}) rtol {rtol}, scalar Jacobi in f64 {scalar_jacobi}: {json}");
+                assert_eq!(code, Some(0), "{name}: {json}");
+                let residual = json["relative_residual"].as_f64().expect("a number");
+                assert!(residual <= rtol.parse::<f64>().expect("a number"), "{name}: {json}");
             }
         }
     }

@@ -1,23 +1,25 @@
 //! `loomtree solve`: the distributed PCG on its own, for any symmetric positive definite matrix. JSON goes to stdout.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use serde::Serialize;
 
 use super::CliError;
 use super::run::{ExchangeArg, ExecutorArg};
 use crate::coordinator::plan::plan_transfers;
-use crate::gpu::Executor;
+use crate::coordinator::{Crew, CrewError, Launch};
 use crate::interconnect::{Plan, ScheduleKind};
 use crate::linear_system::{
-    BlockSystem, RankSystem, SolveParams, SolveResult, read_right_hand_side, read_system, solve_rank, write_solution,
+    BlockSystem, SolveParams, SolveResult, read_right_hand_side, read_system, write_solution,
 };
 use crate::math::DIM;
 use crate::output::write_atomically;
 use crate::partition::RowPartition;
-use crate::protocol::ExecutorChoice;
+use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerSetup};
 use crate::solver::ExchangeMode;
-use crate::transport::{InProcessTransport, RANKS_MAX};
+use crate::step::ExchangePlan;
+use crate::transport::{RANKS_MAX, check_shared_memory, shared_memory_space};
 
 /// Arguments of `loomtree solve`.
 #[derive(Clone, Debug, clap::Args)]
@@ -149,7 +151,7 @@ pub struct SolveReport {
 pub fn run(args: SolveArgs) -> Result<(), CliError> {
     let job = prepare(args)?;
     let facts = job.facts();
-    let (results, executor) = run_in_process(job)?;
+    let (results, executor) = run_on_workers(job)?;
     report(&facts, &executor, &results)
 }
 
@@ -210,51 +212,50 @@ impl SolveJob {
     }
 }
 
-/// Solves with the ranks as threads of this process; the results in rank order and the executor's name.
+/// Longest silence of a worker while it reads its part or works without waiting for others.
+const SILENCE_LIMIT: Duration = Duration::from_secs(300);
+
+/// Solves on worker processes; the results in rank order and the executor's name.
 ///
 /// # Errors
-/// The executor cannot be had, or the solve failed.
-pub fn run_in_process(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliError> {
+/// A worker failed or its executor cannot be had.
+pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliError> {
     let SolveJob { args, system, rhs, partition, transfers, params, threads } = job;
-    let mut parts: Vec<RankSystem> = Vec::with_capacity(partition.ranks());
-    let collected: Result<(), std::convert::Infallible> = system.split(rhs, &partition, |_, part| {
-        parts.push(part);
-        Ok(())
-    });
-    let Ok(()) = collected;
-    let transports = InProcessTransport::group(partition.ranks());
-    let mode: ExchangeMode = args.exchange.into();
-    let (args, transfers, params) = (&args, &transfers, &params);
-    let outcomes: Vec<Result<(SolveResult, String), String>> = std::thread::scope(|scope| {
-        let start = |(part, mut transport): (RankSystem, InProcessTransport)| {
-            scope.spawn(move || {
-                let executor = executor(args.executor.into(), args.adapter, part.plan.rank, threads)?;
-                let queue = &transfers.schedule.queues[part.plan.rank];
-                let solved = solve_rank(&executor, &mut transport, &part, mode, queue, params);
-                solved.map(|result| (result, executor.name().to_string())).map_err(|error| error.to_string())
-            })
-        };
-        let ranks: Vec<_> = parts.into_iter().zip(transports).map(start).collect();
-        let panicked = |_| Err("a worker thread panicked".to_string());
-        ranks.into_iter().map(|rank| rank.join().unwrap_or_else(panicked)).collect()
-    });
-    let mut results = Vec::with_capacity(outcomes.len());
-    let mut name = String::new();
-    for outcome in outcomes {
-        let (result, executor) = outcome.map_err(|error| CliError::failed(format!("{}: {error}", args.matrix.display())))?;
-        results.push(result);
-        name = executor;
+    let ranks = partition.ranks();
+    let max_message_values = partition.sub_vector_rows() * 2 * DIM;
+    let (_, free) = shared_memory_space().map_err(CliError::failed)?;
+    if ranks > 1 {
+        check_shared_memory(ranks, max_message_values, free).map_err(CliError::bad_input)?;
     }
-    Ok((results, name))
-}
-
-fn executor(choice: ExecutorChoice, adapter: Option<usize>, rank: usize, threads: usize) -> Result<Executor, String> {
-    let executor = match choice {
-        ExecutorChoice::Cpu => return Ok(Executor::cpu(threads)),
-        ExecutorChoice::Gpu => Executor::gpu(adapter, rank),
-        ExecutorChoice::Auto => Executor::auto(adapter, rank, threads),
+    let named = |error: CrewError| match error {
+        CrewError::Failed { failure: WorkerFailure::BadInput(text), .. } => CliError::bad_input(text),
+        CrewError::Failed { failure: WorkerFailure::Other(text), .. } => CliError::failed(format!("{}: {text}", args.matrix.display())),
+        other => CliError::failed(other),
     };
-    executor.map_err(|error| error.to_string())
+    let mut crew = Crew::assemble(ranks, &Launch::Spawn, SILENCE_LIMIT).map_err(named)?;
+    let setup = WorkerSetup { executor: args.executor.into(), adapter: args.adapter, threads, ranks, max_message_values, patience_s: 3600.0 };
+    system
+        .split(rhs, &partition, |rank, mut part| {
+            let arrays = std::mem::take(&mut part.arrays);
+            let exchange = ExchangePlan { mode: args.exchange.into(), queue: transfers.schedule.queues[rank].clone() };
+            crew.send(rank, &ToWorker::Solve { setup: setup.clone(), exchange, params, system: Box::new(part) }, &arrays.to_bytes())?;
+            crew.flush(rank, SILENCE_LIMIT)
+        })
+        .map_err(named)?;
+    let mut results: Vec<Option<SolveResult>> = vec![None; ranks];
+    let mut name = String::new();
+    crew.collect(SILENCE_LIMIT, |rank, message, arrays| match (message, arrays) {
+        (ToCoordinator::Solved { stats, executor }, [x]) => {
+            let x = x.chunks_exact(size_of::<f64>()).map(bytemuck::pod_read_unaligned).collect();
+            results[rank] = Some(SolveResult { stats, x });
+            name = executor;
+            true
+        }
+        _ => false,
+    })
+    .map_err(named)?;
+    crew.dismiss();
+    Ok((results.into_iter().flatten().collect(), name))
 }
 
 /// Writes the solution if it was asked for and prints the report.
