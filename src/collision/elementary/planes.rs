@@ -59,8 +59,8 @@ impl<T: Real> Motion<T> {
         Motion { kind, len, w_t0, w_t1, separation: T::of(separation) }
     }
 
-    /// Differences at time `t`; each component is within 8 roundoffs of the larger one of its values at
-    /// the ends of the step.
+    /// Differences at time `t`; each component is within 8 roundoffs of the sum of its values at the ends of
+    /// the step, without signs.
     fn at(&self, t: T) -> [V<T>; 4] {
         let mut w = self.w_t0;
         for i in 0..self.len {
@@ -119,9 +119,10 @@ impl<T: Real> Motion<T> {
         let half = T::ONE / T::of(2.0);
         let mut reached = T::ONE;
         for i in 0..self.len {
+            // If anything below overflows, so does this, and proves nothing.
             let mut size = T::ZERO;
             for k in 0..3 {
-                size = size + d_a[k].abs().most(d_b[k].abs()) * self.w_t0[i][k].abs().most(self.w_t1[i][k].abs());
+                size = size + d_a[k].abs().most(d_b[k].abs()) * (self.w_t0[i][k].abs() + self.w_t1[i][k].abs());
             }
             let bound = slack * size + gap;
             let first = dot(d_a, w_a[i]) - bound;
