@@ -168,7 +168,9 @@ pub fn check(
         missed: count(|toi, truth| toi.is_none() && truth.hit),
         false_hits: count(|toi, truth| toi.is_some() && !truth.hit),
         // The truth is a rounded time as well.
-        late: count(|toi, truth| matches!((toi, truth.toi), (Some(ours), Some(exact)) if f64::from(ours) > exact.next_up())),
+        late: count(
+            |toi, truth| matches!((toi, truth.toi), (Some(ours), Some(exact)) if f64::from(ours) > exact.next_up()),
+        ),
         truth: truth_name,
         decided_by,
         ns_per_query: (ns / queries.len().max(1) as f64).round(),
@@ -238,7 +240,12 @@ pub fn parse_queries(bytes: &[u8]) -> Result<Vec<Query>, CsvFault> {
 
 /// Lines that are not blank, with their numbers.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
-    bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii).zip(1..).filter(|(text, _)| !text.is_empty()).map(|(t, n)| (n, t))
+    bytes
+        .split(|&b| b == b'\n')
+        .map(<[u8]>::trim_ascii)
+        .zip(1..)
+        .filter(|(text, _)| !text.is_empty())
+        .map(|(t, n)| (n, t))
 }
 
 fn columns(text: &[u8]) -> Result<Vec<&str>, String> {

@@ -173,7 +173,9 @@ fn coplanar_edge_meets_face(p: Vec3, q: Vec3, [a, b, c]: [Vec3; 3], dropped: usi
         let turns = [turn(a, b, v), turn(b, c, v), turn(c, a, v)];
         turns.iter().all(|&t| t >= 0.0) || turns.iter().all(|&t| t <= 0.0)
     };
-    inside(p) || inside(q) || [(a, b), (b, c), (c, a)].into_iter().any(|(s, t)| coplanar_segments_meet(turn, [p, q], [s, t]))
+    inside(p)
+        || inside(q)
+        || [(a, b), (b, c), (c, a)].into_iter().any(|(s, t)| coplanar_segments_meet(turn, [p, q], [s, t]))
 }
 
 /// Segments in one plane, not all on one line unless they meet in an end of one; `turn` is the orientation in that plane.

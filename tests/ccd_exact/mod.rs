@@ -344,7 +344,8 @@ impl Moving {
     }
 
     fn on_segment(&self, (p, [a, b]): (usize, [usize; 2])) -> [Vector; 4] {
-        let (ab, ap, bp) = (minus(&self.x[b], &self.x[a]), minus(&self.x[p], &self.x[a]), minus(&self.x[p], &self.x[b]));
+        let (ab, ap, bp) =
+            (minus(&self.x[b], &self.x[a]), minus(&self.x[p], &self.x[a]), minus(&self.x[p], &self.x[b]));
         let along = [dot(&ap, &ab), plus(&Poly::new(), &dot(&bp, &ab), -1), Poly::new()];
         [cross(&ab, &ap), ab, ap, along]
     }

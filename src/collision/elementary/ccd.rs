@@ -76,13 +76,7 @@ pub fn ccd_filter(kind: StencilKind, x_t0: [Vec3; 4], x_t1: [Vec3; 4], separatio
 }
 
 /// The f64 part of [`ccd`]: decides. `apart_until` is what the filter answered.
-pub fn ccd_fallback(
-    kind: StencilKind,
-    x_t0: [Vec3; 4],
-    x_t1: [Vec3; 4],
-    separation_m: f32,
-    apart_until: f32,
-) -> Ccd {
+pub fn ccd_fallback(kind: StencilKind, x_t0: [Vec3; 4], x_t1: [Vec3; 4], separation_m: f32, apart_until: f32) -> Ccd {
     if !(separation_m >= 0.0) {
         return Ccd { toi: Some(0.0), decided_by: DecidedBy::Fallback };
     }
@@ -99,9 +93,7 @@ fn boxes_apart(kind: StencilKind, x_t0: [Vec3; 4], x_t1: [Vec3; 4], separation_m
     let low = |i: usize| x_t0[i].min(x_t1[i]);
     let high = |i: usize| x_t0[i].max(x_t1[i]);
     let (low_a, high_a, low_b, high_b) = match kind {
-        StencilKind::VertexFace => {
-            (low(0), high(0), low(1).min(low(2)).min(low(3)), high(1).max(high(2)).max(high(3)))
-        }
+        StencilKind::VertexFace => (low(0), high(0), low(1).min(low(2)).min(low(3)), high(1).max(high(2)).max(high(3))),
         StencilKind::EdgeEdge => (low(0).min(low(1)), high(0).max(high(1)), low(2).min(low(3)), high(2).max(high(3))),
     };
     let separation = Vec3::splat(separation_m);

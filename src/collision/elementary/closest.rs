@@ -134,19 +134,23 @@ pub(super) struct OnSegments<T> {
 }
 
 /// Normal of the triangle and whether the point projects into it; from the point minus each of the corners.
-pub(super) fn above_triangle<T: Real>(ap: V<T>, bp: V<T>, cp: V<T>) -> (V<T>, [T; 3], bool) {
+pub(super) fn above_triangle<T: Real>(ap: V<T>, bp: V<T>, cp: V<T>) -> (V<T>, bool) {
+    let (normal, areas) = face_areas(ap, bp, cp);
+    (normal, dot(normal, normal) > T::ZERO && areas.iter().all(|&a| a >= T::ZERO))
+}
+
+/// Normal of the triangle and the areas opposite to its corners, seen from the projected point, times a common factor.
+fn face_areas<T: Real>(ap: V<T>, bp: V<T>, cp: V<T>) -> (V<T>, [T; 3]) {
     let (ab, bc, ca) = (sub(ap, bp), sub(bp, cp), sub(cp, ap));
     let normal = cross(ab, bc);
-    let areas = [dot(cross(bc, bp), normal), dot(cross(ca, cp), normal), dot(cross(ab, ap), normal)];
-    let inside = dot(normal, normal) > T::ZERO && areas.iter().all(|&a| a >= T::ZERO);
-    (normal, areas, inside)
+    (normal, [dot(cross(bc, bp), normal), dot(cross(ca, cp), normal), dot(cross(ab, ap), normal)])
 }
 
 /// Closest point of a triangle to a point, from the point minus each of the corners.
 pub(super) fn point_triangle<T: Real>(ap: V<T>, bp: V<T>, cp: V<T>) -> OnTriangle<T> {
-    let (normal, areas, inside) = above_triangle(ap, bp, cp);
+    let (normal, areas) = face_areas(ap, bp, cp);
     let mut best = None;
-    if inside {
+    if dot(normal, normal) > T::ZERO && areas.iter().all(|&a| a >= T::ZERO) {
         let total = areas[0] + areas[1] + areas[2];
         let weights = areas.map(|a| a / total);
         let offset = scale(dot(ap, normal) / dot(normal, normal), normal);
@@ -192,22 +196,25 @@ fn point_segment<T: Real>(p: V<T>, edge: V<T>) -> (T, V<T>) {
     (s, if s == T::ONE { sub(p, edge) } else { sub(p, scale(s, edge)) })
 }
 
-/// Common normal of two segments and the parameters of the closest points of their lines, if both are on the segments.
-/// `between` is the start of the first minus the start of the second.
-pub(super) fn across_segments<T: Real>(between: V<T>, u: V<T>, v: V<T>) -> (V<T>, [T; 2], bool) {
+/// Common normal of the segments `a + s u` and `b + t v`, `between = a - b`, and whether the closest points of their lines
+/// are on both.
+pub(super) fn across_segments<T: Real>(between: V<T>, u: V<T>, v: V<T>) -> (V<T>, bool) {
+    let (normal, [s, t], sine) = line_parameters(between, u, v);
+    (normal, sine > T::ZERO && s >= T::ZERO && s <= sine && t >= T::ZERO && t <= sine)
+}
+
+/// Common normal of two lines, the parameters of their closest points times a common factor, and that factor.
+fn line_parameters<T: Real>(between: V<T>, u: V<T>, v: V<T>) -> (V<T>, [T; 2], T) {
     let normal = cross(u, v);
-    let sine = dot(normal, normal);
-    let (s, t) = (dot(cross(v, between), normal), dot(cross(u, between), normal));
-    let inside = sine > T::ZERO && s >= T::ZERO && s <= sine && t >= T::ZERO && t <= sine;
-    (normal, [s / sine, t / sine], inside)
+    (normal, [dot(cross(v, between), normal), dot(cross(u, between), normal)], dot(normal, normal))
 }
 
 /// Closest points of the segments `a + s u` and `b + t v`, `between = a - b`.
 pub(super) fn segment_segment<T: Real>(between: V<T>, u: V<T>, v: V<T>) -> OnSegments<T> {
-    let (normal, parameters, inside) = across_segments(between, u, v);
+    let (normal, [s, t], sine) = line_parameters(between, u, v);
     let mut best = None;
-    if inside {
-        let sine = dot(normal, normal);
+    if sine > T::ZERO && s >= T::ZERO && s <= sine && t >= T::ZERO && t <= sine {
+        let parameters = [s / sine, t / sine];
         if sine > T::of(THIN) * dot(u, u) * dot(v, v) {
             return OnSegments { parameters, offset: scale(dot(between, normal) / sine, normal) };
         }

@@ -59,8 +59,8 @@ impl<T: Real> Motion<T> {
         Motion { kind, len, w_t0, w_t1, separation: T::of(separation) }
     }
 
-    /// Differences at time `t`; each component is within 8 roundoffs of the larger one of its values at
-    /// the ends of the step.
+    /// Differences at time `t`; each component is within 8 roundoffs of the sum of its values at the ends of
+    /// the step, without signs.
     fn at(&self, t: T) -> [V<T>; 4] {
         let mut w = self.w_t0;
         for i in 0..self.len {
@@ -119,9 +119,10 @@ impl<T: Real> Motion<T> {
         let half = T::ONE / T::of(2.0);
         let mut reached = T::ONE;
         for i in 0..self.len {
+            // If anything below overflows, so does this, and proves nothing.
             let mut size = T::ZERO;
             for k in 0..3 {
-                size = size + d_a[k].abs().most(d_b[k].abs()) * self.w_t0[i][k].abs().most(self.w_t1[i][k].abs());
+                size = size + d_a[k].abs().most(d_b[k].abs()) * (self.w_t0[i][k].abs() + self.w_t1[i][k].abs());
             }
             let bound = slack * size + gap;
             let first = dot(d_a, w_a[i]) - bound;
@@ -149,25 +150,37 @@ impl<T: Real> Motion<T> {
         if time > t_a { time } else { t_a }
     }
 
-    /// Guesses of separating directions at time `t`, from the second part to the first: the normal of the face or of both
-    /// edges, and the offset between the closest points where one is on a border. True if the first is the better one.
-    ///
-    /// The normal is exact to rounding however small the distance; the offset is not.
-    fn directions(&self, t: T) -> ([Option<V<T>>; 2], bool) {
-        let w = self.at(t);
-        let (normal, inside, border) = match self.kind {
-            StencilKind::VertexFace => {
-                let (normal, _, inside) = above_triangle(w[0], w[1], w[2]);
-                (normal, inside, triangle_border(w[0], w[1], w[2]).offset)
-            }
-            StencilKind::EdgeEdge => {
-                let (u, v) = (sub(w[2], w[0]), sub(w[0], w[1]));
-                let (normal, _, inside) = across_segments(w[0], u, v);
-                (normal, inside, segment_ends(w[0], u, v).offset)
-            }
+    /// Guess of a separating direction from differences at one time, second part to first, and whether it is the better
+    /// one: the normal of the face or of both edges. Exact to rounding however small the distance.
+    fn normal(&self, w: &[V<T>; 4]) -> (Option<V<T>>, bool) {
+        let (normal, inside) = match self.kind {
+            StencilKind::VertexFace => above_triangle(w[0], w[1], w[2]),
+            StencilKind::EdgeEdge => across_segments(w[0], sub(w[2], w[0]), sub(w[0], w[1])),
         };
-        let towards = if dot(normal, w[0]) < T::ZERO { negative(normal) } else { normal };
-        ([unit_size(towards), unit_size(border)], inside)
+        (unit_size(if dot(normal, w[0]) < T::ZERO { negative(normal) } else { normal }), inside)
+    }
+
+    /// The other guess: the offset between the closest points where one is on a border.
+    fn border(&self, w: &[V<T>; 4]) -> Option<V<T>> {
+        unit_size(match self.kind {
+            StencilKind::VertexFace => triangle_border(w[0], w[1], w[2]).offset,
+            StencilKind::EdgeEdge => segment_ends(w[0], sub(w[2], w[0]), sub(w[0], w[1])).offset,
+        })
+    }
+
+    /// A direction that proves separation at `t`, whether it is a normal, and the end of the interval it proves.
+    fn plane_at(&self, t: T) -> Option<(V<T>, bool, T)> {
+        let w = self.at(t);
+        let (normal, inside) = self.normal(&w);
+        let proven = |direction: Option<V<T>>, is_normal: bool| {
+            let direction = direction?;
+            Some((direction, is_normal, self.proven_until(direction, t)?))
+        };
+        if inside {
+            proven(normal, true).or_else(|| proven(self.border(&w), false))
+        } else {
+            proven(self.border(&w), false).or_else(|| proven(normal, true))
+        }
     }
 }
 
@@ -184,17 +197,7 @@ pub(super) fn advance<T: Real>(motion: &Motion<T>, start: T, planes: u32) -> Adv
     let mut stride = T::ONE;
     let mut short_steps = 0;
     for count in 0..planes {
-        let (directions, inside) = motion.directions(t);
-        let mut found = None;
-        for choice in if inside { [0, 1] } else { [1, 0] } {
-            if found.is_none()
-                && let Some(direction) = directions[choice]
-                && let Some(end) = motion.proven_until(direction, t)
-            {
-                found = Some((choice, direction, end));
-            }
-        }
-        let Some((choice, direction, end)) = found else {
+        let Some((direction, is_normal, end)) = motion.plane_at(t) else {
             return if begun { Advance::Until(t) } else { Advance::Never };
         };
         if end > T::ONE {
@@ -204,7 +207,8 @@ pub(super) fn advance<T: Real>(motion: &Motion<T>, start: T, planes: u32) -> Adv
         let mut reached = end;
         if count > 0 {
             let target = (t + stride).least(T::ONE);
-            if let Some(ahead) = motion.directions(target).0[choice] {
+            let w = motion.at(target);
+            if let Some(ahead) = if is_normal { motion.normal(&w).0 } else { motion.border(&w) } {
                 // Behind a contact the parts have changed sides.
                 let ahead = if dot(ahead, direction) < T::ZERO { negative(ahead) } else { ahead };
                 let turned = motion.proven_turning(direction, t, ahead, target);
