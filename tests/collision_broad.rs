@@ -324,15 +324,12 @@ fn outliers_far_away_cost_no_resolution() {
 
 #[test]
 fn clustered_tests_are_split_evenly_and_entries_shrink() {
-    // Most triangles pushed into one small spot, as cloth in a funnel.
+    // Half of the triangles lie in a small spot, layer on layer as cloth in a funnel.
     let mut model = Model::default();
-    for layer in 0..3 {
-        let place = |u: f32, v: f32| {
-            let (x, y) = (2.0 * u - 1.0, 2.0 * v - 1.0);
-            let squeeze = 0.02 + (x * x + y * y).powi(2);
-            Vec3::new(x * squeeze, y * squeeze, 0.01 * layer as f32 + 0.05 * (x * 31.0).sin() * squeeze)
-        };
-        model.sheet(50, 50, place, |x| x);
+    model.sheet(61, 61, |u, v| Vec3::new(6.0 * u, 6.0 * v, 0.1 * (u * 40.0).sin()), |x| x);
+    for layer in 0..24 {
+        let lift = 0.004 * layer as f32;
+        model.sheet(13, 13, move |u, v| Vec3::new(3.0 + 1.2 * u, 3.0 + 1.2 * v, 0.05 * (u * 7.0).sin() + lift), |x| x);
     }
     let mesh = model.mesh();
     let query = model.query(0.001);
@@ -346,9 +343,9 @@ fn clustered_tests_are_split_evenly_and_entries_shrink() {
     assert!(largest / mean <= 1.05, "{largest} over {mean}");
     assert_eq!(stats.iter().map(|s| s.tests).sum::<u64>(), one.tests);
     assert_eq!(stats.iter().map(|s| s.candidates).sum::<u64>(), one.candidates);
-    // A rank that gets a few crowded cells has few entries; one that gets the sparse cells has more than an eighth.
+    // A cell that is split is held by the ranks that share it, so the sum grows a little.
     let entries = stats.iter().map(|s| s.entries).sum::<u64>() as f64;
-    assert!(entries <= 1.05 * one.entries as f64, "{entries} entries on 8 ranks, {} on one", one.entries);
+    assert!(entries <= 1.2 * one.entries as f64, "{entries} entries on 8 ranks, {} on one", one.entries);
 }
 
 #[test]

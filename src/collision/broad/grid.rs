@@ -12,7 +12,8 @@ use super::boxes::{Aabb, Motion};
 
 /// Grids. The last has one cell for all of space and takes what no other takes.
 pub(super) const LEVELS: usize = 16;
-/// Side of a cell over the near-largest box.
+/// Side of a cell over the near-largest box. If sizes differ widely it is twice this over a near-smallest box, and the
+/// coarser grids take the larger ones.
 const CELL_FACTOR: f32 = 1.5;
 /// Boxes looked at to choose the cell size.
 const SAMPLES: usize = 2048;
@@ -36,7 +37,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// Cells fit nearly all (sampled) cloth triangles; the origin is the median of the samples, so that a piece far away
+    /// Cells fit most (sampled) cloth triangles; the origin is the median of the samples, so that a piece far away
     /// costs the rest no resolution.
     pub fn new(mesh: &CollisionMesh, motion: &Motion) -> Grid {
         let stride = mesh.cloth_triangles.div_ceil(SAMPLES).max(1);
@@ -48,7 +49,8 @@ impl Grid {
             if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(at, f32::total_cmp).1 }
         };
         let middle = |axis: usize| quantile(&|b| 0.5 * (b.lo[axis] + b.hi[axis]), 0.5);
-        let mut size = (CELL_FACTOR * quantile(&Aabb::extent, 0.97)).max(1e-30);
+        let (small, large) = (quantile(&Aabb::extent, 0.25), quantile(&Aabb::extent, 0.97));
+        let mut size = (CELL_FACTOR * large).min(2.0 * CELL_FACTOR * small).max(1e-30);
         let (mut cell_m, mut per_m) = ([f32::INFINITY; LEVELS], [0.0; LEVELS]);
         for level in 0..LEVELS - 1 {
             (cell_m[level], per_m[level]) = (size, 1.0 / size);
