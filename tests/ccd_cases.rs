@@ -260,7 +260,7 @@ fn closest_points_of_edges() {
     assert_eq!((crossed.distance_squared, crossed.weights), (1.0, [0.5, 0.5, 0.75, 0.25]));
     assert!(crossed.feature.is_interior());
     let apart = test([[2., 0., 0.], [5., 0., 0.], [0., -1., 0.], [0., 1., 0.]]);
-    assert_eq!((apart.distance_squared, apart.weights, apart.feature.len()), (4.0, [1., 0., 0.5, 0.5], 3));
+    assert_eq!((apart.distance_squared, apart.weights, apart.feature.count()), (4.0, [1., 0., 0.5, 0.5], 3));
     let parallel = test([[0.5, 2., 0.], [5., 2., 0.], [0., 0., 0.], [1., 0., 0.]]);
     assert_eq!(parallel.distance_squared, 4.0);
     let points_only = test([[3., 0., 0.], [3., 0., 0.], [0., 4., 0.], [0., 4., 0.]]);

@@ -4,7 +4,6 @@
 //! The parts of a stencil touch at t iff polynomials in t have certain signs there (coplanarity, barycentric weights,
 //! and for collapsed shapes the position along a line). The first contact is at t = 0 or where one of these polynomials
 //! vanishes: it is enough to look there.
-#![allow(dead_code, reason = "every test binary uses its own part")]
 
 use loomtree::collision::elementary::StencilKind;
 use num_bigint::{BigInt, Sign};

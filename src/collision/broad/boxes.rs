@@ -62,7 +62,7 @@ impl<'a> Motion<'a> {
             // Chunks without a branch inside; a NaN fails the comparison.
             for (chunk, values) in positions.chunks(1024).enumerate() {
                 if !values.iter().fold(true, |fine, x| fine & (x.abs() <= MOST_M)) {
-                    let at = values.iter().position(|x| !(x.abs() <= MOST_M)).unwrap_or(0);
+                    let at = values.iter().position(|x| x.is_nan() || x.abs() > MOST_M).unwrap_or(0);
                     return Err(BroadError::Position { which, vertex: (chunk * 1024 + at) / 3, value_m: values[at] });
                 }
             }

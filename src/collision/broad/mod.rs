@@ -7,6 +7,7 @@
 
 mod boxes;
 mod brute;
+mod features;
 mod fill;
 mod grid;
 mod mesh;

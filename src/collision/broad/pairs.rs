@@ -2,10 +2,9 @@
 
 use std::ops::Range;
 
-use super::boxes::Aabb;
+use super::features::{Features, Spread, bits};
 use super::fill::{Entries, rows};
 use super::grid::Entry;
-use super::mesh::edge_of;
 use super::table::{Input, Load, Table};
 use super::workload::Batch;
 use crate::collision::Candidate;
@@ -19,43 +18,9 @@ const KEPT: usize = 128;
 /// Box tests between two looks at what they found.
 const STRIDE: usize = 64;
 
-/// Boxes of the vertices and edges of a triangle.
-#[derive(Clone, Copy)]
-struct Features {
-    corners: [u32; 3],
-    owned: u8,
-    known: bool,
-    vertices: [Aabb; 3],
-    edges: [Aabb; 3],
-}
-
-const UNKNOWN: Features =
-    Features { corners: [0; 3], owned: 0, known: false, vertices: [Aabb::EMPTY; 3], edges: [Aabb::EMPTY; 3] };
-
-impl Features {
-    #[inline(always)]
-    fn of(input: &Input, triangle: u32) -> Features {
-        let corners = input.mesh.triangles[triangle as usize];
-        let vertices = corners.map(|v| input.motion.vertex(v));
-        // Widening is monotone, so the union of widened boxes is the widened union.
-        let edges = [0, 1, 2].map(|k| vertices[k].join(vertices[(k + 1) % 3]));
-        Features { corners, owned: input.mesh.owned[triangle as usize], known: true, vertices, edges }
-    }
-
-    /// Which owned features overlap a box; bits as in [`super::CollisionMesh::owned`].
-    #[inline(always)]
-    fn reach(&self, other: &Aabb) -> u8 {
-        let mut reach = 0;
-        for k in 0..3 {
-            reach |= u8::from(self.vertices[k].overlaps(other)) << k;
-            reach |= u8::from(self.edges[k].overlaps(other)) << (3 + k);
-        }
-        reach & self.owned
-    }
-}
-
 /// Buffers of one thread.
 pub(super) struct Tester {
+    /// By place in the bucket, then two for triangles beyond [`KEPT`].
     features: Vec<Features>,
     buffer: Vec<Candidate>,
     /// Candidates found since the start.
@@ -66,12 +31,12 @@ pub(super) struct Tester {
 
 impl Tester {
     pub fn new() -> Tester {
-        Tester { features: vec![UNKNOWN; KEPT], buffer: Vec::with_capacity(BUFFER), found: 0, tested: 0 }
+        Tester { features: vec![Features::UNKNOWN; KEPT + 2], buffer: Vec::with_capacity(BUFFER), found: 0, tested: 0 }
     }
 
     /// Bytes of the buffers.
     pub fn bytes() -> u64 {
-        (KEPT * size_of::<Features>() + BUFFER * size_of::<Candidate>()) as u64
+        ((KEPT + 2) * size_of::<Features>() + BUFFER * size_of::<Candidate>()) as u64
     }
 
     /// The tests of the rank in `buckets` of a batch.
@@ -160,40 +125,42 @@ impl Tester {
         }
     }
 
+    /// Where the features of an entry are; `spare` is 0 or 1.
     #[inline(always)]
-    fn features(&mut self, input: &Input, entries: &[Entry], at: usize) -> Features {
-        if at >= KEPT {
-            return Features::of(input, entries[at].triangle);
+    fn features(&mut self, input: &Input, entry: &Entry, at: usize, spare: usize) -> usize {
+        let slot = if at < KEPT { at } else { KEPT + spare };
+        if at >= KEPT || !self.features[slot].known {
+            self.features[slot].set(input, entry.triangle);
         }
-        if !self.features[at].known {
-            self.features[at] = Features::of(input, entries[at].triangle);
-        }
-        self.features[at]
+        slot
     }
 
     /// Pairs of features that two triangles own.
     #[inline(always)]
     fn pair(&mut self, input: &Input, entries: &[Entry], one: usize, other: usize) {
-        let (box_a, box_b) = (entries[one].aabb(), entries[other].aabb());
-        let a = self.features(input, entries, one);
-        let b = self.features(input, entries, other);
+        let (one, box_a) = (self.features(input, &entries[one], one, 0), Spread::of(&entries[one].aabb()));
+        let (other, box_b) = (self.features(input, &entries[other], other, 1), Spread::of(&entries[other].aabb()));
+        let (a, b) = (&self.features[one], &self.features[other]);
         let (reach_a, reach_b) = (a.reach(&box_b), b.reach(&box_a));
-        for (of, reach, face) in [(&a, reach_a, &b), (&b, reach_b, &a)] {
-            for k in 0..3 {
-                if reach >> k & 1 == 1 && !face.corners.contains(&of.corners[k]) {
-                    self.buffer.push(Candidate::vertex_face(of.corners[k], face.corners));
+        for (of, reach, face) in [(a, reach_a, b), (b, reach_b, a)] {
+            for slot in bits(reach & of.vertices) {
+                let vertex = of.ends[slot][0];
+                if !face.corners.contains(&vertex) {
+                    self.buffer.push(Candidate::vertex_face(vertex, face.corners));
                 }
             }
         }
-        if reach_a >> 3 == 0 || reach_b >> 3 == 0 {
+        let others = reach_b & b.edges;
+        if others == 0 {
             return;
         }
-        for i in (0..3).filter(|i| reach_a >> (3 + i) & 1 == 1) {
-            let edge = edge_of(a.corners, i);
-            for j in (0..3).filter(|j| reach_b >> (3 + j) & 1 == 1) {
-                let other = edge_of(b.corners, j);
-                let apart = edge[0] != other[0] && edge[0] != other[1] && edge[1] != other[0] && edge[1] != other[1];
-                if apart && a.edges[i].overlaps(&b.edges[j]) {
+        for slot in bits(reach_a & a.edges) {
+            let edge = a.ends[slot];
+            for slot in bits(others & b.reach(&a.spread(slot))) {
+                let other = b.ends[slot];
+                let shared =
+                    (edge[0] == other[0]) | (edge[0] == other[1]) | (edge[1] == other[0]) | (edge[1] == other[1]);
+                if !shared {
                     self.buffer.push(Candidate::edge_edge(edge, other));
                 }
             }

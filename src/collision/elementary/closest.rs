@@ -43,13 +43,8 @@ impl Feature {
     }
 
     /// Number of vertices involved: 2 (two points), 3 (a point and an edge) or 4.
-    pub fn len(self) -> u32 {
+    pub fn count(self) -> u32 {
         self.vertices.count_ones()
-    }
-
-    /// Never: at least one vertex of each part is involved.
-    pub fn is_empty(self) -> bool {
-        self.vertices == 0
     }
 }
 
