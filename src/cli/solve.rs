@@ -169,7 +169,9 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
         None => system.times_ones(),
         Some(path) if path.as_os_str() == "matrix" => stored_rhs.ok_or_else(|| {
             let matrix = args.matrix.display();
-            CliError::bad_input(format!("--rhs matrix: {matrix} holds no right-hand side; only .bsr files (CLTHBSR1) do"))
+            CliError::bad_input(format!(
+                "--rhs matrix: {matrix} holds no right-hand side; only .bsr files (CLTHBSR1) do"
+            ))
         })?,
         Some(path) => read_right_hand_side(path, system.scalar_rows).map_err(CliError::bad_input)?,
     };
@@ -181,7 +183,8 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
     }
     let partition = RowPartition::new(block_rows, workers);
     let topology = args.topology.as_deref();
-    let (transfers, _) = plan_transfers(topology, args.schedule, workers, partition.sub_vector_rows()).map_err(CliError::bad_input)?;
+    let (transfers, _) =
+        plan_transfers(topology, args.schedule, workers, partition.sub_vector_rows()).map_err(CliError::bad_input)?;
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or((cores / workers).max(1), usize::from);
     let params = SolveParams {
@@ -241,7 +244,8 @@ pub fn run_in_process(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
     let mut results = Vec::with_capacity(outcomes.len());
     let mut name = String::new();
     for outcome in outcomes {
-        let (result, executor) = outcome.map_err(|error| CliError::failed(format!("{}: {error}", args.matrix.display())))?;
+        let (result, executor) =
+            outcome.map_err(|error| CliError::failed(format!("{}: {error}", args.matrix.display())))?;
         results.push(result);
         name = executor;
     }
@@ -276,9 +280,13 @@ pub fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> Re
     }
     let (residual, rtol, iterations) = (report.relative_residual, facts.rtol, report.iterations);
     Err(CliError::failed(if iterations >= facts.max_iterations {
-        format!("not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; --max-iterations allows more")
+        format!(
+            "not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; --max-iterations allows more"
+        )
     } else {
-        format!("not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; the matrix is too ill-conditioned for corrections in single precision")
+        format!(
+            "not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; the matrix is too ill-conditioned for corrections in single precision"
+        )
     }))
 }
 
