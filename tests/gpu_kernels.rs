@@ -24,7 +24,9 @@ fn crumpled_rank(n: usize) -> RankModel {
     let mut seeded = Seeded::new(5);
     let mut mesh = sheet(n, n, [0.3, 0.3], Vec3::ZERO, Vec3::X, Vec3::Y);
     let spacing = 0.3 / n as f32;
-    let mut noise = |scale: f32| Vec3::new(seeded.uniform(-scale, scale), seeded.uniform(-scale, scale), seeded.uniform(-scale, scale));
+    let mut noise = |scale: f32| {
+        Vec3::new(seeded.uniform(-scale, scale), seeded.uniform(-scale, scale), seeded.uniform(-scale, scale))
+    };
     mesh.positions.iter_mut().for_each(|p| *p += noise(0.3 * spacing));
     let velocities: Vec<Vec3> = mesh.positions.iter().map(|_| noise(1.0)).collect();
     let mut fabric = isotropic_fabric(150.0, 0.25, 2e-5, 0.15, 0.002);
@@ -74,12 +76,28 @@ fn assemble(executor: &Executor, part: &RankModel) -> Assembled {
     let (arrays, rows) = (&part.arrays, part.plan.own.len());
     let layout = SellLayout::halo(&pattern.offsets, &pattern.columns, part.plan.own.clone());
     let fabrics = DeviceVec::upload(executor, &arrays.fabrics);
-    let (triangles, hinges) = (DeviceVec::upload(executor, &arrays.triangles), DeviceVec::upload(executor, &arrays.hinges));
+    let (triangles, hinges) =
+        (DeviceVec::upload(executor, &arrays.triangles), DeviceVec::upload(executor, &arrays.hinges));
     let (x, v) = (DeviceVec::upload(executor, &arrays.positions), DeviceVec::upload(executor, &arrays.velocities));
     let mut triangle_records = DeviceVec::zeros(executor, triangles.len() * TRIANGLE_RECORD_FLOATS);
     let mut hinge_records = DeviceVec::zeros(executor, hinges.len() * HINGE_RECORD_FLOATS);
-    let params = |count: usize| StepParams { step_s: 0.004, air_density: 1.2, air_drag: 0.1, count: count as u32, wind: [3.0, -1.0, 2.0], padding: 0.0 };
-    Stretch::new(executor).apply(executor, &params(triangles.len()), &fabrics, &triangles, &x, &v, &mut triangle_records);
+    let params = |count: usize| StepParams {
+        step_s: 0.004,
+        air_density: 1.2,
+        air_drag: 0.1,
+        count: count as u32,
+        wind: [3.0, -1.0, 2.0],
+        padding: 0.0,
+    };
+    Stretch::new(executor).apply(
+        executor,
+        &params(triangles.len()),
+        &fabrics,
+        &triangles,
+        &x,
+        &v,
+        &mut triangle_records,
+    );
     Bend::new(executor).apply(executor, &params(hinges.len()), &fabrics, &hinges, &x, &v, &mut hinge_records);
 
     let tables = FillTables::new(executor, &pattern, &layout, &triangle_rows, &hinge_rows);
@@ -90,7 +108,19 @@ fn assemble(executor: &Executor, part: &RankModel) -> Assembled {
     let fill = Fill::new(executor);
     // Twice: what an earlier step left must not show.
     for _ in 0..2 {
-        fill.apply(executor, &params, &tables, &triangles, &triangle_records, &hinge_records, &masses, &pinned, &mut matrix, &mut rhs, &mut inverse);
+        fill.apply(
+            executor,
+            &params,
+            &tables,
+            &triangles,
+            &triangle_records,
+            &hinge_records,
+            &masses,
+            &pinned,
+            &mut matrix,
+            &mut rhs,
+            &mut inverse,
+        );
     }
     let made = Assembled {
         triangle_records: triangle_records.read(executor),
@@ -109,7 +139,10 @@ fn assert_close(what: &str, found: &[f32], expected: &[f32], width: usize, toler
     for place in 0..width {
         let scale = expected.iter().skip(place).step_by(width).fold(0.0f32, |m, v| m.max(v.abs()));
         for (item, (a, b)) in found.iter().zip(expected).skip(place).step_by(width).enumerate() {
-            assert!((a - b).abs() <= tolerance * scale, "{what}: place {place} of item {item} is {a}, not {b} (scale {scale})");
+            assert!(
+                (a - b).abs() <= tolerance * scale,
+                "{what}: place {place} of item {item} is {a}, not {b} (scale {scale})"
+            );
         }
     }
 }
@@ -132,11 +165,16 @@ fn assembly_equals_the_native_twins() {
 fn splitting_arrays_does_not_change_a_bit() {
     let part = crumpled_rank(65);
     // Small enough that records, values and columns are seen in several windows.
-    let (Some(whole), Some(split)) = (test_support::executor(), test_support::executor_binding(192 << 10)) else { return };
+    let (Some(whole), Some(split)) = (test_support::executor(), test_support::executor_binding(192 << 10)) else {
+        return;
+    };
     let (expected, found) = (assemble(&whole, &part), assemble(&split, &part));
     assert!(expected.values.len() * 4 > 2 * (192 << 10) && expected.triangle_records.len() * 4 > 192 << 10);
     let equal = |a: &[f32], b: &[f32]| a.iter().map(|v| v.to_bits()).eq(b.iter().map(|v| v.to_bits()));
-    assert!(equal(&found.triangle_records, &expected.triangle_records) && equal(&found.hinge_records, &expected.hinge_records));
+    assert!(
+        equal(&found.triangle_records, &expected.triangle_records)
+            && equal(&found.hinge_records, &expected.hinge_records)
+    );
     assert!(equal(&found.values, &expected.values) && equal(&found.rhs, &expected.rhs));
     assert!(equal(&found.inverse_diagonal, &expected.inverse_diagonal));
 
@@ -152,7 +190,8 @@ fn products(executor: &Executor, part: &RankModel, values: &[f32], x: &[f32]) ->
     let layout = SellLayout::halo(&pattern.offsets, &pattern.columns, part.plan.own.clone());
     let mut matrix = SellMatrix::new(executor, rows, &layout);
     matrix.values.write_range(executor, 0, values);
-    let (spmv, device_x, mut y) = (Spmv::new(executor), DeviceVec::upload(executor, x), DeviceVec::zeros(executor, rows * 3));
+    let (spmv, device_x, mut y) =
+        (Spmv::new(executor), DeviceVec::upload(executor, x), DeviceVec::zeros(executor, rows * 3));
     for section in 0..2 {
         spmv.apply(executor, &matrix, section, false, &device_x, &mut y);
         spmv.apply_host(executor, &matrix, section, true, x, &mut y);
@@ -185,8 +224,11 @@ fn vector_work_equals_the_native_twin() {
             let values: Vec<f32> = (0..rows * 3).map(|_| seeded.uniform(-1.0, 1.0)).collect();
             DeviceVec::upload(executor, &values)
         };
-        let (b, w, mut p, mut s, mut x, mut r, mut u) = (vector(rows), vector(rows), vector(rows), vector(rows), vector(rows), vector(rows), vector(local));
-        let inverse: Vec<f32> = (0..rows).flat_map(|i| if i % 9 == 4 { [0.0; 6] } else { [2.0, 0.1, -0.2, 1.5, 0.3, 1.0 + i as f32 * 1e-3] }).collect();
+        let (b, w, mut p, mut s, mut x, mut r, mut u) =
+            (vector(rows), vector(rows), vector(rows), vector(rows), vector(rows), vector(rows), vector(local));
+        let inverse: Vec<f32> = (0..rows)
+            .flat_map(|i| if i % 9 == 4 { [0.0; 6] } else { [2.0, 0.1, -0.2, 1.5, 0.3, 1.0 + i as f32 * 1e-3] })
+            .collect();
         let inverse = DeviceVec::upload(executor, &inverse);
         let mut ops = VectorOps::new(executor, rows, chunk_rows);
         let (mut first_sums, mut second_sums) = (Vec::new(), Vec::new());

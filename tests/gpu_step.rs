@@ -11,7 +11,13 @@ use support::{Outcome, cpu, isotropic_fabric, scene, sheet, simulate};
 /// A sheet hung by two corners in the wind.
 fn hanging(n: usize) -> Scene {
     let mesh = sheet(n, n, [0.5, 0.5], Vec3::ZERO, Vec3::X, Vec3::Y);
-    let mut scene = scene(mesh, isotropic_fabric(200.0, 0.3, 2e-5, 0.15, 0.001), &[0, (n - 1) as u32], 0.004, Vec3::new(0.0, 0.0, -9.81));
+    let mut scene = scene(
+        mesh,
+        isotropic_fabric(200.0, 0.3, 2e-5, 0.15, 0.001),
+        &[0, (n - 1) as u32],
+        0.004,
+        Vec3::new(0.0, 0.0, -9.81),
+    );
     scene.settings.wind_m_s = Vec3::new(1.0, 2.0, 0.5);
     scene.settings.air_density_kg_m3 = 1.2;
     scene.settings.air_drag_kg_m2_s = 0.05;

@@ -61,7 +61,11 @@ fn a_solve_that_does_not_converge_exits_with_1() {
 fn an_indefinite_matrix_is_a_sentence_with_exit_code_1() {
     let (folder, _) = folder();
     let matrix = folder.path().join("indefinite.mtx");
-    std::fs::write(&matrix, "%%MatrixMarket matrix coordinate real symmetric\n2 2 3\n1 1 1\n2 2 1\n2 1 3\n").expect("writes");
+    std::fs::write(
+        &matrix,
+        "%%MatrixMarket matrix coordinate real symmetric\n4 4 5\n1 1 1\n2 2 1\n3 3 1\n4 4 1\n4 1 3\n",
+    )
+    .expect("writes");
     let output = solve(&[&matrix.display().to_string(), "--rtol", "1e-6"]);
     assert_eq!(output.status.code(), Some(1));
     let complaint = String::from_utf8_lossy(&output.stderr);

@@ -15,9 +15,9 @@
 use std::io::Read;
 use std::path::Path;
 
+use super::SystemError;
 use super::system::{BlockSystem, Values};
 use super::validate::validated;
-use super::SystemError;
 use crate::assembly::sell::BLOCK;
 use crate::math::DIM;
 
@@ -70,9 +70,13 @@ pub fn parse_block_csr(input: impl Read, bytes: u64, file: &str) -> Result<(Bloc
         return Err(input.error(8, format!("{rows} rows and {blocks} blocks; at most {limit} of each are supported")));
     }
     let value_bytes = u64::from(value_bytes);
-    let expected = HEADER_BYTES + 8 * (rows + 1) + blocks * (4 + BLOCK as u64 * value_bytes) + rows * DIM as u64 * value_bytes;
+    let expected =
+        HEADER_BYTES + 8 * (rows + 1) + blocks * (4 + BLOCK as u64 * value_bytes) + rows * DIM as u64 * value_bytes;
     if bytes != expected {
-        return Err(input.error(8, format!("{rows} rows and {blocks} blocks need a file of {expected} bytes, this one has {bytes}")));
+        return Err(input.error(
+            8,
+            format!("{rows} rows and {blocks} blocks need a file of {expected} bytes, this one has {bytes}"),
+        ));
     }
     let (rows, blocks) = (rows as usize, blocks as usize);
     let offsets = input.row_starts(rows, blocks)?;
@@ -139,7 +143,9 @@ impl<R: Read> Input<'_, R> {
                 let row = offsets.len();
                 let wrong_end = (row == 0 && start != 0) || (row == rows && start != blocks as u64);
                 if wrong_end || start < last || start > blocks as u64 {
-                    let what = format!("row start {row} is {start}; row starts ascend from 0 to the number of blocks, {blocks}");
+                    let what = format!(
+                        "row start {row} is {start}; row starts ascend from 0 to the number of blocks, {blocks}"
+                    );
                     return Err(self.error(begin + i as u64 * 8, what));
                 }
                 last = start;
@@ -157,11 +163,18 @@ impl<R: Read> Input<'_, R> {
             for k in range.clone() {
                 let at = begin + k as u64 * 4;
                 if columns[k] as usize >= rows {
-                    let what = format!("block row {row} names column {}; there are {rows} block columns, counted from 0", columns[k]);
+                    let what = format!(
+                        "block row {row} names column {}; there are {rows} block columns, counted from 0",
+                        columns[k]
+                    );
                     return Err(self.error(at, what));
                 }
                 if k > range.start && columns[k] <= columns[k - 1] {
-                    let what = format!("the columns of block row {row} do not ascend: {} follows {}", columns[k], columns[k - 1]);
+                    let what = format!(
+                        "the columns of block row {row} do not ascend: {} follows {}",
+                        columns[k],
+                        columns[k - 1]
+                    );
                     return Err(self.error(at, what));
                 }
             }

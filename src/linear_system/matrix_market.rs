@@ -49,7 +49,9 @@ pub fn parse_matrix_market(input: impl BufRead, bytes: u64, file: &str) -> Resul
         return Err(lines.error(&format!("{entries} entries cannot fit into a file of {bytes} bytes")));
     }
     if entries < rows {
-        return Err(lines.error(&format!("{entries} entries are too few: each of the {rows} rows needs a positive diagonal value")));
+        return Err(lines.error(&format!(
+            "{entries} entries are too few: each of the {rows} rows needs a positive diagonal value"
+        )));
     }
     if rows > u64::from(u32::MAX) / 2 {
         return Err(lines.error(&format!("{rows} rows; at most {} are supported", u32::MAX / 2)));
@@ -212,7 +214,10 @@ impl<R: BufRead> Lines<'_, R> {
         match symmetry {
             "symmetric" => Ok(true),
             "general" => Ok(false),
-            other => Err(self.error(&format!("a matrix that is {other}; expected symmetric, or general with symmetric values"))),
+            other => {
+                Err(self
+                    .error(&format!("a matrix that is {other}; expected symmetric, or general with symmetric values")))
+            }
         }
     }
 }

@@ -129,7 +129,12 @@ impl RankSystemArrays {
             Values::F32(values) => bytemuck::cast_slice(values),
             Values::F64(values) => bytemuck::cast_slice(values),
         };
-        [bytemuck::cast_slice(&self.offsets), bytemuck::cast_slice(&self.columns), values, bytemuck::cast_slice(&self.rhs)]
+        [
+            bytemuck::cast_slice(&self.offsets),
+            bytemuck::cast_slice(&self.columns),
+            values,
+            bytemuck::cast_slice(&self.rhs),
+        ]
     }
 
     /// The arrays from bytes in the order of [`RankSystemArrays::to_bytes`]; `double_precision` is in the header.

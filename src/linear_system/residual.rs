@@ -73,7 +73,11 @@ impl<'a> Residual<'a> {
     }
 
     /// r = b - A x, on all ranks together.
-    pub(super) fn update(&mut self, transport: &mut dyn Transport, recorder: &mut Recorder) -> Result<(), TransportError> {
+    pub(super) fn update(
+        &mut self,
+        transport: &mut dyn Transport,
+        recorder: &mut Recorder,
+    ) -> Result<(), TransportError> {
         self.halo.publish(&self.host, transport, &[&self.high, &self.low], recorder)?;
         let halves = &mut [&mut self.high, &mut self.low];
         self.halo.receive(&self.host, transport, halves, recorder, &mut self.traffic)?;

@@ -100,7 +100,9 @@ pub enum SolveError {
         relative_residual: f64,
     },
     /// Overflow.
-    #[error("the solve met a value that is not finite in iteration {iteration}; the matrix is likely close to singular")]
+    #[error(
+        "the solve met a value that is not finite in iteration {iteration}; the matrix is likely close to singular"
+    )]
     NotFinite {
         /// PCG iteration, all refinements together.
         iteration: u32,
@@ -199,7 +201,8 @@ impl<'a> RankSolver<'a> {
     ) -> Result<SolveStats, SolveError> {
         self.residual.reset();
         self.spmv.traffic = Default::default();
-        let mut stats = SolveStats { blocks: self.matrix.blocks as u64, slots: self.slots as u64, ..Default::default() };
+        let mut stats =
+            SolveStats { blocks: self.matrix.blocks as u64, slots: self.slots as u64, ..Default::default() };
         let b_norm = self.residual.norm(transport)?;
         let mut norm = b_norm;
         stats.converged = b_norm == 0.0;
@@ -230,7 +233,9 @@ impl<'a> RankSolver<'a> {
                     let (iteration, relative_residual) = (stats.iterations, stats.relative_residual);
                     return Err(SolveError::NotPositiveDefinite { iteration, curvature, relative_residual });
                 }
-                _ if !progress && inner.relative_tolerance <= PROGRESS || stats.iterations >= params.max_iterations => break,
+                _ if !progress && inner.relative_tolerance <= PROGRESS || stats.iterations >= params.max_iterations => {
+                    break;
+                }
                 _ => stats.refinements += 1,
             }
         }
@@ -253,7 +258,18 @@ impl<'a> RankSolver<'a> {
         self.rhs.write_range(self.executor, 0, &rhs);
         self.vectors.x.fill_zero(self.executor);
         let (inverse, vectors) = (&self.inverse_diagonal, &mut self.vectors);
-        let solved = self.pcg.solve(self.executor, transport, &mut self.spmv, &self.matrix, inverse, &self.rhs, vectors, false, params, &mut self.recorder);
+        let solved = self.pcg.solve(
+            self.executor,
+            transport,
+            &mut self.spmv,
+            &self.matrix,
+            inverse,
+            &self.rhs,
+            vectors,
+            false,
+            params,
+            &mut self.recorder,
+        );
         let mut stop = None;
         match solved {
             Ok(info) => {

@@ -118,7 +118,8 @@ fn duplicates_are_added_and_a_general_matrix_may_be_symmetric() {
 #[test]
 fn a_5x5_chain_over_two_blocks_by_hand() {
     // Second differences with fixed ends: x_i = i (6 - i) / 2 for b = 1.
-    let body: String = (1..=5).map(|i| format!("{i} {i} 2\n")).chain((2..=5).map(|i| format!("{i} {} -1\n", i - 1))).collect();
+    let body: String =
+        (1..=5).map(|i| format!("{i} {i} 2\n")).chain((2..=5).map(|i| format!("{i} {} -1\n", i - 1))).collect();
     let system = market(&symmetric(&format!("5 5 9\n{body}"))).expect("valid");
     assert_eq!((system.block_rows(), system.blocks()), (2, 4));
     for ranks in [1, 2] {
@@ -201,7 +202,8 @@ fn too_few_iterations_are_said_with_numbers() {
 #[test]
 fn an_indefinite_matrix_is_an_error_on_every_rank() {
     // Positive diagonal blocks, negative in the direction (1,..,-1) across two blocks.
-    let body: String = (1..=6).map(|i| format!("{i} {i} 1\n")).chain((1..=3).map(|i| format!("{} {i} 2\n", i + 3))).collect();
+    let body: String =
+        (1..=6).map(|i| format!("{i} {i} 1\n")).chain((1..=3).map(|i| format!("{} {i} 2\n", i + 3))).collect();
     let system = market(&symmetric(&format!("6 6 9\n{body}"))).expect("looks fine");
     for ranks in [1, 2] {
         for result in solve(&system, &[1.0, 2.0, 0.5, -1.0, -2.0, 0.1], ranks, ExchangeMode::Halo, params(1e-6)) {
@@ -213,7 +215,8 @@ fn an_indefinite_matrix_is_an_error_on_every_rank() {
 #[test]
 fn a_singular_matrix_ends() {
     // A ring of second differences (zero row sums) and a right-hand side that no x reaches.
-    let body: String = (1..=9).map(|i| format!("{i} {i} 2\n")).chain((2..=9).map(|i| format!("{i} {} -1\n", i - 1))).collect();
+    let body: String =
+        (1..=9).map(|i| format!("{i} {i} 2\n")).chain((2..=9).map(|i| format!("{i} {} -1\n", i - 1))).collect();
     let system = market(&symmetric(&format!("9 9 18\n{body}9 1 -1\n"))).expect("looks fine");
     let result = solve(&system, &[1.0; 9], 1, ExchangeMode::Halo, params(1e-6)).pop().expect("one rank");
     assert!(result.is_err() || result.is_ok_and(|result| !result.stats.converged));
@@ -249,7 +252,10 @@ fn refusals_name_the_place() {
         ("2 2 2\n1 1 1\n2 1 1\n", "a.mtx: row 2, column 2: the diagonal value is missing or zero"),
         ("4 4 4\n1 1 1\n2 2 1\n3 3 1\n4 1 1\n", "a.mtx: row 4, column 4: the diagonal value is missing or zero"),
         ("4 4 4\n1 1 1\n2 2 1\n3 3 1\n1 1 1\n", "a.mtx: row 4, column 4: the diagonal value is missing or zero"),
-        ("9 9 9\n1 1 1\n2 2 1\n3 3 1\n1 1 1\n7 7 1\n8 8 1\n9 9 1\n1 1 1\n1 1 1\n", "a.mtx: row 4, column 4: the diagonal value is missing"),
+        (
+            "9 9 9\n1 1 1\n2 2 1\n3 3 1\n1 1 1\n7 7 1\n8 8 1\n9 9 1\n1 1 1\n1 1 1\n",
+            "a.mtx: row 4, column 4: the diagonal value is missing",
+        ),
         ("2 2 3\n1 1 1\n2 2 1\n2 1 2\n", "a.mtx: rows 1 to 2: their diagonal block is not positive definite"),
         ("2 2 2\n1 1 1e-20\n2 2 1e20\n", "a.mtx: the diagonal spans from 1e-20 (row 1) to 1e20 (row 2)"),
         ("1 1 2\n1 1 1e308\n1 1 1e308\n", "a.mtx: row 1, column 1: the value is not a finite number"),
@@ -337,8 +343,14 @@ fn block_csr_refusals_name_the_byte() {
     assert!(refused(&|b| b[40] = 9).starts_with("a.bsr, byte 40: row start 1 is 9"));
     assert!(refused(&|b| b[60] = 2).starts_with("a.bsr, byte 60: block row 0 names column 2"));
     assert!(refused(&|b| b[60] = 0).starts_with("a.bsr, byte 60: the columns of block row 0 do not ascend"));
-    assert!(refused(&|b| b[72..76].copy_from_slice(&f32::NAN.to_le_bytes())).contains("row 1, column 1: the value is not a finite"));
-    assert!(refused(&|b| b[216..220].copy_from_slice(&f32::NAN.to_le_bytes())).starts_with("a.bsr, byte 216: value 1 of the right-hand side"));
+    assert!(
+        refused(&|b| b[72..76].copy_from_slice(&f32::NAN.to_le_bytes()))
+            .contains("row 1, column 1: the value is not a finite")
+    );
+    assert!(
+        refused(&|b| b[216..220].copy_from_slice(&f32::NAN.to_le_bytes()))
+            .starts_with("a.bsr, byte 216: value 1 of the right-hand side")
+    );
     assert!(refused(&|b| b[108..112].copy_from_slice(&5f32.to_le_bytes())).contains("not symmetric: row 1, column 4"));
 }
 

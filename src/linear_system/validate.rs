@@ -64,7 +64,9 @@ pub(super) fn validated(
         if pivots(&block) == Pivots::Negative {
             let first = row * DIM + 1;
             let last = (first + 2).min(scalar_rows);
-            return Err(format!("rows {first} to {last}: their diagonal block is not positive definite, so the matrix is not"));
+            return Err(format!(
+                "rows {first} to {last}: their diagonal block is not positive definite, so the matrix is not"
+            ));
         }
     }
     symmetric(&system, &diagonal)?;
@@ -89,7 +91,10 @@ fn diagonal_blocks(system: &BlockSystem) -> Result<Vec<u32>, String> {
         let range = system.offsets[row] as usize..system.offsets[row + 1] as usize;
         match system.columns[range.clone()].binary_search(&(row as u32)) {
             Ok(k) => Ok((range.start + k) as u32),
-            Err(_) => Err(format!("row {0}, column {0}: the diagonal value is missing or zero; it must be positive, as in every symmetric positive definite matrix", row * DIM + 1)),
+            Err(_) => Err(format!(
+                "row {0}, column {0}: the diagonal value is missing or zero; it must be positive, as in every symmetric positive definite matrix",
+                row * DIM + 1
+            )),
         }
     };
     (0..system.block_rows()).map(row_of).collect()

@@ -25,7 +25,17 @@ struct Tables<'a> {
 
 /// y = A x (or y += A x with `accumulate`) for the rows in `slices`. Bytes: 40 per slot, 12 per row written, and the
 /// entries of x once if they stay in cache.
-pub fn spmv(cpu: &CpuExecutor, slices: Range<u32>, accumulate: bool, row_of_lane: &[u32], slice_offsets: &[u32], columns: &[u32], values: &[f32], x: &[f32], y: &mut [f32]) {
+pub fn spmv(
+    cpu: &CpuExecutor,
+    slices: Range<u32>,
+    accumulate: bool,
+    row_of_lane: &[u32],
+    slice_offsets: &[u32],
+    columns: &[u32],
+    values: &[f32],
+    x: &[f32],
+    y: &mut [f32],
+) {
     // The gathers below are unchecked; a column past x would be a broken layout, found here once per call at little cost.
     debug_assert!(columns.iter().all(|&c| (c as usize + 1) * 3 <= x.len() || slices.is_empty()));
     let tables = Tables { row_of_lane, slice_offsets, columns, values, x };
@@ -74,7 +84,9 @@ mod avx2 {
                 }
             }
             let columns = tables.columns[slots.start * LANES..slots.end * LANES].as_chunks::<LANES>().0;
-            let values = tables.values[slots.start * LANES * BLOCK..slots.end * LANES * BLOCK].as_chunks::<{ LANES * BLOCK }>().0;
+            let values = tables.values[slots.start * LANES * BLOCK..slots.end * LANES * BLOCK]
+                .as_chunks::<{ LANES * BLOCK }>()
+                .0;
             // SAFETY: contract.
             let sum = unsafe { slice_product(columns, values, tables.x, last, &start) };
             for (lane, &row) in lanes.iter().enumerate().filter(|(_, row)| **row != NO_ROW) {
@@ -93,7 +105,13 @@ mod avx2 {
     /// AVX2; columns are within x, whose last column is `last`.
     #[target_feature(enable = "avx2")]
     #[inline]
-    unsafe fn slice_product(columns: &[[u32; LANES]], values: &[[f32; LANES * BLOCK]], x: &[f32], last: u32, start: &[[f32; LANES]; 3]) -> [[f32; LANES]; 3] {
+    unsafe fn slice_product(
+        columns: &[[u32; LANES]],
+        values: &[[f32; LANES * BLOCK]],
+        x: &[f32],
+        last: u32,
+        start: &[[f32; LANES]; 3],
+    ) -> [[f32; LANES]; 3] {
         // SAFETY: loads and stores of LANES floats each; contract for the gathers.
         unsafe {
             let half = |i: usize, h: usize| _mm256_loadu_ps(start[i].as_ptr().add(h * WIDTH));
@@ -104,7 +122,11 @@ mod avx2 {
                 for h in 0..2 {
                     let columns = columns.as_ptr().add(h * WIDTH);
                     let ends = _mm256_cmpeq_epi32(_mm256_loadu_si256(columns.cast()), lasts);
-                    let x = if _mm256_testz_si256(ends, ends) != 0 { gather(columns, x.as_ptr()) } else { gather_last(columns, x.as_ptr()) };
+                    let x = if _mm256_testz_si256(ends, ends) != 0 {
+                        gather(columns, x.as_ptr())
+                    } else {
+                        gather_last(columns, x.as_ptr())
+                    };
                     for i in 0..3 {
                         for j in 0..3 {
                             let a = _mm256_loadu_ps(values.add((i * 3 + j) * LANES + h * WIDTH));
@@ -151,7 +173,9 @@ mod avx2 {
         // SAFETY: contract.
         unsafe {
             let at = |lane: usize, j: usize| *x.add(*columns.add(lane) as usize * 3 + j);
-            let component = |j: usize| _mm256_setr_ps(at(0, j), at(1, j), at(2, j), at(3, j), at(4, j), at(5, j), at(6, j), at(7, j));
+            let component = |j: usize| {
+                _mm256_setr_ps(at(0, j), at(1, j), at(2, j), at(3, j), at(4, j), at(5, j), at(6, j), at(7, j))
+            };
             [component(0), component(1), component(2)]
         }
     }
@@ -228,7 +252,8 @@ mod tests {
     fn system() -> (SellLayout, Vec<f32>, Vec<f32>) {
         let (mut offsets, mut columns) = (vec![0u32], Vec::new());
         for row in 0..77u32 {
-            let mut of_row: Vec<u32> = (0..1 + row % 9).map(|k| (row * 7 + k * k * 11) % 90).chain([row, 89 - row % 2]).collect();
+            let mut of_row: Vec<u32> =
+                (0..1 + row % 9).map(|k| (row * 7 + k * k * 11) % 90).chain([row, 89 - row % 2]).collect();
             of_row.sort_unstable();
             of_row.dedup();
             columns.extend(of_row);
@@ -247,12 +272,33 @@ mod tests {
     #[test]
     fn explicit_vectors_give_the_bits_of_the_plain_loops() {
         let (layout, values, x) = system();
-        let tables = Tables { row_of_lane: &layout.row_of_lane, slice_offsets: &layout.slice_offsets, columns: &layout.columns, values: &values, x: &x };
+        let tables = Tables {
+            row_of_lane: &layout.row_of_lane,
+            slice_offsets: &layout.slice_offsets,
+            columns: &layout.columns,
+            values: &values,
+            x: &x,
+        };
         for accumulate in [false, true] {
             let (mut plain, mut chosen) = (vec![0.25f32; 77 * 3], vec![0.25f32; 77 * 3]);
             for section in &layout.sections {
-                multiply(section.start as usize..section.end as usize, accumulate, &tables, Rows(plain.as_mut_ptr(), plain.len()));
-                spmv(&CpuExecutor::new(2), section.clone(), accumulate, &layout.row_of_lane, &layout.slice_offsets, &layout.columns, &values, &x, &mut chosen);
+                multiply(
+                    section.start as usize..section.end as usize,
+                    accumulate,
+                    &tables,
+                    Rows(plain.as_mut_ptr(), plain.len()),
+                );
+                spmv(
+                    &CpuExecutor::new(2),
+                    section.clone(),
+                    accumulate,
+                    &layout.row_of_lane,
+                    &layout.slice_offsets,
+                    &layout.columns,
+                    &values,
+                    &x,
+                    &mut chosen,
+                );
             }
             assert!(plain.iter().map(|v| v.to_bits()).eq(chosen.iter().map(|v| v.to_bits())));
             assert!(plain.iter().all(|&v| v != 0.25));
@@ -265,7 +311,17 @@ mod tests {
         let mut values = vec![0.0; layout.slots() * BLOCK];
         (0..BLOCK).for_each(|c| values[value_index(0, c)] = c as f32 + 1.0);
         let mut y = [0.0; 3];
-        spmv(&CpuExecutor::new(1), 0..1, false, &layout.row_of_lane, &layout.slice_offsets, &layout.columns, &values, &[1.0, 10.0, 100.0], &mut y);
+        spmv(
+            &CpuExecutor::new(1),
+            0..1,
+            false,
+            &layout.row_of_lane,
+            &layout.slice_offsets,
+            &layout.columns,
+            &values,
+            &[1.0, 10.0, 100.0],
+            &mut y,
+        );
         assert_eq!(y, [321.0, 654.0, 987.0]);
     }
 }

@@ -18,13 +18,20 @@ use loomtree::transport::InProcessTransport;
 pub fn isotropic_fabric(eh: f64, nu: f64, bending: f64, density: f64, damping_s: f64) -> Fabric {
     let c = eh / (1.0 - nu * nu);
     let row = [c, nu * c, c, 2.0 * eh / (1.0 + nu)];
-    Fabric { name: "isotropic".into(), density_kg_m2: density, stretching_n_m: [row; 6], bending_n_m: [[bending; 5]; 3], damping_s }
+    Fabric {
+        name: "isotropic".into(),
+        density_kg_m2: density,
+        stretching_n_m: [row; 6],
+        bending_n_m: [[bending; 5]; 3],
+        damping_s,
+    }
 }
 
 /// A sheet of `nx` x `ny` vertices in the plane spanned by `u` and `v` from `origin`, one diagonal per cell.
 pub fn sheet(nx: usize, ny: usize, size_m: [f32; 2], origin: Vec3, u: Vec3, v: Vec3) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
-    let uv = |i: usize, j: usize| Vec2::new(size_m[0] * i as f32 / (nx - 1) as f32, size_m[1] * j as f32 / (ny - 1) as f32);
+    let uv =
+        |i: usize, j: usize| Vec2::new(size_m[0] * i as f32 / (nx - 1) as f32, size_m[1] * j as f32 / (ny - 1) as f32);
     for j in 0..ny {
         for i in 0..nx {
             let p = uv(i, j);
@@ -83,7 +90,13 @@ pub fn direct_queue(rank: usize, ranks: usize) -> Vec<QueueNode> {
 }
 
 /// Runs `steps` steps on `ranks` threads.
-pub fn simulate(scene: &Scene, ranks: usize, mode: ExchangeMode, steps: u32, executor: fn(usize) -> Executor) -> Outcome {
+pub fn simulate(
+    scene: &Scene,
+    ranks: usize,
+    mode: ExchangeMode,
+    steps: u32,
+    executor: fn(usize) -> Executor,
+) -> Outcome {
     let model = GlobalModel::new(scene);
     let partition = RowPartition::new(model.rows(), ranks);
     let mut parts = Vec::new();
@@ -100,13 +113,18 @@ pub fn simulate(scene: &Scene, ranks: usize, mode: ExchangeMode, steps: u32, exe
             std::thread::spawn(move || {
                 let plan = ExchangePlan { mode, queue: direct_queue(rank, ranks) };
                 let mut simulation = Simulation::new(executor(rank), part, &plan).unwrap();
-                let stats: Vec<StepStats> = (1..=steps).map(|step| simulation.step(&mut transport, step, false).unwrap()).collect();
+                let stats: Vec<StepStats> =
+                    (1..=steps).map(|step| simulation.step(&mut transport, step, false).unwrap()).collect();
                 (simulation.state(), stats)
             })
         })
         .collect();
     let results: Vec<_> = handles.into_iter().map(|h| h.join().unwrap()).collect();
-    let mut outcome = Outcome { positions: vec![Vec3::ZERO; model.rows()], velocities: vec![Vec3::ZERO; model.rows()], stats: results[0].1.clone() };
+    let mut outcome = Outcome {
+        positions: vec![Vec3::ZERO; model.rows()],
+        velocities: vec![Vec3::ZERO; model.rows()],
+        stats: results[0].1.clone(),
+    };
     let rows = results.iter().flat_map(|((x, v), _)| x.chunks_exact(3).zip(v.chunks_exact(3)));
     for (&original, (x, v)) in model.original_from_global.iter().zip(rows) {
         outcome.positions[original as usize] = Vec3::from_slice(x);
