@@ -11,7 +11,9 @@ use crate::assembly::fill::{Fill, FillParams, FillTables};
 use crate::assembly::{ElementRows, Pattern, SellLayout, SellMatrix};
 use crate::forces::bend::Bend;
 use crate::forces::stretch::Stretch;
-use crate::forces::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement};
+use crate::forces::{
+    FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement,
+};
 use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::integrator::advance::Advance;
 use crate::integrator::pins::Pins;
@@ -152,7 +154,8 @@ impl Simulation {
             Executor::Cpu(cpu) => cpu,
             Executor::Gpu(_) => &CpuExecutor::new(1),
         };
-        let pattern = Pattern::new(threads, own.clone(), (&triangle_rows, &triangle_vertices), (&hinge_rows, &hinge_vertices))?;
+        let pattern =
+            Pattern::new(threads, own.clone(), (&triangle_rows, &triangle_vertices), (&hinge_rows, &hinge_vertices))?;
         drop((triangle_vertices, hinge_vertices));
         let layout = match exchange.mode {
             ExchangeMode::Halo => SellLayout::halo(&pattern.offsets, &pattern.columns, own.clone()),
@@ -189,7 +192,13 @@ impl Simulation {
             rows_start: partition.rows_of(rank).start,
             own_rows: rows,
             own_start: own.start * 3,
-            spmv: PipelinedSpmv::new(ex, exchange.mode, HaloExchange::new(plan, exchange.queue.clone()), exchange.queue.clone(), partition.sub_vector_rows()),
+            spmv: PipelinedSpmv::new(
+                ex,
+                exchange.mode,
+                HaloExchange::new(plan, exchange.queue.clone()),
+                exchange.queue.clone(),
+                partition.sub_vector_rows(),
+            ),
             pins: Pins::new(pins),
             pins_move,
             motions,
@@ -232,18 +241,45 @@ impl Simulation {
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.vectors.x.fill_zero(&self.executor);
         self.scatter.apply(&self.executor, &targets.rows, &targets.velocity_changes, 0, &mut self.vectors.x);
-        let params = PcgParams { relative_tolerance: self.settings.relative_tolerance, max_iterations: self.settings.max_iterations };
+        let params = PcgParams {
+            relative_tolerance: self.settings.relative_tolerance,
+            max_iterations: self.settings.max_iterations,
+        };
         self.spmv.traffic = TrafficCounter::default();
-        let solved = self.pcg.solve(&self.executor, transport, &mut self.spmv, &self.matrix, &self.inverse_diagonal, &self.rhs, &mut self.vectors, self.pins_move, &params, &mut self.recorder);
+        let solved = self.pcg.solve(
+            &self.executor,
+            transport,
+            &mut self.spmv,
+            &self.matrix,
+            &self.inverse_diagonal,
+            &self.rhs,
+            &mut self.vectors,
+            self.pins_move,
+            &params,
+            &mut self.recorder,
+        );
         let info = solved.map_err(|error| self.explain(step, error))?;
         clock.lap(&mut seconds.solve);
 
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
         let start = self.recorder.now();
-        self.advance.advance(&self.executor, self.settings.step_s as f32, &self.vectors.x, self.own_start, &mut self.velocities, &mut self.positions);
+        self.advance.advance(
+            &self.executor,
+            self.settings.step_s as f32,
+            &self.vectors.x,
+            self.own_start,
+            &mut self.velocities,
+            &mut self.positions,
+        );
         self.scatter.apply(&self.executor, &targets.rows, &targets.velocities, self.own_start, &mut self.velocities);
         self.scatter.apply(&self.executor, &targets.rows, &targets.positions, self.own_start, &mut self.positions);
-        self.recorder.end(EventName::Advance, Activity::Compute, start, self.own_rows as u64 * 60, self.own_rows as u64 * 9);
+        self.recorder.end(
+            EventName::Advance,
+            Activity::Compute,
+            start,
+            self.own_rows as u64 * 60,
+            self.own_rows as u64 * 9,
+        );
         clock.lap(&mut seconds.advance);
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates: their place.
@@ -274,13 +310,21 @@ impl Simulation {
         let mut seconds = Vec::new();
         for _ in 0..=repeat {
             let start = Instant::now();
-            self.spmv.apply(&self.executor, &mut alone, &self.matrix, &mut self.vectors.u, &mut y, &mut self.recorder)?;
+            self.spmv.apply(
+                &self.executor,
+                &mut alone,
+                &self.matrix,
+                &mut self.vectors.u,
+                &mut y,
+                &mut self.recorder,
+            )?;
             self.executor.finish();
             seconds.push(start.elapsed().as_secs_f64());
         }
         // The first one warms up.
         seconds.remove(0);
-        let bytes = (0..self.matrix.sections.len()).map(|section| self.matrix.section_bytes(section)).sum::<u64>() + y.bytes();
+        let bytes =
+            (0..self.matrix.sections.len()).map(|section| self.matrix.section_bytes(section)).sum::<u64>() + y.bytes();
         Ok((seconds, bytes))
     }
 
@@ -332,7 +376,13 @@ impl Simulation {
         let start = self.recorder.now();
         let halo = self.spmv.halo();
         halo.publish(&self.executor, transport, &[&self.positions, &self.velocities], &mut self.recorder)?;
-        halo.receive(&self.executor, transport, &mut [&mut self.positions, &mut self.velocities], &mut self.recorder, &mut self.state_traffic)?;
+        halo.receive(
+            &self.executor,
+            transport,
+            &mut [&mut self.positions, &mut self.velocities],
+            &mut self.recorder,
+            &mut self.state_traffic,
+        )?;
         self.recorder.end(EventName::ExchangeState, Activity::Compute, start, 0, 0);
         Ok(())
     }
@@ -347,17 +397,59 @@ impl Simulation {
             wind: self.settings.wind_m_s.to_array(),
             padding: 0.0,
         };
-        self.stretch.apply(&self.executor, &params(self.triangles.len()), &self.fabrics, &self.triangles, &self.positions, &self.velocities, &mut self.triangle_records);
-        self.bend.apply(&self.executor, &params(self.hinges.len()), &self.fabrics, &self.hinges, &self.positions, &self.velocities, &mut self.hinge_records);
-        let bytes = self.triangles.bytes() + self.hinges.bytes() + self.triangle_records.bytes() + self.hinge_records.bytes();
-        self.recorder.end(EventName::Elements, Activity::Compute, start, bytes, self.triangles.len() as u64 * 300 + self.hinges.len() as u64 * 200);
+        self.stretch.apply(
+            &self.executor,
+            &params(self.triangles.len()),
+            &self.fabrics,
+            &self.triangles,
+            &self.positions,
+            &self.velocities,
+            &mut self.triangle_records,
+        );
+        self.bend.apply(
+            &self.executor,
+            &params(self.hinges.len()),
+            &self.fabrics,
+            &self.hinges,
+            &self.positions,
+            &self.velocities,
+            &mut self.hinge_records,
+        );
+        let bytes =
+            self.triangles.bytes() + self.hinges.bytes() + self.triangle_records.bytes() + self.hinge_records.bytes();
+        self.recorder.end(
+            EventName::Elements,
+            Activity::Compute,
+            start,
+            bytes,
+            self.triangles.len() as u64 * 300 + self.hinges.len() as u64 * 200,
+        );
     }
 
     fn fill_matrix(&mut self) {
         let start = self.recorder.now();
-        let params = FillParams { gravity: self.settings.gravity_m_s2.to_array(), step_s: self.settings.step_s as f32, rows: self.own_rows as u32 };
-        self.fill.apply(&self.executor, &params, &self.fill_tables, &self.triangles, &self.triangle_records, &self.hinge_records, &self.masses, &self.pinned, &mut self.matrix, &mut self.rhs, &mut self.inverse_diagonal);
-        let bytes = self.triangle_records.bytes() + self.hinge_records.bytes() + self.matrix.blocks as u64 * 36 + self.fill_tables.bytes();
+        let params = FillParams {
+            gravity: self.settings.gravity_m_s2.to_array(),
+            step_s: self.settings.step_s as f32,
+            rows: self.own_rows as u32,
+        };
+        self.fill.apply(
+            &self.executor,
+            &params,
+            &self.fill_tables,
+            &self.triangles,
+            &self.triangle_records,
+            &self.hinge_records,
+            &self.masses,
+            &self.pinned,
+            &mut self.matrix,
+            &mut self.rhs,
+            &mut self.inverse_diagonal,
+        );
+        let bytes = self.triangle_records.bytes()
+            + self.hinge_records.bytes()
+            + self.matrix.blocks as u64 * 36
+            + self.fill_tables.bytes();
         self.recorder.end(EventName::ValueFill, Activity::Compute, start, bytes, self.matrix.blocks as u64 * 90);
     }
 
@@ -379,7 +471,13 @@ impl Simulation {
         ];
         for (quantity, values, suspect) in suspects {
             if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-                return StepError::NotFinite { step, vertex: (self.rows_start + at / 3) as u32, quantity, cause, suspect };
+                return StepError::NotFinite {
+                    step,
+                    vertex: (self.rows_start + at / 3) as u32,
+                    quantity,
+                    cause,
+                    suspect,
+                };
             }
         }
         StepError::Solve { step, cause }
@@ -390,7 +488,8 @@ impl Simulation {
 fn peak_resident_bytes() -> u64 {
     let Ok(status) = std::fs::read_to_string("/proc/self/status") else { return 0 };
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    line.and_then(|line| line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok()).map_or(0, |kilobytes| kilobytes * 1024)
+    line.and_then(|line| line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok())
+        .map_or(0, |kilobytes| kilobytes * 1024)
 }
 
 /// Splits a step's time into stages.

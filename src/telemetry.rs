@@ -94,7 +94,13 @@ impl Recorder {
     /// A recorder that starts disabled.
     pub fn new() -> Recorder {
         let unix = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-        Recorder { epoch: Instant::now(), epoch_unix_ns: unix.as_nanos() as u64, enabled: false, step: 0, events: Vec::new() }
+        Recorder {
+            epoch: Instant::now(),
+            epoch_unix_ns: unix.as_nanos() as u64,
+            enabled: false,
+            step: 0,
+            events: Vec::new(),
+        }
     }
 
     /// Begins a step; its events are kept if `enabled`.
@@ -114,11 +120,30 @@ impl Recorder {
     }
 
     /// As [`Recorder::end`], with (stage, source, vector) of a transfer.
-    pub fn end_transfer(&mut self, name: EventName, activity: Activity, start_ns: u64, route: (u32, u32, u32), bytes: u64, flops: u64) {
+    pub fn end_transfer(
+        &mut self,
+        name: EventName,
+        activity: Activity,
+        start_ns: u64,
+        route: (u32, u32, u32),
+        bytes: u64,
+        flops: u64,
+    ) {
         if self.enabled {
             let (stage, source, vector) = route;
             let end_ns = self.now();
-            self.events.push(Event { name: name as u32, activity: activity as u32, step: self.step, stage, source, vector, start_ns, end_ns, bytes, flops });
+            self.events.push(Event {
+                name: name as u32,
+                activity: activity as u32,
+                step: self.step,
+                stage,
+                source,
+                vector,
+                start_ns,
+                end_ns,
+                bytes,
+                flops,
+            });
         }
     }
 

@@ -14,7 +14,8 @@ use crate::model::{RankArrays, RankModel};
 use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Simulation, StepError};
 use crate::transport::{
-    ControlError, ControlWorker, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName, SoloTransport, Transport, TransportError, decode, encode,
+    ControlError, ControlWorker, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName, SoloTransport,
+    Transport, TransportError, decode, encode,
 };
 
 /// How long a worker waits for the coordinator when it starts or reports, seconds.
@@ -119,7 +120,8 @@ fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
     let (message, arrays) = decode::<ToWorker>(&bytes)?;
     match message {
         ToWorker::Simulate { setup, exchange, mut model } => {
-            model.arrays = RankArrays::from_bytes(&arrays).map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
+            model.arrays =
+                RankArrays::from_bytes(&arrays).map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
             drop(arrays);
             drop(bytes);
             simulate(run, rank, &inbox, &setup, &exchange, *model)
@@ -135,15 +137,29 @@ fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
     }
 }
 
-fn simulate(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup, exchange: &ExchangePlan, model: RankModel) -> Result<(), WorkerError> {
+fn simulate(
+    run: &RunName,
+    rank: usize,
+    inbox: &Inbox,
+    setup: &WorkerSetup,
+    exchange: &ExchangePlan,
+    model: RankModel,
+) -> Result<(), WorkerError> {
     let executor = make_executor(setup, rank).map_err(|message| inbox.fail(WorkerFailure::BadInput(message)))?;
     let (name, device) = (executor.name().to_string(), executor.device_name());
-    let mut simulation = Simulation::new(executor, model, exchange).map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
+    let mut simulation = Simulation::new(executor, model, exchange)
+        .map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
     let mut transport = match connect(run, rank, inbox, setup) {
         Ok(transport) => transport,
         Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),
     };
-    let ready = WorkerReady { executor: name, device, padding_ratio: simulation.padding_ratio, epoch_unix_ns: simulation.recorder.epoch_unix_ns, memory_bytes: simulation.memory_bytes() };
+    let ready = WorkerReady {
+        executor: name,
+        device,
+        padding_ratio: simulation.padding_ratio,
+        epoch_unix_ns: simulation.recorder.epoch_unix_ns,
+        memory_bytes: simulation.memory_bytes(),
+    };
     inbox.send(&ToCoordinator::Ready(ready), &[])?;
     loop {
         match decode::<ToWorker>(&inbox.next()?)?.0 {
@@ -159,16 +175,29 @@ fn simulate(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup, exch
             }
             ToWorker::SendState => {
                 let (positions, velocities) = simulation.state();
-                inbox.send(&ToCoordinator::State, &[bytemuck::cast_slice(&positions), bytemuck::cast_slice(&velocities)])?;
+                inbox.send(
+                    &ToCoordinator::State,
+                    &[bytemuck::cast_slice(&positions), bytemuck::cast_slice(&velocities)],
+                )?;
             }
             ToWorker::Stop => return Ok(()),
-            ToWorker::Simulate { .. } | ToWorker::Solve { .. } => return Err(inbox.fail(WorkerFailure::Other("this worker is set up already".into()))),
+            ToWorker::Simulate { .. } | ToWorker::Solve { .. } => {
+                return Err(inbox.fail(WorkerFailure::Other("this worker is set up already".into())));
+            }
         }
     }
 }
 
 /// One linear solve; the worker leaves afterwards.
-fn solve(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup, exchange: &ExchangePlan, params: &SolveParams, system: &RankSystem) -> Result<(), WorkerError> {
+fn solve(
+    run: &RunName,
+    rank: usize,
+    inbox: &Inbox,
+    setup: &WorkerSetup,
+    exchange: &ExchangePlan,
+    params: &SolveParams,
+    system: &RankSystem,
+) -> Result<(), WorkerError> {
     let executor = make_executor(setup, rank).map_err(|message| inbox.fail(WorkerFailure::BadInput(message)))?;
     let mut transport = match connect(run, rank, inbox, setup) {
         Ok(transport) => transport,
@@ -196,13 +225,24 @@ fn failure_of(error: StepError) -> WorkerFailure {
 }
 
 /// Connects with all other ranks; a single rank needs no shared memory.
-fn connect(run: &RunName, rank: usize, inbox: &Inbox, setup: &WorkerSetup) -> Result<Box<dyn Transport>, TransportError> {
+fn connect(
+    run: &RunName,
+    rank: usize,
+    inbox: &Inbox,
+    setup: &WorkerSetup,
+) -> Result<Box<dyn Transport>, TransportError> {
     let hook = inbox.clone();
     if setup.ranks == 1 {
         let transport = SoloTransport::new(Box::new(move || hook.should_stop()));
         return Ok(Box::new(transport));
     }
-    let options = IceoryxOptions { rank, ranks: setup.ranks, max_len: setup.max_message_values, deadline: Duration::from_secs_f64(setup.patience_s), on_wait: Box::new(move || hook.should_stop()) };
+    let options = IceoryxOptions {
+        rank,
+        ranks: setup.ranks,
+        max_len: setup.max_message_values,
+        deadline: Duration::from_secs_f64(setup.patience_s),
+        on_wait: Box::new(move || hook.should_stop()),
+    };
     Ok(Box::new(IceoryxTransport::connect(run, options)?))
 }
 

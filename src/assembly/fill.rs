@@ -71,7 +71,13 @@ pub struct FillTables {
 
 impl FillTables {
     /// Uploads the tables.
-    pub fn new(executor: &Executor, pattern: &Pattern, layout: &SellLayout, triangles: &ElementRows, hinges: &ElementRows) -> FillTables {
+    pub fn new(
+        executor: &Executor,
+        pattern: &Pattern,
+        layout: &SellLayout,
+        triangles: &ElementRows,
+        hinges: &ElementRows,
+    ) -> FillTables {
         let length = |offsets: &[u32], row: usize| (offsets[row + 1] - offsets[row]) as usize;
         let contributions = |row| length(&triangles.offsets, row) + length(&hinges.offsets, row);
         FillTables {
@@ -128,7 +134,20 @@ impl Fill {
     }
 
     /// Fills `matrix`, `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows).
-    pub fn apply(&self, executor: &Executor, params: &FillParams, tables: &FillTables, elements: &DeviceVec<TriangleElement>, triangle_records: &DeviceVec<f32>, hinge_records: &DeviceVec<f32>, masses: &DeviceVec<f32>, pinned: &DeviceVec<u32>, matrix: &mut SellMatrix, rhs: &mut DeviceVec<f32>, inverse_diagonal: &mut DeviceVec<f32>) {
+    pub fn apply(
+        &self,
+        executor: &Executor,
+        params: &FillParams,
+        tables: &FillTables,
+        elements: &DeviceVec<TriangleElement>,
+        triangle_records: &DeviceVec<f32>,
+        hinge_records: &DeviceVec<f32>,
+        masses: &DeviceVec<f32>,
+        pinned: &DeviceVec<u32>,
+        matrix: &mut SellMatrix,
+        rhs: &mut DeviceVec<f32>,
+        inverse_diagonal: &mut DeviceVec<f32>,
+    ) {
         match executor {
             Executor::Cpu(cpu) => {
                 let inputs = FillInputs {
@@ -146,14 +165,45 @@ impl Fill {
                     masses: masses.as_slice(),
                     pinned: pinned.as_slice(),
                 };
-                fill_cpu::fill(cpu, params, &inputs, matrix.values.as_mut_slice(), rhs.as_mut_slice(), inverse_diagonal.as_mut_slice());
+                fill_cpu::fill(
+                    cpu,
+                    params,
+                    &inputs,
+                    matrix.values.as_mut_slice(),
+                    rhs.as_mut_slice(),
+                    inverse_diagonal.as_mut_slice(),
+                );
             }
-            Executor::Gpu(gpu) => apply_on_device(gpu, params, tables, elements, triangle_records, hinge_records, masses, pinned, matrix, rhs, inverse_diagonal),
+            Executor::Gpu(gpu) => apply_on_device(
+                gpu,
+                params,
+                tables,
+                elements,
+                triangle_records,
+                hinge_records,
+                masses,
+                pinned,
+                matrix,
+                rhs,
+                inverse_diagonal,
+            ),
         }
     }
 }
 
-fn apply_on_device(gpu: &GpuExecutor, params: &FillParams, tables: &FillTables, elements: &DeviceVec<TriangleElement>, triangle_records: &DeviceVec<f32>, hinge_records: &DeviceVec<f32>, masses: &DeviceVec<f32>, pinned: &DeviceVec<u32>, matrix: &mut SellMatrix, rhs: &mut DeviceVec<f32>, inverse_diagonal: &mut DeviceVec<f32>) {
+fn apply_on_device(
+    gpu: &GpuExecutor,
+    params: &FillParams,
+    tables: &FillTables,
+    elements: &DeviceVec<TriangleElement>,
+    triangle_records: &DeviceVec<f32>,
+    hinge_records: &DeviceVec<f32>,
+    masses: &DeviceVec<f32>,
+    pinned: &DeviceVec<u32>,
+    matrix: &mut SellMatrix,
+    rhs: &mut DeviceVec<f32>,
+    inverse_diagonal: &mut DeviceVec<f32>,
+) {
     // An invocation goes through its row's contributions once for the force and once per block, which it reads and writes.
     let contributions = tables.most_contributions;
     let blocks_max = TURNS_MAX.saturating_sub(contributions) / (contributions + 2 * BLOCK);
@@ -178,7 +228,8 @@ fn apply_on_device(gpu: &GpuExecutor, params: &FillParams, tables: &FillTables, 
                     triangles: pass.triangles.len() as u32,
                     first_hinge: pass.hinges.start as u32,
                     hinges: pass.hinges.len() as u32,
-                    passes: if index == 0 { FIRST_PASS } else { 0 } | if index + 1 == passes.len() { LAST_PASS } else { 0 },
+                    passes: if index == 0 { FIRST_PASS } else { 0 }
+                        | if index + 1 == passes.len() { LAST_PASS } else { 0 },
                     padding0: 0,
                     padding1: 0,
                 };
@@ -192,8 +243,12 @@ fn apply_on_device(gpu: &GpuExecutor, params: &FillParams, tables: &FillTables, 
                     tables.hinge_entries.binding(),
                     tables.hinge_positions.binding(),
                     elements.window(pass.triangles.start, pass.triangles.len()),
-                    triangle_records.window(pass.triangles.start * TRIANGLE_RECORD_FLOATS, pass.triangles.len() * TRIANGLE_RECORD_FLOATS),
-                    hinge_records.window(pass.hinges.start * HINGE_RECORD_FLOATS, pass.hinges.len() * HINGE_RECORD_FLOATS),
+                    triangle_records.window(
+                        pass.triangles.start * TRIANGLE_RECORD_FLOATS,
+                        pass.triangles.len() * TRIANGLE_RECORD_FLOATS,
+                    ),
+                    hinge_records
+                        .window(pass.hinges.start * HINGE_RECORD_FLOATS, pass.hinges.len() * HINGE_RECORD_FLOATS),
                     masses.binding(),
                     pinned.binding(),
                     matrix.values.window_mut(part.slots.start * LANES * BLOCK, part.slots.len() * LANES * BLOCK),

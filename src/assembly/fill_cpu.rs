@@ -41,7 +41,14 @@ impl Values {
 /// Fills the Value Table, the right-hand side dt*f (xyz per row) and the inverted diagonal blocks (xx, xy, xz, yy, yz, zz).
 /// Pinned rows get a zero inverse: that is how the solver knows them. Bytes per row of a cloth: about 1.2 KB of records
 /// read (shared with neighbouring rows in cache), 36 per block, 12 and 24 written.
-pub fn fill(cpu: &CpuExecutor, params: &FillParams, inputs: &FillInputs, values: &mut [f32], rhs: &mut [f32], inverse_diagonal: &mut [f32]) {
+pub fn fill(
+    cpu: &CpuExecutor,
+    params: &FillParams,
+    inputs: &FillInputs,
+    values: &mut [f32],
+    rhs: &mut [f32],
+    inverse_diagonal: &mut [f32],
+) {
     let shared = Values(values.as_mut_ptr(), values.len());
     let rhs_shared = Values(rhs.as_mut_ptr(), rhs.len());
     cpu.for_ranges_mut(inverse_diagonal, 6, 64, |range, inverse| {
@@ -74,7 +81,11 @@ pub fn fill(cpu: &CpuExecutor, params: &FillParams, inputs: &FillInputs, values:
                 // SAFETY: the row's own entries.
                 unsafe { rhs_shared.set(row * 3 + c, params.step_s * f) };
             }
-            inverse.copy_from_slice(&if inputs.pinned[row] != 0 { [0.0; 6] } else { inverse_symmetric(&blocks[diagonal]) });
+            inverse.copy_from_slice(&if inputs.pinned[row] != 0 {
+                [0.0; 6]
+            } else {
+                inverse_symmetric(&blocks[diagonal])
+            });
         }
     });
 }
@@ -106,7 +117,16 @@ fn add_triangle(inputs: &FillInputs, entry: u32, positions: [u16; 4], blocks: &m
 
 /// block += left x0' + right x1' + third x2' + identity I
 #[inline(always)]
-fn add_block(block: &mut [f32; BLOCK], left: Vec3, x0: Vec3, right: Vec3, x1: Vec3, third: Vec3, x2: Vec3, identity: f32) {
+fn add_block(
+    block: &mut [f32; BLOCK],
+    left: Vec3,
+    x0: Vec3,
+    right: Vec3,
+    x1: Vec3,
+    third: Vec3,
+    x2: Vec3,
+    identity: f32,
+) {
     let (l, m, n) = (left.to_array(), right.to_array(), third.to_array());
     let (p, q, s) = (x0.to_array(), x1.to_array(), x2.to_array());
     for i in 0..3 {

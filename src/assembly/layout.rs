@@ -43,7 +43,11 @@ impl SellLayout {
         for row in 0..offsets.len() - 1 {
             let range = offsets[row] as usize..offsets[row + 1] as usize;
             let remote = columns[range.clone()].iter().any(|&c| !own.contains(&(c as usize)));
-            sections[remote as usize].push(Segment { row: row as u32, first: range.start as u32, length: range.len() as u32 });
+            sections[remote as usize].push(Segment {
+                row: row as u32,
+                first: range.start as u32,
+                length: range.len() as u32,
+            });
         }
         Self::place(columns, &sections, |_, c| c)
     }
@@ -51,7 +55,14 @@ impl SellLayout {
     /// One section per rank for the `full` exchange: the blocks A_ij of row block i [Li et al. 2020, Eq. 5], the own one
     /// first, the others in the order `order`. Columns are indices into sub-vector j. The own section holds every row, so
     /// multiplying it initialises the result.
-    pub fn full(offsets: &[u32], columns: &[u32], global_from_local: &[u32], rows_of: &[Range<usize>], rank: usize, order: &[usize]) -> SellLayout {
+    pub fn full(
+        offsets: &[u32],
+        columns: &[u32],
+        global_from_local: &[u32],
+        rows_of: &[Range<usize>],
+        rank: usize,
+        order: &[usize],
+    ) -> SellLayout {
         let mut sections = vec![Vec::new(); order.len() + 1];
         let mut section_of_rank = vec![0; rows_of.len()];
         for (i, &j) in order.iter().enumerate() {
@@ -63,18 +74,23 @@ impl SellLayout {
                 let global = global_from_local[columns[k as usize] as usize] as usize;
                 let owner = rows_of.partition_point(|r| r.end <= global);
                 let first = k;
-                while k < offsets[row + 1] && (global_from_local[columns[k as usize] as usize] as usize) < rows_of[owner].end {
+                while k < offsets[row + 1]
+                    && (global_from_local[columns[k as usize] as usize] as usize) < rows_of[owner].end
+                {
                     k += 1;
                 }
                 sections[section_of_rank[owner]].push(Segment { row: row as u32, first, length: k - first });
             }
         }
         let order_of_section: Vec<usize> = std::iter::once(rank).chain(order.iter().copied()).collect();
-        Self::place(columns, &sections, |section, c| global_from_local[c as usize] - rows_of[order_of_section[section]].start as u32)
+        Self::place(columns, &sections, |section, c| {
+            global_from_local[c as usize] - rows_of[order_of_section[section]].start as u32
+        })
     }
 
     fn place(columns: &[u32], sections: &[Vec<Segment>], renumber: impl Fn(usize, u32) -> u32) -> SellLayout {
-        let mut layout = SellLayout { slice_offsets: vec![0], block_address: vec![0; columns.len()], ..Default::default() };
+        let mut layout =
+            SellLayout { slice_offsets: vec![0], block_address: vec![0; columns.len()], ..Default::default() };
         for (s, rows) in sections.iter().enumerate() {
             let mut sorted = rows.clone();
             for window in sorted.chunks_mut(SORT_WINDOW) {
@@ -158,7 +174,8 @@ mod tests {
     #[test]
     fn sorting_within_windows_keeps_padding_small() {
         // Every tenth row has contacts, as in a folded cloth.
-        let lengths: Vec<u32> = (0..4096).map(|r: u32| if r.wrapping_mul(2654435761) >> 28 < 2 { 16 + r % 4 } else { 13 }).collect();
+        let lengths: Vec<u32> =
+            (0..4096).map(|r: u32| if r.wrapping_mul(2654435761) >> 28 < 2 { 16 + r % 4 } else { 13 }).collect();
         let mut offsets = vec![0u32];
         for n in &lengths {
             offsets.push(offsets[offsets.len() - 1] + n);

@@ -9,6 +9,6 @@ mod pattern;
 pub mod sell;
 
 pub use element_rows::ElementRows;
-pub use layout::{LANES, NO_ROW, SellLayout, SORT_WINDOW};
+pub use layout::{LANES, NO_ROW, SORT_WINDOW, SellLayout};
 pub use pattern::{Pattern, RowTooLong};
 pub use sell::SellMatrix;

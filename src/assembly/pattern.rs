@@ -31,7 +31,12 @@ pub struct RowTooLong {
 
 impl Pattern {
     /// Pattern of the rows `own` from their triangle and hinge contributions.
-    pub fn new(cpu: &CpuExecutor, own: std::ops::Range<usize>, triangles: (&ElementRows, &[[u32; 3]]), hinges: (&ElementRows, &[[u32; 4]])) -> Result<Pattern, RowTooLong> {
+    pub fn new(
+        cpu: &CpuExecutor,
+        own: std::ops::Range<usize>,
+        triangles: (&ElementRows, &[[u32; 3]]),
+        hinges: (&ElementRows, &[[u32; 4]]),
+    ) -> Result<Pattern, RowTooLong> {
         let rows = own.len();
         // Upper bound per row, as the paper allocates: every corner of every contribution, and the row itself.
         let mut bounds = vec![0usize; rows + 1];
@@ -99,7 +104,12 @@ fn compact(columns: &mut [u32]) -> usize {
     kept
 }
 
-fn positions<const CORNERS: usize>(offsets: &[u32], columns: &[u32], rows: &ElementRows, elements: &[[u32; CORNERS]]) -> Vec<[u16; 4]> {
+fn positions<const CORNERS: usize>(
+    offsets: &[u32],
+    columns: &[u32],
+    rows: &ElementRows,
+    elements: &[[u32; CORNERS]],
+) -> Vec<[u16; 4]> {
     let mut out = vec![[0u16; 4]; rows.entries.len()];
     for r in 0..offsets.len() - 1 {
         let row = &columns[offsets[r] as usize..offsets[r + 1] as usize];

@@ -58,7 +58,8 @@ pub fn start_log() {
         // SAFETY: called first in `main`, before any other thread exists.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
-    let filter = tracing_subscriber::EnvFilter::try_from_env("LOOMTREE_LOG").unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("loomtree=warn"));
+    let filter = tracing_subscriber::EnvFilter::try_from_env("LOOMTREE_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("loomtree=warn"));
     // A second call (tests) keeps the first log.
     let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().try_init();
 }

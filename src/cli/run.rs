@@ -167,13 +167,24 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
         eprintln!("left out: {line}");
     }
     let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
-    eprintln!("{}: {triangles} triangles, {vertices} vertices, {} workers, schedule {}", plan.scene.name, options.workers, plan.transfers.kind.name());
+    eprintln!(
+        "{}: {triangles} triangles, {vertices} vertices, {} workers, schedule {}",
+        plan.scene.name,
+        options.workers,
+        plan.transfers.kind.name()
+    );
     let summary = crate::coordinator::run(plan, &options, &places, &launch).map_err(|error| match error {
         RunError::BadInput(text) => CliError::bad_input(text),
         RunError::Failed(text) => CliError::failed(text),
     })?;
     let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
-    eprintln!("{how}: {} steps, {:.2} ms/step, frames 0..={} in {}", summary.steps, summary.seconds_per_step * 1e3, summary.frames - 1, places.out.join("frames").display());
+    eprintln!(
+        "{how}: {} steps, {:.2} ms/step, frames 0..={} in {}",
+        summary.steps,
+        summary.seconds_per_step * 1e3,
+        summary.frames - 1,
+        places.out.join("frames").display()
+    );
     Ok(())
 }
 
@@ -185,7 +196,8 @@ fn resolve(args: &RunArgs) -> Result<(RunPlaces, RunOptions), CliError> {
         _ => Existing::Refuse,
     };
     if !args.resume {
-        let scene = args.scene.clone().ok_or_else(|| CliError::bad_input("a scene file is needed: loomtree run SCENE"))?;
+        let scene =
+            args.scene.clone().ok_or_else(|| CliError::bad_input("a scene file is needed: loomtree run SCENE"))?;
         let stem = scene.file_stem().unwrap_or_default();
         let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(stem));
         return Ok((RunPlaces { scene, out, existing }, args.options(defaults())));

@@ -10,9 +10,7 @@ use super::run::{ExchangeArg, ExecutorArg};
 use crate::coordinator::plan::plan_transfers;
 use crate::coordinator::{Crew, CrewError, Launch};
 use crate::interconnect::{Plan, ScheduleKind};
-use crate::linear_system::{
-    BlockSystem, SolveParams, SolveResult, read_right_hand_side, read_system, write_solution,
-};
+use crate::linear_system::{BlockSystem, SolveParams, SolveResult, read_right_hand_side, read_system, write_solution};
 use crate::math::DIM;
 use crate::output::write_atomically;
 use crate::partition::RowPartition;
@@ -171,7 +169,9 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
         None => system.times_ones(),
         Some(path) if path.as_os_str() == "matrix" => stored_rhs.ok_or_else(|| {
             let matrix = args.matrix.display();
-            CliError::bad_input(format!("--rhs matrix: {matrix} holds no right-hand side; only .bsr files (CLTHBSR1) do"))
+            CliError::bad_input(format!(
+                "--rhs matrix: {matrix} holds no right-hand side; only .bsr files (CLTHBSR1) do"
+            ))
         })?,
         Some(path) => read_right_hand_side(path, system.scalar_rows).map_err(CliError::bad_input)?,
     };
@@ -183,7 +183,8 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
     }
     let partition = RowPartition::new(block_rows, workers);
     let topology = args.topology.as_deref();
-    let (transfers, _) = plan_transfers(topology, args.schedule, workers, partition.sub_vector_rows()).map_err(CliError::bad_input)?;
+    let (transfers, _) =
+        plan_transfers(topology, args.schedule, workers, partition.sub_vector_rows()).map_err(CliError::bad_input)?;
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or((cores / workers).max(1), usize::from);
     let params = SolveParams {
@@ -229,16 +230,29 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
     }
     let named = |error: CrewError| match error {
         CrewError::Failed { failure: WorkerFailure::BadInput(text), .. } => CliError::bad_input(text),
-        CrewError::Failed { failure: WorkerFailure::Other(text), .. } => CliError::failed(format!("{}: {text}", args.matrix.display())),
+        CrewError::Failed { failure: WorkerFailure::Other(text), .. } => {
+            CliError::failed(format!("{}: {text}", args.matrix.display()))
+        }
         other => CliError::failed(other),
     };
     let mut crew = Crew::assemble(ranks, &Launch::Spawn, SILENCE_LIMIT).map_err(named)?;
-    let setup = WorkerSetup { executor: args.executor.into(), adapter: args.adapter, threads, ranks, max_message_values, patience_s: 3600.0 };
+    let setup = WorkerSetup {
+        executor: args.executor.into(),
+        adapter: args.adapter,
+        threads,
+        ranks,
+        max_message_values,
+        patience_s: 3600.0,
+    };
     system
         .split(rhs, &partition, |rank, mut part| {
             let arrays = std::mem::take(&mut part.arrays);
             let exchange = ExchangePlan { mode: args.exchange.into(), queue: transfers.schedule.queues[rank].clone() };
-            crew.send(rank, &ToWorker::Solve { setup: setup.clone(), exchange, params, system: Box::new(part) }, &arrays.to_bytes())?;
+            crew.send(
+                rank,
+                &ToWorker::Solve { setup: setup.clone(), exchange, params, system: Box::new(part) },
+                &arrays.to_bytes(),
+            )?;
             crew.flush(rank, SILENCE_LIMIT)
         })
         .map_err(named)?;
@@ -277,9 +291,13 @@ pub fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> Re
     }
     let (residual, rtol, iterations) = (report.relative_residual, facts.rtol, report.iterations);
     Err(CliError::failed(if iterations >= facts.max_iterations {
-        format!("not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; --max-iterations allows more")
+        format!(
+            "not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; --max-iterations allows more"
+        )
     } else {
-        format!("not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; the matrix is too ill-conditioned for corrections in single precision")
+        format!(
+            "not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; the matrix is too ill-conditioned for corrections in single precision"
+        )
     }))
 }
 

@@ -146,14 +146,19 @@ impl Crew {
 
     /// Waits for one message of every worker and hands them to `take` (rank, message, arrays) as they come. A worker that is
     /// silent for `limit` counts as hung.
-    pub fn collect(&mut self, limit: Duration, mut take: impl FnMut(usize, ToCoordinator, &[&[u8]]) -> bool) -> Result<(), CrewError> {
+    pub fn collect(
+        &mut self,
+        limit: Duration,
+        mut take: impl FnMut(usize, ToCoordinator, &[&[u8]]) -> bool,
+    ) -> Result<(), CrewError> {
         let mut missing: Vec<usize> = (0..self.ranks()).collect();
         let start = Instant::now();
         loop {
             let mut taken = Vec::new();
             for &rank in &missing {
                 let Some(bytes) = self.control.try_receive(rank)? else { continue };
-                let (message, arrays) = decode::<ToCoordinator>(&bytes).map_err(|source| CrewError::Message { rank, source })?;
+                let (message, arrays) =
+                    decode::<ToCoordinator>(&bytes).map_err(|source| CrewError::Message { rank, source })?;
                 match message {
                     ToCoordinator::Failed(failure) => self.note_failure(rank, failure),
                     other => match take(rank, other, &arrays) {
@@ -202,7 +207,11 @@ impl Crew {
         for rank in (0..self.ranks()).filter(|&rank| !self.gave_up[rank]).collect::<Vec<_>>() {
             let heartbeat = self.control.heartbeat(rank);
             let pid = heartbeat.pid as u32;
-            let place = if heartbeat.step == 0 { "while setting up".to_string() } else { format!("in step {}", heartbeat.step) };
+            let place = if heartbeat.step == 0 {
+                "while setting up".to_string()
+            } else {
+                format!("in step {}", heartbeat.step)
+            };
             let child_ended = self.children.get_mut(rank).is_some_and(|child| matches!(child.try_wait(), Ok(Some(_))));
             if child_ended || self.control.has_ended(rank) {
                 // Its last words may be on the way.

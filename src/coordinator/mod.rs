@@ -86,7 +86,12 @@ struct State {
 }
 
 /// Runs a plan to its end.
-pub fn run(mut plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
+pub fn run(
+    mut plan: RunPlan,
+    options: &RunOptions,
+    places: &RunPlaces,
+    launch: &Launch,
+) -> Result<RunSummary, RunError> {
     check_space(&plan)?;
     let failed = |error: CrewError| RunError::Failed(error.to_string());
     let (mut recorder, resumed) = Recorder::open(&plan, options, places).map_err(|error| match error {
@@ -103,14 +108,25 @@ pub fn run(mut plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: 
     };
     let state = State { positions: plan.scene.mesh.positions.clone(), velocities: plan.scene.velocities.clone() };
     let mut crew = Crew::assemble(options.workers, launch, options.heartbeat()).map_err(failed)?;
-    let mut driver = Driver { plan: &plan, options, recorder: &mut recorder, original_from_global: Vec::new(), state, done: first_step, seconds: 0.0 };
+    let mut driver = Driver {
+        plan: &plan,
+        options,
+        recorder: &mut recorder,
+        original_from_global: Vec::new(),
+        state,
+        done: first_step,
+        seconds: 0.0,
+    };
     let result = driver.drive(&mut crew, first_step, resumed.as_ref());
-    let (done, seconds, original_from_global) = (driver.done, driver.seconds, std::mem::take(&mut driver.original_from_global));
+    let (done, seconds, original_from_global) =
+        (driver.done, driver.seconds, std::mem::take(&mut driver.original_from_global));
     match result {
         Ok(stopped) => {
             crew.dismiss();
             let frames = done / plan.scene.settings.steps_per_frame + 1;
-            recorder.finish(if stopped { Status::Stopped } else { Status::Done }).map_err(|error| RunError::Failed(error.to_string()))?;
+            recorder
+                .finish(if stopped { Status::Stopped } else { Status::Done })
+                .map_err(|error| RunError::Failed(error.to_string()))?;
             let steps = done - first_step;
             Ok(RunSummary { frames, steps, seconds_per_step: seconds / steps.max(1) as f64, stopped })
         }
@@ -146,7 +162,9 @@ enum DriveError {
     #[error(transparent)]
     Record(#[from] RecordError),
     /// Seen in the collected state; what a solve runs into is seen by a worker.
-    #[error("step {step}: the {quantity} of vertex {vertex} is not finite; likely too large: simulation.step_s, the start velocity or a force")]
+    #[error(
+        "step {step}: the {quantity} of vertex {vertex} is not finite; likely too large: simulation.step_s, the start velocity or a force"
+    )]
     NotFinite { step: u32, vertex: usize, quantity: &'static str },
 }
 
@@ -158,9 +176,14 @@ impl DriveError {
     /// The sentence for the user, with vertices in the mesh's numbering.
     fn explain(&self, original_from_global: &[u32]) -> String {
         match self {
-            DriveError::Crew(CrewError::Failed { failure: WorkerFailure::NotFinite { step, row, quantity, cause, suspect }, .. }) => {
+            DriveError::Crew(CrewError::Failed {
+                failure: WorkerFailure::NotFinite { step, row, quantity, cause, suspect },
+                ..
+            }) => {
                 let vertex = original_from_global.get(*row as usize).copied().unwrap_or(*row);
-                format!("step {step}: the {quantity} of vertex {vertex} is not finite ({cause}); likely too large: {suspect}")
+                format!(
+                    "step {step}: the {quantity} of vertex {vertex} is not finite ({cause}); likely too large: {suspect}"
+                )
             }
             DriveError::Crew(CrewError::Failed { failure: WorkerFailure::BadInput(text), .. }) => text.clone(),
             other => other.to_string(),
@@ -206,7 +229,8 @@ impl Driver<'_> {
             }
             let frame = step / settings.steps_per_frame;
             if frame_ends {
-                let hash = self.recorder.frame(self.plan, frame, step, &self.state.positions, &self.state.velocities)?;
+                let hash =
+                    self.recorder.frame(self.plan, frame, step, &self.state.positions, &self.state.velocities)?;
                 let every = self.options.checkpoint_every;
                 if every > 0 && frame.is_multiple_of(every) && step != last_step {
                     self.recorder.keep_last_state()?;
@@ -239,9 +263,14 @@ impl Driver<'_> {
             patience_s: 3600.0,
         };
         RankModel::split(&model, &self.plan.partition, |rank, mut part| {
-            let exchange = ExchangePlan { mode: self.options.exchange, queue: self.plan.transfers.schedule.queues[rank].clone() };
+            let exchange =
+                ExchangePlan { mode: self.options.exchange, queue: self.plan.transfers.schedule.queues[rank].clone() };
             let arrays = std::mem::take(&mut part.arrays);
-            crew.send(rank, &ToWorker::Simulate { setup: setup.clone(), exchange, model: Box::new(part) }, &arrays.to_bytes())?;
+            crew.send(
+                rank,
+                &ToWorker::Simulate { setup: setup.clone(), exchange, model: Box::new(part) },
+                &arrays.to_bytes(),
+            )?;
             // One part at a time in flight: the coordinator's memory stays at one part.
             crew.flush(rank, SETUP_LIMIT)
         })?;

@@ -72,7 +72,10 @@ mod schedule_name {
 
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ScheduleKind, D::Error> {
         let name = String::deserialize(deserializer)?;
-        ScheduleKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| D::Error::custom(format!("no schedule is called '{name}'")))
+        ScheduleKind::ALL
+            .into_iter()
+            .find(|kind| kind.name() == name)
+            .ok_or_else(|| D::Error::custom(format!("no schedule is called '{name}'")))
     }
 }
 
@@ -137,7 +140,10 @@ impl RunPlan {
             return Err(PlanError::Workers { workers, what: format!("expected 1 to {RANKS_MAX}") });
         }
         if workers > rows {
-            return Err(PlanError::Workers { workers, what: format!("the cloth has only {rows} vertices; use at most as many workers") });
+            return Err(PlanError::Workers {
+                workers,
+                what: format!("the cloth has only {rows} vertices; use at most as many workers"),
+            });
         }
         let (frames, steps_per_frame) = (scene.settings.frames, scene.settings.steps_per_frame);
         // The last number stays free, so that counting past the last step is possible.
@@ -145,7 +151,8 @@ impl RunPlan {
             return Err(PlanError::Steps { frames, steps_per_frame });
         }
         let partition = RowPartition::new(rows, workers);
-        let (transfers, topology) = plan_transfers(options.topology.as_deref(), options.schedule, workers, partition.sub_vector_rows())?;
+        let (transfers, topology) =
+            plan_transfers(options.topology.as_deref(), options.schedule, workers, partition.sub_vector_rows())?;
         Ok(RunPlan { scene, partition, transfers, topology })
     }
 
@@ -156,7 +163,12 @@ impl RunPlan {
 }
 
 /// Work queues for `workers` ranks: on the first GPUs of a topology file, or on a balanced binary tree without one.
-pub fn plan_transfers(file: Option<&Path>, kind: ScheduleKind, workers: usize, sub_vector_rows: usize) -> Result<(Plan, String), PlanError> {
+pub fn plan_transfers(
+    file: Option<&Path>,
+    kind: ScheduleKind,
+    workers: usize,
+    sub_vector_rows: usize,
+) -> Result<(Plan, String), PlanError> {
     let topology = match file {
         None => Topology::default_for(workers)?,
         Some(path) => {

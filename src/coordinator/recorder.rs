@@ -8,8 +8,8 @@ use thiserror::Error;
 use super::{RunOptions, RunPlaces, RunPlan};
 use crate::math::Vec3;
 use crate::output::{
-    Checkpoint, Existing, FrameRecord, FrameWriter, RankEvents, ReportHeader, ReportWriter, RunDirectory, RunManifest, StageSeconds, Status, StepRecord, TraceWriter, checkpoint,
-    scene_fingerprint, state_hash,
+    Checkpoint, Existing, FrameRecord, FrameWriter, RankEvents, ReportHeader, ReportWriter, RunDirectory, RunManifest,
+    StageSeconds, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, state_hash,
 };
 use crate::protocol::WorkerReady;
 use crate::step::StepStats;
@@ -47,26 +47,49 @@ pub struct Recorder {
 
 impl Recorder {
     /// Prepares the run directory; with [`Existing::Resume`] also returns the checkpoint to go on from.
-    pub fn open(plan: &RunPlan, options: &RunOptions, places: &RunPlaces) -> Result<(Recorder, Option<Checkpoint>), RecordError> {
+    pub fn open(
+        plan: &RunPlan,
+        options: &RunOptions,
+        places: &RunPlaces,
+    ) -> Result<(Recorder, Option<Checkpoint>), RecordError> {
         let made = MadeFolders::for_run(&places.out);
-        let directory = RunDirectory::create(&places.out, places.existing).map_err(|error| RecordError::BadInput(error.to_string()))?;
+        let directory = RunDirectory::create(&places.out, places.existing)
+            .map_err(|error| RecordError::BadInput(error.to_string()))?;
         let fingerprint = scene_fingerprint(&plan.scene);
         let (mut resumed, mut manifest) = (None, None);
         if places.existing == Existing::Resume {
             let latest = checkpoint::latest(&directory.checkpoints());
             latest.notes.iter().for_each(|note| tracing::warn!("{note}"));
             let Some((path, found)) = latest.found else {
-                return Err(RecordError::BadInput(format!("{} holds no valid checkpoint to resume from", directory.checkpoints().display())));
+                return Err(RecordError::BadInput(format!(
+                    "{} holds no valid checkpoint to resume from",
+                    directory.checkpoints().display()
+                )));
             };
             if found.fingerprint != fingerprint || found.positions.len() != plan.scene.mesh.positions.len() {
-                return Err(RecordError::BadInput(format!("{} belongs to another scene, resolution or setting; resume with those of run.toml", path.display())));
+                return Err(RecordError::BadInput(format!(
+                    "{} belongs to another scene, resolution or setting; resume with those of run.toml",
+                    path.display()
+                )));
             }
             resumed = Some(found);
         } else {
             let text = std::fs::read_to_string(&places.scene).map_err(write_error)?;
             manifest = Some(RunManifest::new(&places.scene, &text, options).map_err(write_error)?);
         }
-        let recorder = Recorder { directory, made, manifest, options: options.clone(), fingerprint, first: resumed.clone(), frames: None, report: None, trace: None, epochs: Vec::new(), last: None };
+        let recorder = Recorder {
+            directory,
+            made,
+            manifest,
+            options: options.clone(),
+            fingerprint,
+            first: resumed.clone(),
+            frames: None,
+            report: None,
+            trace: None,
+            epochs: Vec::new(),
+            last: None,
+        };
         Ok((recorder, resumed))
     }
 
@@ -101,7 +124,9 @@ impl Recorder {
         };
         self.report = Some(report.map_err(write_error)?);
         let first_frame = self.first.as_ref().map_or(0, |from| from.frame + 1);
-        self.frames = Some(FrameWriter::new(&self.directory, &self.options.formats, &scene.mesh, first_frame).map_err(write_error)?);
+        self.frames = Some(
+            FrameWriter::new(&self.directory, &self.options.formats, &scene.mesh, first_frame).map_err(write_error)?,
+        );
         if self.options.trace_steps > 0 {
             self.epochs = ready.iter().map(|worker| worker.epoch_unix_ns).collect();
             let base = self.epochs.iter().copied().min().unwrap_or(0);
@@ -111,7 +136,13 @@ impl Recorder {
     }
 
     /// A step is done on all ranks; `wall_s` = its wall time as the coordinator saw it.
-    pub fn step(&mut self, plan: &RunPlan, ranks: &[StepStats], events: &[Vec<Event>], wall_s: f64) -> Result<(), RecordError> {
+    pub fn step(
+        &mut self,
+        plan: &RunPlan,
+        ranks: &[StepStats],
+        events: &[Vec<Event>],
+        wall_s: f64,
+    ) -> Result<(), RecordError> {
         let settings = &plan.scene.settings;
         let first = ranks[0];
         let slowest = |stage: fn(&StepStats) -> f64| ranks.iter().map(stage).fold(0.0, f64::max);
@@ -140,26 +171,48 @@ impl Recorder {
             ..StepRecord::default()
         };
         if !first.converged {
-            tracing::warn!("step {}: the solver stopped at {} iterations with a relative residual of {:.2e}", first.step, first.iterations, first.residual);
+            tracing::warn!(
+                "step {}: the solver stopped at {} iterations with a relative residual of {:.2e}",
+                first.step,
+                first.iterations,
+                first.residual
+            );
         }
         if let Some(report) = &mut self.report {
             report.step(record);
         }
         if let Some(trace) = &mut self.trace {
-            let ranks: Vec<RankEvents> = events.iter().enumerate().map(|(rank, events)| RankEvents { rank, epoch_unix_ns: self.epochs[rank], events }).collect();
+            let ranks: Vec<RankEvents> = events
+                .iter()
+                .enumerate()
+                .map(|(rank, events)| RankEvents { rank, epoch_unix_ns: self.epochs[rank], events })
+                .collect();
             trace.append(&ranks).map_err(write_error)?;
         }
         Ok(())
     }
 
     /// Writes a frame and remembers it as the last good state; returns its hash.
-    pub fn frame(&mut self, plan: &RunPlan, frame: u32, step: u32, positions: &[Vec3], velocities: &[Vec3]) -> Result<String, RecordError> {
+    pub fn frame(
+        &mut self,
+        plan: &RunPlan,
+        frame: u32,
+        step: u32,
+        positions: &[Vec3],
+        velocities: &[Vec3],
+    ) -> Result<String, RecordError> {
         let hash = state_hash(positions, velocities);
         if let Some(frames) = &mut self.frames {
             frames.write(frame, &plan.scene.mesh, positions).map_err(write_error)?;
         }
         if let Some(report) = &mut self.report {
-            report.frame(FrameRecord { frame, time_s: step as f64 * plan.scene.settings.step_s, state_hash: hash.clone() }).map_err(write_error)?;
+            report
+                .frame(FrameRecord {
+                    frame,
+                    time_s: step as f64 * plan.scene.settings.step_s,
+                    state_hash: hash.clone(),
+                })
+                .map_err(write_error)?;
         }
         self.remember(frame, step, positions, velocities, plan);
         Ok(hash)
@@ -168,7 +221,14 @@ impl Recorder {
     /// Keeps a state in memory for a checkpoint.
     pub fn remember(&mut self, frame: u32, step: u32, positions: &[Vec3], velocities: &[Vec3], plan: &RunPlan) {
         let time_s = step as f64 * plan.scene.settings.step_s;
-        let last = self.last.get_or_insert_with(|| Checkpoint { frame, step: 0, time_s, fingerprint: self.fingerprint, positions: Vec::new(), velocities: Vec::new() });
+        let last = self.last.get_or_insert_with(|| Checkpoint {
+            frame,
+            step: 0,
+            time_s,
+            fingerprint: self.fingerprint,
+            positions: Vec::new(),
+            velocities: Vec::new(),
+        });
         (last.frame, last.step, last.time_s) = (frame, step as u64, time_s);
         last.positions.clear();
         last.positions.extend_from_slice(positions);
@@ -200,7 +260,9 @@ impl MadeFolders {
     fn for_run(out: &Path) -> MadeFolders {
         let inner = [out.join("frames"), out.join("checkpoint")];
         let all = inner.iter().map(PathBuf::as_path).chain(out.ancestors());
-        MadeFolders(all.filter(|folder| !folder.as_os_str().is_empty() && !folder.exists()).map(PathBuf::from).collect())
+        MadeFolders(
+            all.filter(|folder| !folder.as_os_str().is_empty() && !folder.exists()).map(PathBuf::from).collect(),
+        )
     }
 }
 

@@ -25,10 +25,27 @@ impl Bend {
     }
 
     /// Fills `records` from the state of `elements`. `positions`, `velocities`: xyz of every local vertex.
-    pub fn apply(&self, executor: &Executor, params: &StepParams, fabrics: &DeviceVec<FabricTable>, elements: &DeviceVec<HingeElement>, positions: &DeviceVec<f32>, velocities: &DeviceVec<f32>, records: &mut DeviceVec<f32>) {
+    pub fn apply(
+        &self,
+        executor: &Executor,
+        params: &StepParams,
+        fabrics: &DeviceVec<FabricTable>,
+        elements: &DeviceVec<HingeElement>,
+        positions: &DeviceVec<f32>,
+        velocities: &DeviceVec<f32>,
+        records: &mut DeviceVec<f32>,
+    ) {
         assert_eq!(records.len(), elements.len() * HINGE_RECORD_FLOATS);
         match executor {
-            Executor::Cpu(cpu) => bend_cpu::bend(cpu, params, fabrics.as_slice(), elements.as_slice(), positions.as_slice(), velocities.as_slice(), records.as_mut_slice()),
+            Executor::Cpu(cpu) => bend_cpu::bend(
+                cpu,
+                params,
+                fabrics.as_slice(),
+                elements.as_slice(),
+                positions.as_slice(),
+                velocities.as_slice(),
+                records.as_mut_slice(),
+            ),
             Executor::Gpu(gpu) => {
                 for window in gpu.windows(elements.len(), HINGE_RECORD_FLOATS * 4) {
                     let (first, count) = (window.start, window.len());

@@ -56,13 +56,22 @@ pub fn bend_energy(fabrics: &[FabricTable], element: &HingeElement, frozen_angle
 }
 
 /// Fills `records` (16 floats per hinge; layout in `bend`). Bytes per hinge: 48 element + 96 state read, 64 written.
-pub fn bend(cpu: &CpuExecutor, params: &StepParams, fabrics: &[FabricTable], elements: &[HingeElement], positions: &[f32], velocities: &[f32], records: &mut [f32]) {
+pub fn bend(
+    cpu: &CpuExecutor,
+    params: &StepParams,
+    fabrics: &[FabricTable],
+    elements: &[HingeElement],
+    positions: &[f32],
+    velocities: &[f32],
+    records: &mut [f32],
+) {
     cpu.for_ranges_mut(records, HINGE_RECORD_FLOATS, 64, |range, out| {
         for (element, record) in elements[range].iter().zip(out.chunks_exact_mut(HINGE_RECORD_FLOATS)) {
             let (angle, g) = dihedral_angle(element.vertices.map(|v| vertex(positions, v)));
             let v = element.vertices.map(|v| vertex(velocities, v));
             let k = hinge_stiffness(fabrics, element, angle);
-            let damping = 0.5 * (fabrics[element.fabric[0] as usize].damping_s + fabrics[element.fabric[1] as usize].damping_s);
+            let damping =
+                0.5 * (fabrics[element.fabric[0] as usize].damping_s + fabrics[element.fabric[1] as usize].damping_s);
             let rate = g[0].dot(v[0]) + g[1].dot(v[1]) + g[2].dot(v[2]) + g[3].dot(v[3]);
             let moment = k * (angle - element.rest_angle) + (params.step_s + damping) * k * rate;
             let h = params.step_s * (params.step_s + damping) * k;

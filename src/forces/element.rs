@@ -123,7 +123,13 @@ pub fn triangle_element(vertices: [u32; 3], fabric: u32, uv: [Vec2; 3]) -> Trian
 
 /// Rest shape of a hinge. `uv_edge[side]` = material coordinates of the edge's two ends on that side, `areas_m2` = rest
 /// areas of the two triangles. Edge direction -> bias as in [Wang et al. 2011]: samples at 0, 45 and 90 degrees.
-pub fn hinge_element(vertices: [u32; 4], fabric: [u32; 2], uv_edge: [[Vec2; 2]; 2], areas_m2: [f64; 2], rest_angle: f32) -> HingeElement {
+pub fn hinge_element(
+    vertices: [u32; 4],
+    fabric: [u32; 2],
+    uv_edge: [[Vec2; 2]; 2],
+    areas_m2: [f64; 2],
+    rest_angle: f32,
+) -> HingeElement {
     let bias = uv_edge.map(|[p, q]| {
         let d = DVec2::new((q.x - p.x) as f64, (q.y - p.y) as f64);
         (d.y.abs().atan2(d.x.abs()) * 4.0 / std::f64::consts::PI) as f32

@@ -15,7 +15,7 @@ mod tests;
 
 pub use bend_cpu::{bend_energy, dihedral_angle};
 pub use element::{
-    CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS,
-    TriangleElement, hinge_element, triangle_element,
+    CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,
+    TRIANGLE_RECORD_FLOATS, TriangleElement, hinge_element, triangle_element,
 };
 pub use stretch_cpu::{stretch_energy, stretch_stiffness};

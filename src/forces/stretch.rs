@@ -14,9 +14,10 @@ use super::element::{FabricTable, StepParams, TRIANGLE_RECORD_FLOATS, TriangleEl
 use super::stretch_cpu;
 use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource};
 
-static STRETCH: KernelSource = KernelSource::new::<StepParams>("forces/stretch.wgsl", include_str!("stretch.wgsl"), "stretch")
-    .with_libraries(&[include_str!("element.wgsl")])
-    .with_structs(&[FabricTable::LAYOUT, TriangleElement::LAYOUT]);
+static STRETCH: KernelSource =
+    KernelSource::new::<StepParams>("forces/stretch.wgsl", include_str!("stretch.wgsl"), "stretch")
+        .with_libraries(&[include_str!("element.wgsl")])
+        .with_structs(&[FabricTable::LAYOUT, TriangleElement::LAYOUT]);
 
 /// The stretch kernel on one executor.
 pub struct Stretch {}
@@ -28,10 +29,27 @@ impl Stretch {
     }
 
     /// Fills `records` from the state of `elements`. `positions`, `velocities`: xyz of every local vertex.
-    pub fn apply(&self, executor: &Executor, params: &StepParams, fabrics: &DeviceVec<FabricTable>, elements: &DeviceVec<TriangleElement>, positions: &DeviceVec<f32>, velocities: &DeviceVec<f32>, records: &mut DeviceVec<f32>) {
+    pub fn apply(
+        &self,
+        executor: &Executor,
+        params: &StepParams,
+        fabrics: &DeviceVec<FabricTable>,
+        elements: &DeviceVec<TriangleElement>,
+        positions: &DeviceVec<f32>,
+        velocities: &DeviceVec<f32>,
+        records: &mut DeviceVec<f32>,
+    ) {
         assert_eq!(records.len(), elements.len() * TRIANGLE_RECORD_FLOATS);
         match executor {
-            Executor::Cpu(cpu) => stretch_cpu::stretch(cpu, params, fabrics.as_slice(), elements.as_slice(), positions.as_slice(), velocities.as_slice(), records.as_mut_slice()),
+            Executor::Cpu(cpu) => stretch_cpu::stretch(
+                cpu,
+                params,
+                fabrics.as_slice(),
+                elements.as_slice(),
+                positions.as_slice(),
+                velocities.as_slice(),
+                records.as_mut_slice(),
+            ),
             Executor::Gpu(gpu) => {
                 for window in gpu.windows(elements.len(), TRIANGLE_RECORD_FLOATS * 4) {
                     let (first, count) = (window.start, window.len());

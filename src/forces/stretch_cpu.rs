@@ -65,7 +65,15 @@ fn positive_part(uu: f32, uv: f32, vv: f32) -> [f32; 3] {
 }
 
 /// Fills `records` (24 floats per triangle; layout in `stretch`). Bytes per triangle: 48 element + 72 state read, 96 written.
-pub fn stretch(cpu: &CpuExecutor, params: &StepParams, fabrics: &[FabricTable], elements: &[TriangleElement], positions: &[f32], velocities: &[f32], records: &mut [f32]) {
+pub fn stretch(
+    cpu: &CpuExecutor,
+    params: &StepParams,
+    fabrics: &[FabricTable],
+    elements: &[TriangleElement],
+    positions: &[f32],
+    velocities: &[f32],
+    records: &mut [f32],
+) {
     cpu.for_ranges_mut(records, TRIANGLE_RECORD_FLOATS, 64, |range, out| {
         for (element, record) in elements[range].iter().zip(out.chunks_exact_mut(TRIANGLE_RECORD_FLOATS)) {
             let x = element.vertices.map(|v| vertex(positions, v));
@@ -75,7 +83,14 @@ pub fn stretch(cpu: &CpuExecutor, params: &StepParams, fabrics: &[FabricTable], 
     });
 }
 
-fn stretch_record(params: &StepParams, fabric: &FabricTable, element: &TriangleElement, x: [Vec3; 3], v: [Vec3; 3], record: &mut [f32]) {
+fn stretch_record(
+    params: &StepParams,
+    fabric: &FabricTable,
+    element: &TriangleElement,
+    x: [Vec3; 3],
+    v: [Vec3; 3],
+    record: &mut [f32],
+) {
     let (dt, area) = (params.step_s, element.area_m2);
     let (xu, xv) = deformation(element, x);
     let (uu, vv, uv) = (0.5 * (xu.dot(xu) - 1.0), 0.5 * (xv.dot(xv) - 1.0), 0.5 * xu.dot(xv));
@@ -107,11 +122,29 @@ fn stretch_record(params: &StepParams, fabric: &FabricTable, element: &TriangleE
 
     let h = dt * (dt + fabric.damping_s) * area;
     record.copy_from_slice(&[
-        xu.x, xu.y, xu.z, h * warp, //
-        xv.x, xv.y, xv.z, h * cross, //
-        h * weft, h * quarter, h * puu, h * puv, //
-        h * pvv, air_normal, air_tangent, air.x, //
-        pu.x, pu.y, pu.z, air.y, //
-        pv.x, pv.y, pv.z, air.z,
+        xu.x,
+        xu.y,
+        xu.z,
+        h * warp, //
+        xv.x,
+        xv.y,
+        xv.z,
+        h * cross, //
+        h * weft,
+        h * quarter,
+        h * puu,
+        h * puv, //
+        h * pvv,
+        air_normal,
+        air_tangent,
+        air.x, //
+        pu.x,
+        pu.y,
+        pu.z,
+        air.y, //
+        pv.x,
+        pv.y,
+        pv.z,
+        air.z,
     ]);
 }

@@ -11,7 +11,13 @@ pub fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
     let c = eh / (1.0 - nu * nu);
     // Energy k3/2 E_uv^2 with E_uv counted once: k3 = 4 G h.
     let row = [c, nu * c, c, 2.0 * eh / (1.0 + nu)];
-    FabricTable::from(&Fabric { name: "isotropic".into(), density_kg_m2: 0.1, stretching_n_m: [row; 6], bending_n_m: [[bending; 5]; 3], damping_s: 0.0 })
+    FabricTable::from(&Fabric {
+        name: "isotropic".into(),
+        density_kg_m2: 0.1,
+        stretching_n_m: [row; 6],
+        bending_n_m: [[bending; 5]; 3],
+        damping_s: 0.0,
+    })
 }
 
 fn still_air(step_s: f32, count: u32) -> StepParams {
@@ -30,11 +36,18 @@ fn flat<const N: usize>(x: [Vec3; N]) -> Vec<f32> {
 /// Force on each corner, from the record.
 fn triangle_forces(element: &TriangleElement, record: &[f32]) -> [Vec3; 3] {
     element.corner_weights().map(|[u, v]| {
-        -(Vec3::from_slice(&record[16..19]) * u + Vec3::from_slice(&record[20..23]) * v) + Vec3::new(record[15], record[19], record[23])
+        -(Vec3::from_slice(&record[16..19]) * u + Vec3::from_slice(&record[20..23]) * v)
+            + Vec3::new(record[15], record[19], record[23])
     })
 }
 
-fn stretch_record(params: &StepParams, fabric: FabricTable, element: &TriangleElement, x: [Vec3; 3], v: [Vec3; 3]) -> Vec<f32> {
+fn stretch_record(
+    params: &StepParams,
+    fabric: FabricTable,
+    element: &TriangleElement,
+    x: [Vec3; 3],
+    v: [Vec3; 3],
+) -> Vec<f32> {
     let mut record = vec![0.0; TRIANGLE_RECORD_FLOATS];
     stretch_cpu::stretch(&CpuExecutor::new(1), params, &[fabric], &[*element], &flat(x), &flat(v), &mut record);
     record
@@ -63,7 +76,11 @@ fn stretch_force_is_the_negative_gradient_of_the_energy() {
                 };
                 let expected = -(energy(1.0) - energy(-1.0)) / (2.0 * h as f64);
                 let scale = forces.iter().map(|f| f.length()).fold(1e-3, f32::max) as f64;
-                assert!((forces[corner][axis] as f64 - expected).abs() < 5e-3 * scale, "corner {corner} axis {axis}: {} {expected}", forces[corner][axis]);
+                assert!(
+                    (forces[corner][axis] as f64 - expected).abs() < 5e-3 * scale,
+                    "corner {corner} axis {axis}: {} {expected}",
+                    forces[corner][axis]
+                );
             }
         }
     }
@@ -75,7 +92,8 @@ fn forces_of_a_free_element_balance() {
     let fabric = isotropic(300.0, 0.2, 1e-4);
     let mut point = || Vec3::new(random(&mut seed), random(&mut seed), random(&mut seed)) * 0.01;
     let element = triangle_element([0, 1, 2], 0, [Vec2::ZERO, Vec2::new(0.01, 0.0), Vec2::new(0.0, 0.01)]);
-    let record = stretch_record(&still_air(0.01, 1), fabric, &element, [point(), point(), point()], [point(), point(), point()]);
+    let record =
+        stretch_record(&still_air(0.01, 1), fabric, &element, [point(), point(), point()], [point(), point(), point()]);
     let forces = triangle_forces(&element, &record);
     let scale: f32 = forces.iter().map(|f| f.length()).sum();
     assert!((forces[0] + forces[1] + forces[2]).length() < 1e-5 * scale);
@@ -93,12 +111,20 @@ fn stretch_jacobian_of_a_tensioned_triangle_matches_finite_differences() {
     let dt = 1e-4;
     let with = triangle_forces(&element, &stretch_record(&still_air(dt, 1), fabric, &element, x, v));
     let without = triangle_forces(&element, &stretch_record(&still_air(0.0, 1), fabric, &element, x, v));
-    let at = |s: f32| triangle_forces(&element, &stretch_record(&still_air(0.0, 1), fabric, &element, std::array::from_fn(|i| x[i] + v[i] * s), v));
+    let at = |s: f32| {
+        triangle_forces(
+            &element,
+            &stretch_record(&still_air(0.0, 1), fabric, &element, std::array::from_fn(|i| x[i] + v[i] * s), v),
+        )
+    };
     let (plus, minus) = (at(dt), at(-dt));
     for corner in 0..3 {
         let from_record = with[corner] - without[corner];
         let expected = (plus[corner] - minus[corner]) * 0.5;
-        assert!((from_record - expected).length() < 1e-2 * expected.length() + 1e-5, "corner {corner}: {from_record} {expected}");
+        assert!(
+            (from_record - expected).length() < 1e-2 * expected.length() + 1e-5,
+            "corner {corner}: {from_record} {expected}"
+        );
     }
 }
 
@@ -117,7 +143,11 @@ fn dihedral_gradient_matches_finite_differences() {
                     dihedral_angle(x).0 as f64
                 };
                 let expected = (angle(1.0) - angle(-1.0)) / 2e-3;
-                assert!((g[corner][axis] as f64 - expected).abs() < 5e-3, "corner {corner} axis {axis}: {} {expected}", g[corner][axis]);
+                assert!(
+                    (g[corner][axis] as f64 - expected).abs() < 5e-3,
+                    "corner {corner} axis {axis}: {} {expected}",
+                    g[corner][axis]
+                );
             }
         }
         assert!((g[0] + g[1] + g[2] + g[3]).length() < 1e-5);
@@ -134,7 +164,9 @@ fn bending_moment_is_the_derivative_of_the_energy() {
     bend_cpu::bend(&CpuExecutor::new(1), &still_air(0.0, 1), &fabric, &[element], &flat(x), &[0.0; 12], &mut record);
     let angle = dihedral_angle(x).0;
     let h = 1e-3;
-    let expected = (bend_energy(&fabric, &element, angle, angle + h) - bend_energy(&fabric, &element, angle, angle - h)) / (2.0 * h as f64);
+    let expected = (bend_energy(&fabric, &element, angle, angle + h)
+        - bend_energy(&fabric, &element, angle, angle - h))
+        / (2.0 * h as f64);
     assert!((record[7] as f64 - expected).abs() < 1e-3 * expected.abs(), "{} {expected}", record[7]);
 }
 
@@ -145,8 +177,15 @@ fn measured_tables_give_a_positive_semidefinite_stiffness_at_every_strain() {
         let row = || [0.0; 4];
         let mut rows = [row(); 6];
         rows.iter_mut().flatten().for_each(|k| *k = 200.0 * random(&mut seed) as f64);
-        let fabric = FabricTable::from(&Fabric { name: "random".into(), density_kg_m2: 0.1, stretching_n_m: rows, bending_n_m: [[0.0; 5]; 3], damping_s: 0.0 });
-        let [warp, cross, weft, shear] = stretch_stiffness(&fabric, [random(&mut seed) * 0.4, random(&mut seed) * 0.4, random(&mut seed) * 0.4]);
+        let fabric = FabricTable::from(&Fabric {
+            name: "random".into(),
+            density_kg_m2: 0.1,
+            stretching_n_m: rows,
+            bending_n_m: [[0.0; 5]; 3],
+            damping_s: 0.0,
+        });
+        let [warp, cross, weft, shear] =
+            stretch_stiffness(&fabric, [random(&mut seed) * 0.4, random(&mut seed) * 0.4, random(&mut seed) * 0.4]);
         assert!(warp >= 0.0 && weft >= 0.0 && shear >= 0.0);
         assert!(cross * cross <= warp * weft);
     }
@@ -154,8 +193,15 @@ fn measured_tables_give_a_positive_semidefinite_stiffness_at_every_strain() {
 
 #[test]
 fn stiffness_at_the_samples_is_the_table() {
-    let rows: [[f64; 4]; 6] = std::array::from_fn(|i| [100.0 + i as f64, 10.0 + i as f64, 200.0 + i as f64, 50.0 + i as f64]);
-    let fabric = FabricTable::from(&Fabric { name: "table".into(), density_kg_m2: 0.1, stretching_n_m: rows, bending_n_m: [[0.0; 5]; 3], damping_s: 0.0 });
+    let rows: [[f64; 4]; 6] =
+        std::array::from_fn(|i| [100.0 + i as f64, 10.0 + i as f64, 200.0 + i as f64, 50.0 + i as f64]);
+    let fabric = FabricTable::from(&Fabric {
+        name: "table".into(),
+        density_kg_m2: 0.1,
+        stretching_n_m: rows,
+        bending_n_m: [[0.0; 5]; 3],
+        damping_s: 0.0,
+    });
     assert_eq!(stretch_stiffness(&fabric, [0.0; 3])[0], 100.0);
     // A principal strain of 1/6 along the warp, the weft and 45 degrees.
     let e = 0.5 * ((7.0f32 / 6.0).powi(2) - 1.0);

@@ -67,7 +67,10 @@ impl Pins {
                 *held = None;
             } else if held.is_none() {
                 let at = pin.row as usize * 3;
-                *held = Some(Held { position: Vec3::from_slice(&positions[at..at + 3]), velocity: Vec3::from_slice(&velocities[at..at + 3]) });
+                *held = Some(Held {
+                    position: Vec3::from_slice(&positions[at..at + 3]),
+                    velocity: Vec3::from_slice(&velocities[at..at + 3]),
+                });
             }
         }
         self.pins.iter().zip(&self.held).filter(|(_, held)| held.is_some()).map(|(pin, _)| pin.row).collect()
@@ -79,7 +82,11 @@ impl Pins {
         for (pin, held) in self.pins.iter().zip(&mut self.held) {
             let Some(held) = held else { continue };
             // A pin held from the beginning follows its motion without adding up rounding errors.
-            let (from, since) = if pin.start_s <= 0.0 { (DVec3::from_array(pin.start_m.map(f64::from)), 0.0) } else { (held.position.as_dvec3(), time_s) };
+            let (from, since) = if pin.start_s <= 0.0 {
+                (DVec3::from_array(pin.start_m.map(f64::from)), 0.0)
+            } else {
+                (held.position.as_dvec3(), time_s)
+            };
             let target = match pin.motion {
                 Some(_) => (from + (moved(pin, motions, time_s + step_s) - moved(pin, motions, since))).as_vec3(),
                 None => held.position,

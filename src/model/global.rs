@@ -41,7 +41,9 @@ impl GlobalModel {
             global_from_original[original as usize] = global as u32;
         }
         let map = |v: u32| global_from_original[v as usize];
-        let gather = |values: &[Vec3]| original_from_global.iter().flat_map(|&v| values[v as usize].to_array()).collect::<Vec<f32>>();
+        let gather = |values: &[Vec3]| {
+            original_from_global.iter().flat_map(|&v| values[v as usize].to_array()).collect::<Vec<f32>>()
+        };
 
         let mut masses = vec![0.0f64; mesh.positions.len()];
         let mut areas = vec![0.0f64; mesh.triangles.len()];
@@ -59,8 +61,15 @@ impl GlobalModel {
             .iter()
             .map(|hinge| {
                 let sides = hinge.triangles.map(|t| t as usize);
-                let uv_edge = sides.map(|t| edge_uv(mesh.triangles[t], mesh.material_uv[t], hinge.vertices[0], hinge.vertices[1]));
-                hinge_element(hinge.vertices.map(map), sides.map(|t| scene.fabric_of_triangle[t] as u32), uv_edge, sides.map(|t| areas[t]), 0.0)
+                let uv_edge = sides
+                    .map(|t| edge_uv(mesh.triangles[t], mesh.material_uv[t], hinge.vertices[0], hinge.vertices[1]));
+                hinge_element(
+                    hinge.vertices.map(map),
+                    sides.map(|t| scene.fabric_of_triangle[t] as u32),
+                    uv_edge,
+                    sides.map(|t| areas[t]),
+                    0.0,
+                )
             })
             .collect();
         // Elements of a row then lie close together; ties keep their order, so the result is the same on every machine.
@@ -77,7 +86,13 @@ impl GlobalModel {
             pins: scene
                 .pins
                 .iter()
-                .map(|pin| RankPin { row: map(pin.vertex), start_m: mesh.positions[pin.vertex as usize].to_array(), motion: pin.motion, start_s: pin.start_s, end_s: pin.end_s })
+                .map(|pin| RankPin {
+                    row: map(pin.vertex),
+                    start_m: mesh.positions[pin.vertex as usize].to_array(),
+                    motion: pin.motion,
+                    start_s: pin.start_s,
+                    end_s: pin.end_s,
+                })
                 .collect(),
             motions: scene.motions.clone(),
             settings: scene.settings.clone(),

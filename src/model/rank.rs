@@ -58,16 +58,23 @@ pub enum RankModelError {
 impl RankModel {
     /// Splits `model` over the ranks of `partition`; `emit` receives the parts in rank order, one at a time, so that only one
     /// of them exists at once.
-    pub fn split<E>(model: &GlobalModel, partition: &RowPartition, mut emit: impl FnMut(usize, RankModel) -> Result<(), E>) -> Result<(), E> {
+    pub fn split<E>(
+        model: &GlobalModel,
+        partition: &RowPartition,
+        mut emit: impl FnMut(usize, RankModel) -> Result<(), E>,
+    ) -> Result<(), E> {
         let mut halos = vec![Vec::new(); partition.ranks()];
-        for corners in model.triangles.iter().map(|e| &e.vertices[..]).chain(model.hinges.iter().map(|e| &e.vertices[..])) {
+        for corners in
+            model.triangles.iter().map(|e| &e.vertices[..]).chain(model.hinges.iter().map(|e| &e.vertices[..]))
+        {
             collect_halo(partition, corners, &mut halos);
         }
         for halo in &mut halos {
             halo.sort_unstable();
             halo.dedup();
         }
-        let pins_move = model.pins.iter().any(|pin| pin.motion.is_some() || pin.start_s > 0.0) || model.pins.iter().any(|pin| model.velocities[pin.row as usize * 3..][..3] != [0.0; 3]);
+        let pins_move = model.pins.iter().any(|pin| pin.motion.is_some() || pin.start_s > 0.0)
+            || model.pins.iter().any(|pin| model.velocities[pin.row as usize * 3..][..3] != [0.0; 3]);
         for (rank, plan) in halo_plans(partition, &halos).into_iter().enumerate() {
             emit(rank, RankModel::part(model, partition, plan, pins_move))?;
         }
@@ -79,14 +86,50 @@ impl RankModel {
         let owned = |v: &u32| rows.contains(&(*v as usize));
         let local = |v: u32| {
             let own = (v as usize).wrapping_sub(rows.start);
-            if own < rows.len() { (plan.own.start + own) as u32 } else { plan.local_from_global(v).expect("halo holds every vertex of the rank's elements") }
+            if own < rows.len() {
+                (plan.own.start + own) as u32
+            } else {
+                plan.local_from_global(v).expect("halo holds every vertex of the rank's elements")
+            }
         };
-        let gather = |values: &[f32]| plan.global_from_local.iter().flat_map(|&g| values[g as usize * 3..][..3].iter().copied()).collect();
-        let triangles = model.triangles.iter().filter(|e| e.vertices.iter().any(owned)).map(|e| TriangleElement { vertices: e.vertices.map(local), ..*e }).collect();
-        let hinges = model.hinges.iter().filter(|e| e.vertices.iter().any(owned)).map(|e| HingeElement { vertices: e.vertices.map(local), ..*e }).collect();
-        let pins = model.pins.iter().filter(|pin| owned(&pin.row)).map(|pin| RankPin { row: pin.row - rows.start as u32, ..*pin }).collect();
-        let arrays = RankArrays { positions: gather(&model.positions), velocities: gather(&model.velocities), masses: model.masses[rows.clone()].to_vec(), triangles, hinges, fabrics: model.fabrics.clone() };
-        RankModel { partition: *partition, pins, motions: model.motions.clone(), settings: model.settings.clone(), pins_move, arrays, plan }
+        let gather = |values: &[f32]| {
+            plan.global_from_local.iter().flat_map(|&g| values[g as usize * 3..][..3].iter().copied()).collect()
+        };
+        let triangles = model
+            .triangles
+            .iter()
+            .filter(|e| e.vertices.iter().any(owned))
+            .map(|e| TriangleElement { vertices: e.vertices.map(local), ..*e })
+            .collect();
+        let hinges = model
+            .hinges
+            .iter()
+            .filter(|e| e.vertices.iter().any(owned))
+            .map(|e| HingeElement { vertices: e.vertices.map(local), ..*e })
+            .collect();
+        let pins = model
+            .pins
+            .iter()
+            .filter(|pin| owned(&pin.row))
+            .map(|pin| RankPin { row: pin.row - rows.start as u32, ..*pin })
+            .collect();
+        let arrays = RankArrays {
+            positions: gather(&model.positions),
+            velocities: gather(&model.velocities),
+            masses: model.masses[rows.clone()].to_vec(),
+            triangles,
+            hinges,
+            fabrics: model.fabrics.clone(),
+        };
+        RankModel {
+            partition: *partition,
+            pins,
+            motions: model.motions.clone(),
+            settings: model.settings.clone(),
+            pins_move,
+            arrays,
+            plan,
+        }
     }
 }
 
@@ -127,13 +170,24 @@ impl RankArrays {
         let [positions, velocities, masses, triangles, hinges, fabrics] = bytes else {
             return Err(RankModelError::Arrays(format!("{} arrays instead of 6", bytes.len())));
         };
-        Ok(RankArrays { positions: cast(positions)?, velocities: cast(velocities)?, masses: cast(masses)?, triangles: cast(triangles)?, hinges: cast(hinges)?, fabrics: cast(fabrics)? })
+        Ok(RankArrays {
+            positions: cast(positions)?,
+            velocities: cast(velocities)?,
+            masses: cast(masses)?,
+            triangles: cast(triangles)?,
+            hinges: cast(hinges)?,
+            fabrics: cast(fabrics)?,
+        })
     }
 }
 
 fn cast<T: bytemuck::Pod>(bytes: &[u8]) -> Result<Vec<T>, RankModelError> {
     if !bytes.len().is_multiple_of(size_of::<T>()) {
-        return Err(RankModelError::Arrays(format!("{} bytes are not a whole number of {}-byte items", bytes.len(), size_of::<T>())));
+        return Err(RankModelError::Arrays(format!(
+            "{} bytes are not a whole number of {}-byte items",
+            bytes.len(),
+            size_of::<T>()
+        )));
     }
     let mut out = vec![T::zeroed(); bytes.len() / size_of::<T>()];
     bytemuck::cast_slice_mut(&mut out).copy_from_slice(bytes);

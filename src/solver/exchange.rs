@@ -49,7 +49,13 @@ impl HaloExchange {
 
     /// Publishes the own rows that others read. `vectors`: local vectors with 3 values per row; their rows are interleaved in
     /// the message.
-    pub fn publish(&mut self, executor: &Executor, transport: &mut dyn Transport, vectors: &[&DeviceVec<f32>], recorder: &mut Recorder) -> Result<(), TransportError> {
+    pub fn publish(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        vectors: &[&DeviceVec<f32>],
+        recorder: &mut Recorder,
+    ) -> Result<(), TransportError> {
         if transport.ranks() == 1 {
             return Ok(());
         }
@@ -63,7 +69,14 @@ impl HaloExchange {
     }
 
     /// Receives the halo rows of all other ranks into `vectors`, in the order of the work queue.
-    pub fn receive(&mut self, executor: &Executor, transport: &mut dyn Transport, vectors: &mut [&mut DeviceVec<f32>], recorder: &mut Recorder, traffic: &mut TrafficCounter) -> Result<(), TransportError> {
+    pub fn receive(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        vectors: &mut [&mut DeviceVec<f32>],
+        recorder: &mut Recorder,
+        traffic: &mut TrafficCounter,
+    ) -> Result<(), TransportError> {
         let width = 3 * vectors.len();
         let rank = self.plan.rank;
         for (stage, node) in self.queue.iter().enumerate() {
@@ -94,12 +107,17 @@ impl HaloExchange {
                 }
             })?;
             if let Some(got) = short {
-                let message = format!("message of rank {} holds {got} values, fewer than the halo plan needs", node.vector);
+                let message =
+                    format!("message of rank {} holds {got} values, fewer than the halo plan needs", node.vector);
                 return Err(TransportError::Mechanism { rank, message });
             }
             if rows > 0 {
                 for (plane, vector) in vectors.iter_mut().enumerate() {
-                    vector.write_range(executor, source.local_start as usize * 3, &staging[plane * rows * 3..(plane + 1) * rows * 3]);
+                    vector.write_range(
+                        executor,
+                        source.local_start as usize * 3,
+                        &staging[plane * rows * 3..(plane + 1) * rows * 3],
+                    );
                 }
             }
             let bytes = (rows * width * 4) as u64;

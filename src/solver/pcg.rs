@@ -92,12 +92,28 @@ impl Pcg {
     /// A solver for rank `rank`'s rows.
     pub fn new(executor: &Executor, partition: &RowPartition, rank: usize) -> Pcg {
         let rows = partition.rows_of(rank).len();
-        Pcg { ops: VectorOps::new(executor, rows, partition.chunk_rows()), tree: ReductionTree::new(partition), chunk_sums: Vec::new() }
+        Pcg {
+            ops: VectorOps::new(executor, rows, partition.chunk_rows()),
+            tree: ReductionTree::new(partition),
+            chunk_sums: Vec::new(),
+        }
     }
 
     /// Solves A x = b for x = `vectors.x`. Rows with a zero `inverse_diagonal` keep their start value (pins). `nonzero_start`
     /// says that x may differ from zero on some rank; all ranks must agree on it.
-    pub fn solve(&mut self, executor: &Executor, transport: &mut dyn Transport, spmv: &mut PipelinedSpmv, matrix: &SellMatrix, inverse_diagonal: &DeviceVec<f32>, b: &DeviceVec<f32>, vectors: &mut PcgVectors, nonzero_start: bool, params: &PcgParams, recorder: &mut Recorder) -> Result<PcgInfo, PcgError> {
+    pub fn solve(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        spmv: &mut PipelinedSpmv,
+        matrix: &SellMatrix,
+        inverse_diagonal: &DeviceVec<f32>,
+        b: &DeviceVec<f32>,
+        vectors: &mut PcgVectors,
+        nonzero_start: bool,
+        params: &PcgParams,
+        recorder: &mut Recorder,
+    ) -> Result<PcgInfo, PcgError> {
         let own = spmv.own_start();
         let v = vectors;
         let mut products = 0;
@@ -139,7 +155,13 @@ impl Pcg {
             let relative = if start_residual > 0.0 { residual / start_residual } else { 0.0 };
             let converged = relative <= params.relative_tolerance;
             if converged || iteration == params.max_iterations {
-                return Ok(PcgInfo { iterations: iteration, relative_residual: relative, converged, start_residual, products });
+                return Ok(PcgInfo {
+                    iterations: iteration,
+                    relative_residual: relative,
+                    converged,
+                    start_residual,
+                    products,
+                });
             }
             // beta = gamma / gamma_old; p'Ap = delta - beta gamma / alpha_old; alpha = gamma / p'Ap
             let beta = if iteration == 0 { 0.0 } else { gamma / gamma_old };
@@ -150,11 +172,29 @@ impl Pcg {
                 if curvature.abs() > ROUNDING * delta {
                     return Err(PcgError::NotPositiveDefinite { iteration, curvature });
                 }
-                return Ok(PcgInfo { iterations: iteration, relative_residual: relative, converged, start_residual, products });
+                return Ok(PcgInfo {
+                    iterations: iteration,
+                    relative_residual: relative,
+                    converged,
+                    start_residual,
+                    products,
+                });
             }
             let alpha = gamma / curvature;
             let start = recorder.now();
-            self.ops.update(executor, alpha as f32, beta as f32, &v.w, inverse_diagonal, &mut v.u, own, &mut v.p, &mut v.s, &mut v.x, &mut v.r);
+            self.ops.update(
+                executor,
+                alpha as f32,
+                beta as f32,
+                &v.w,
+                inverse_diagonal,
+                &mut v.u,
+                own,
+                &mut v.p,
+                &mut v.s,
+                &mut v.x,
+                &mut v.r,
+            );
             recorder.end(EventName::VectorUpdate, Activity::Compute, start, v.w.bytes() * 13, v.w.len() as u64 * 18);
             (gamma_old, alpha_old) = (gamma, alpha);
         }

@@ -29,8 +29,22 @@ pub struct PipelinedSpmv {
 
 impl PipelinedSpmv {
     /// `queue`: the own rank's work queue; `sub_vector_rows`: padded length of every sub-vector.
-    pub fn new(executor: &Executor, mode: ExchangeMode, halo: HaloExchange, queue: Vec<QueueNode>, sub_vector_rows: usize) -> PipelinedSpmv {
-        PipelinedSpmv { kernel: Spmv::new(executor), mode, halo, queue, sub_vector_len: sub_vector_rows * 3, staging: Vec::new(), traffic: TrafficCounter::default() }
+    pub fn new(
+        executor: &Executor,
+        mode: ExchangeMode,
+        halo: HaloExchange,
+        queue: Vec<QueueNode>,
+        sub_vector_rows: usize,
+    ) -> PipelinedSpmv {
+        PipelinedSpmv {
+            kernel: Spmv::new(executor),
+            mode,
+            halo,
+            queue,
+            sub_vector_len: sub_vector_rows * 3,
+            staging: Vec::new(),
+            traffic: TrafficCounter::default(),
+        }
     }
 
     /// Exchange of halo rows, also used for positions and velocities.
@@ -49,14 +63,30 @@ impl PipelinedSpmv {
     }
 
     /// y = A u. `u` is a local vector whose own rows are valid; its halo rows are filled on the way.
-    pub fn apply(&mut self, executor: &Executor, transport: &mut dyn Transport, matrix: &SellMatrix, u: &mut DeviceVec<f32>, y: &mut DeviceVec<f32>, recorder: &mut Recorder) -> Result<(), TransportError> {
+    pub fn apply(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        matrix: &SellMatrix,
+        u: &mut DeviceVec<f32>,
+        y: &mut DeviceVec<f32>,
+        recorder: &mut Recorder,
+    ) -> Result<(), TransportError> {
         match self.mode {
             ExchangeMode::Halo => self.apply_halo(executor, transport, matrix, u, y, recorder),
             ExchangeMode::Full => self.apply_full(executor, transport, matrix, u, y, recorder),
         }
     }
 
-    fn apply_halo(&mut self, executor: &Executor, transport: &mut dyn Transport, matrix: &SellMatrix, u: &mut DeviceVec<f32>, y: &mut DeviceVec<f32>, recorder: &mut Recorder) -> Result<(), TransportError> {
+    fn apply_halo(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        matrix: &SellMatrix,
+        u: &mut DeviceVec<f32>,
+        y: &mut DeviceVec<f32>,
+        recorder: &mut Recorder,
+    ) -> Result<(), TransportError> {
         self.halo.publish(executor, transport, &[&*u], recorder)?;
         let start = recorder.now();
         self.kernel.apply(executor, matrix, 0, false, u, y);
@@ -66,11 +96,25 @@ impl PipelinedSpmv {
         self.halo.receive(executor, transport, &mut [u], recorder, &mut self.traffic)?;
         let start = recorder.now();
         self.kernel.apply(executor, matrix, 1, false, u, y);
-        recorder.end(EventName::SpmvRemote, Activity::Compute, start, matrix.section_bytes(1), section_flops(matrix, 1));
+        recorder.end(
+            EventName::SpmvRemote,
+            Activity::Compute,
+            start,
+            matrix.section_bytes(1),
+            section_flops(matrix, 1),
+        );
         Ok(())
     }
 
-    fn apply_full(&mut self, executor: &Executor, transport: &mut dyn Transport, matrix: &SellMatrix, u: &DeviceVec<f32>, y: &mut DeviceVec<f32>, recorder: &mut Recorder) -> Result<(), TransportError> {
+    fn apply_full(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        matrix: &SellMatrix,
+        u: &DeviceVec<f32>,
+        y: &mut DeviceVec<f32>,
+        recorder: &mut Recorder,
+    ) -> Result<(), TransportError> {
         let rank = transport.rank();
         let own = self.own_start()..self.own_start() + matrix.rows * 3;
         let start = recorder.now();
@@ -84,7 +128,14 @@ impl PipelinedSpmv {
         let block = (0, rank as u32, rank as u32);
         let start = recorder.now();
         self.kernel.apply_host(executor, matrix, 0, false, &self.staging, y);
-        recorder.end_transfer(EventName::SpmvBlock, Activity::Compute, start, block, matrix.section_bytes(0), section_flops(matrix, 0));
+        recorder.end_transfer(
+            EventName::SpmvBlock,
+            Activity::Compute,
+            start,
+            block,
+            matrix.section_bytes(0),
+            section_flops(matrix, 0),
+        );
         for stage in 0..self.queue.len() {
             let node = self.queue[stage];
             let route = (stage as u32 + 1, node.source as u32, node.vector as u32);
@@ -101,11 +152,21 @@ impl PipelinedSpmv {
                     recorder.end_transfer(EventName::Receive, Activity::Transfer, start, route, got as u64 * 4, 0);
                     let start = recorder.now();
                     kernel.apply_host(executor, matrix, section, true, v_j, y);
-                    recorder.end_transfer(EventName::SpmvBlock, Activity::Compute, start, route, matrix.section_bytes(section), section_flops(matrix, section));
+                    recorder.end_transfer(
+                        EventName::SpmvBlock,
+                        Activity::Compute,
+                        start,
+                        route,
+                        matrix.section_bytes(section),
+                        section_flops(matrix, section),
+                    );
                 }
             })?;
             if got != len {
-                return Err(TransportError::Mechanism { rank, message: format!("sub-vector {} holds {got} values instead of {len}", node.vector) });
+                return Err(TransportError::Mechanism {
+                    rank,
+                    message: format!("sub-vector {} holds {got} values instead of {len}", node.vector),
+                });
             }
             self.traffic.received_bytes += len as u64 * 4;
             self.traffic.messages += 1;

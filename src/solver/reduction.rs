@@ -30,7 +30,11 @@ impl ReductionTree {
     }
 
     /// Adds `WIDTH` scalars over all ranks. `chunk_sums[chunk][i]`: the own chunks' sums.
-    pub fn all_reduce<const WIDTH: usize>(&self, transport: &mut dyn Transport, chunk_sums: &[[f64; WIDTH]]) -> Result<[f64; WIDTH], TransportError> {
+    pub fn all_reduce<const WIDTH: usize>(
+        &self,
+        transport: &mut dyn Transport,
+        chunk_sums: &[[f64; WIDTH]],
+    ) -> Result<[f64; WIDTH], TransportError> {
         let own = &self.ranges[transport.rank()];
         let mut roots = Vec::new();
         self.collect(0..self.leaves, own, chunk_sums, &mut roots);
@@ -43,7 +47,13 @@ impl ReductionTree {
         Ok(self.finish(0..self.leaves, &mut streams))
     }
 
-    fn collect<const WIDTH: usize>(&self, node: Range<usize>, own: &Range<usize>, chunk_sums: &[[f64; WIDTH]], roots: &mut Vec<[f64; WIDTH]>) {
+    fn collect<const WIDTH: usize>(
+        &self,
+        node: Range<usize>,
+        own: &Range<usize>,
+        chunk_sums: &[[f64; WIDTH]],
+        roots: &mut Vec<[f64; WIDTH]>,
+    ) {
         if node.end <= own.start || node.start >= own.end {
             return;
         }
@@ -56,7 +66,11 @@ impl ReductionTree {
         self.collect(middle..node.end, own, chunk_sums, roots);
     }
 
-    fn finish<const WIDTH: usize>(&self, node: Range<usize>, streams: &mut [std::slice::Iter<[f64; WIDTH]>]) -> [f64; WIDTH] {
+    fn finish<const WIDTH: usize>(
+        &self,
+        node: Range<usize>,
+        streams: &mut [std::slice::Iter<[f64; WIDTH]>],
+    ) -> [f64; WIDTH] {
         let owner = self.ranges.partition_point(|range| range.end <= node.start);
         if node.end <= self.ranges[owner].end {
             // A rank that sent fewer roots than its leaves need breaks the protocol; NaN makes the solve stop.
@@ -106,12 +120,17 @@ mod tests {
     fn the_sum_has_the_same_bits_for_every_rank_count() {
         for rows in [17, 479, 5000, 100_000] {
             let chunks = RowPartition::new(rows, 1).chunks();
-            let sums: Vec<[f64; 2]> = (0..chunks).map(|i| [(i as f64 * 0.7).sin() * 1e3, 1.0 / (i as f64 + 0.3)]).collect();
+            let sums: Vec<[f64; 2]> =
+                (0..chunks).map(|i| [(i as f64 * 0.7).sin() * 1e3, 1.0 / (i as f64 + 0.3)]).collect();
             let one = reduce(rows, 1, &sums);
             let exact: f64 = sums.iter().map(|s| s[0]).sum();
             assert!((one[0] - exact).abs() < 1e-9 * sums.len() as f64);
             for ranks in 2..=16 {
-                assert_eq!(reduce(rows, ranks, &sums).map(f64::to_bits), one.map(f64::to_bits), "{rows} rows, {ranks} ranks");
+                assert_eq!(
+                    reduce(rows, ranks, &sums).map(f64::to_bits),
+                    one.map(f64::to_bits),
+                    "{rows} rows, {ranks} ranks"
+                );
             }
         }
     }

@@ -29,7 +29,15 @@ impl Spmv {
     }
 
     /// y = A x, or y += A x with `accumulate`, for the rows of `section`. x: xyz per column; y: xyz per own row.
-    pub fn apply(&self, executor: &Executor, matrix: &SellMatrix, section: usize, accumulate: bool, x: &DeviceVec<f32>, y: &mut DeviceVec<f32>) {
+    pub fn apply(
+        &self,
+        executor: &Executor,
+        matrix: &SellMatrix,
+        section: usize,
+        accumulate: bool,
+        x: &DeviceVec<f32>,
+        y: &mut DeviceVec<f32>,
+    ) {
         match executor {
             Executor::Cpu(_) => self.apply_host(executor, matrix, section, accumulate, x.as_slice(), y),
             Executor::Gpu(gpu) => multiply(gpu, matrix, section, accumulate, x.binding(), y),
@@ -38,10 +46,28 @@ impl Spmv {
 
     /// As [`Spmv::apply`] with x in host memory, for example a sub-vector in a received message: the cpu executor reads it
     /// in place, a device uploads it.
-    pub fn apply_host(&self, executor: &Executor, matrix: &SellMatrix, section: usize, accumulate: bool, x: &[f32], y: &mut DeviceVec<f32>) {
+    pub fn apply_host(
+        &self,
+        executor: &Executor,
+        matrix: &SellMatrix,
+        section: usize,
+        accumulate: bool,
+        x: &[f32],
+        y: &mut DeviceVec<f32>,
+    ) {
         assert_eq!(y.len(), matrix.rows * 3);
         match executor {
-            Executor::Cpu(cpu) => spmv_cpu::spmv(cpu, matrix.sections[section].clone(), accumulate, matrix.row_of_lane.as_slice(), matrix.slice_offsets.as_slice(), matrix.columns.as_slice(), matrix.values.as_slice(), x, y.as_mut_slice()),
+            Executor::Cpu(cpu) => spmv_cpu::spmv(
+                cpu,
+                matrix.sections[section].clone(),
+                accumulate,
+                matrix.row_of_lane.as_slice(),
+                matrix.slice_offsets.as_slice(),
+                matrix.columns.as_slice(),
+                matrix.values.as_slice(),
+                x,
+                y.as_mut_slice(),
+            ),
             Executor::Gpu(gpu) => {
                 let mut upload = self.upload.borrow_mut();
                 let device = match &mut *upload {
@@ -55,10 +81,20 @@ impl Spmv {
     }
 }
 
-fn multiply(gpu: &GpuExecutor, matrix: &SellMatrix, section: usize, accumulate: bool, x: Binding<'_>, y: &mut DeviceVec<f32>) {
+fn multiply(
+    gpu: &GpuExecutor,
+    matrix: &SellMatrix,
+    section: usize,
+    accumulate: bool,
+    x: Binding<'_>,
+    y: &mut DeviceVec<f32>,
+) {
     assert_eq!(y.len(), matrix.rows * 3);
     if matrix.longest_row > TURNS_MAX {
-        gpu.stop(format!("a row has {} blocks, the gpu executor takes at most {TURNS_MAX}: use the cpu executor", matrix.longest_row));
+        gpu.stop(format!(
+            "a row has {} blocks, the gpu executor takes at most {TURNS_MAX}: use the cpu executor",
+            matrix.longest_row
+        ));
     }
     for part in &matrix.parts[section] {
         let (first, slots) = (part.slots.start, part.slots.len());
@@ -71,7 +107,12 @@ fn multiply(gpu: &GpuExecutor, matrix: &SellMatrix, section: usize, accumulate: 
             y.binding_mut(),
         ];
         let lanes = part.slices.len() * LANES;
-        let params = SpmvParams { first_slice: part.slices.start, lanes: lanes as u32, first_slot: first as u32, accumulate: accumulate.into() };
+        let params = SpmvParams {
+            first_slice: part.slices.start,
+            lanes: lanes as u32,
+            first_slot: first as u32,
+            accumulate: accumulate.into(),
+        };
         gpu.run(&SPMV, &bindings, &params, lanes as u64);
     }
 }

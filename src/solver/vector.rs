@@ -33,7 +33,13 @@ impl VectorOps {
     /// Kernels for `rows` own rows in chunks of `chunk_rows`.
     pub fn new(executor: &Executor, rows: usize, chunk_rows: usize) -> VectorOps {
         let chunks = rows.div_ceil(chunk_rows);
-        VectorOps { rows, chunk_rows, residual_sums: vec![[0.0; 2]; chunks], dot_sums: vec![0.0; chunks], device_sums: DeviceVec::zeros(executor, chunks * 3) }
+        VectorOps {
+            rows,
+            chunk_rows,
+            residual_sums: vec![[0.0; 2]; chunks],
+            dot_sums: vec![0.0; chunks],
+            device_sums: DeviceVec::zeros(executor, chunks * 3),
+        }
     }
 
     /// Number of own chunks.
@@ -44,7 +50,13 @@ impl VectorOps {
     /// Sums w . u; `u_start` = first value of u that belongs to the own rows.
     pub fn dot(&mut self, executor: &Executor, w: &DeviceVec<f32>, u: &DeviceVec<f32>, u_start: usize) {
         match executor {
-            Executor::Cpu(cpu) => vector_cpu::dot(cpu, self.chunk_rows, w.as_slice(), &u.as_slice()[u_start..u_start + w.len()], &mut self.dot_sums),
+            Executor::Cpu(cpu) => vector_cpu::dot(
+                cpu,
+                self.chunk_rows,
+                w.as_slice(),
+                &u.as_slice()[u_start..u_start + w.len()],
+                &mut self.dot_sums,
+            ),
             Executor::Gpu(gpu) => {
                 let (params, invocations) = self.dispatch(u_start, 0.0, 0.0);
                 gpu.run(&DOT, &[w.binding(), u.binding(), self.device_sums.binding_mut()], &params, invocations);
@@ -53,26 +65,77 @@ impl VectorOps {
     }
 
     /// r = b - w (0 on pinned rows), u = inverse_diagonal * r; sums r . u and r . r.
-    pub fn start(&mut self, executor: &Executor, b: &DeviceVec<f32>, w: &DeviceVec<f32>, inverse_diagonal: &DeviceVec<f32>, r: &mut DeviceVec<f32>, u: &mut DeviceVec<f32>, u_start: usize) {
+    pub fn start(
+        &mut self,
+        executor: &Executor,
+        b: &DeviceVec<f32>,
+        w: &DeviceVec<f32>,
+        inverse_diagonal: &DeviceVec<f32>,
+        r: &mut DeviceVec<f32>,
+        u: &mut DeviceVec<f32>,
+        u_start: usize,
+    ) {
         match executor {
             Executor::Cpu(cpu) => {
                 let own = u_start..u_start + b.len();
-                vector_cpu::start(cpu, self.chunk_rows, b.as_slice(), w.as_slice(), inverse_diagonal.as_slice(), r.as_mut_slice(), &mut u.as_mut_slice()[own], &mut self.residual_sums)
+                vector_cpu::start(
+                    cpu,
+                    self.chunk_rows,
+                    b.as_slice(),
+                    w.as_slice(),
+                    inverse_diagonal.as_slice(),
+                    r.as_mut_slice(),
+                    &mut u.as_mut_slice()[own],
+                    &mut self.residual_sums,
+                )
             }
             Executor::Gpu(gpu) => {
                 let (params, invocations) = self.dispatch(u_start, 0.0, 0.0);
-                let bindings = [b.binding(), w.binding(), inverse_diagonal.binding(), u.binding_mut(), r.binding_mut(), self.device_sums.binding_mut()];
+                let bindings = [
+                    b.binding(),
+                    w.binding(),
+                    inverse_diagonal.binding(),
+                    u.binding_mut(),
+                    r.binding_mut(),
+                    self.device_sums.binding_mut(),
+                ];
                 gpu.run(&START, &bindings, &params, invocations);
             }
         }
     }
 
     /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = inverse_diagonal * r; sums r . u and r . r.
-    pub fn update(&mut self, executor: &Executor, alpha: f32, beta: f32, w: &DeviceVec<f32>, inverse_diagonal: &DeviceVec<f32>, u: &mut DeviceVec<f32>, u_start: usize, p: &mut DeviceVec<f32>, s: &mut DeviceVec<f32>, x: &mut DeviceVec<f32>, r: &mut DeviceVec<f32>) {
+    pub fn update(
+        &mut self,
+        executor: &Executor,
+        alpha: f32,
+        beta: f32,
+        w: &DeviceVec<f32>,
+        inverse_diagonal: &DeviceVec<f32>,
+        u: &mut DeviceVec<f32>,
+        u_start: usize,
+        p: &mut DeviceVec<f32>,
+        s: &mut DeviceVec<f32>,
+        x: &mut DeviceVec<f32>,
+        r: &mut DeviceVec<f32>,
+    ) {
         match executor {
             Executor::Cpu(cpu) => {
                 let own = u_start..u_start + w.len();
-                vector_cpu::update(cpu, self.chunk_rows, alpha, beta, w.as_slice(), inverse_diagonal.as_slice(), &mut u.as_mut_slice()[own], p.as_mut_slice(), s.as_mut_slice(), x.as_mut_slice(), r.as_mut_slice(), &mut self.residual_sums)
+                vector_cpu::update(
+                    cpu,
+                    self.chunk_rows,
+                    alpha,
+                    beta,
+                    w.as_slice(),
+                    inverse_diagonal.as_slice(),
+                    &mut u.as_mut_slice()[own],
+                    p.as_mut_slice(),
+                    s.as_mut_slice(),
+                    x.as_mut_slice(),
+                    r.as_mut_slice(),
+                    &mut self.residual_sums,
+                )
             }
             Executor::Gpu(gpu) => {
                 let (params, invocations) = self.dispatch(u_start, alpha, beta);
@@ -95,7 +158,9 @@ impl VectorOps {
     pub fn sums(&self, executor: &Executor, out: &mut Vec<ChunkSums>) {
         out.clear();
         match executor {
-            Executor::Cpu(_) => out.extend(self.residual_sums.iter().zip(&self.dot_sums).map(|(&[ru, rr], &wu)| [ru, rr, wu])),
+            Executor::Cpu(_) => {
+                out.extend(self.residual_sums.iter().zip(&self.dot_sums).map(|(&[ru, rr], &wu)| [ru, rr, wu]))
+            }
             Executor::Gpu(_) => {
                 out.extend(self.device_sums.read(executor).as_chunks::<3>().0.iter().map(|sums| sums.map(f64::from)));
                 if executor.take_fault().is_some() {
@@ -107,7 +172,13 @@ impl VectorOps {
 
     /// Parameters, and a workgroup per chunk.
     fn dispatch(&self, u_start: usize, alpha: f32, beta: f32) -> (VectorParams, u64) {
-        let params = VectorParams { rows: self.rows as u32, chunk_rows: self.chunk_rows as u32, u_first: (u_start / 3) as u32, alpha, beta };
+        let params = VectorParams {
+            rows: self.rows as u32,
+            chunk_rows: self.chunk_rows as u32,
+            u_first: (u_start / 3) as u32,
+            alpha,
+            beta,
+        };
         (params, self.chunks() as u64 * CHUNK_THREADS)
     }
 }

@@ -70,7 +70,16 @@ pub fn dot(cpu: &CpuExecutor, chunk_rows: usize, w: &[f32], u: &[f32], sums: &mu
 }
 
 /// r = b - w (0 on pinned rows), u = inverse_diagonal * r, sums[chunk] = (r . u, r . r).
-pub fn start(cpu: &CpuExecutor, chunk_rows: usize, b: &[f32], w: &[f32], inverse_diagonal: &[f32], r: &mut [f32], u: &mut [f32], sums: &mut [[f64; 2]]) {
+pub fn start(
+    cpu: &CpuExecutor,
+    chunk_rows: usize,
+    b: &[f32],
+    w: &[f32],
+    inverse_diagonal: &[f32],
+    r: &mut [f32],
+    u: &mut [f32],
+    sums: &mut [[f64; 2]],
+) {
     let (rows, r, u) = (r.len() / 3, Shared(r.as_mut_ptr()), Shared(u.as_mut_ptr()));
     cpu.for_ranges_mut(sums, 1, 1, |range, sums| {
         for (chunk, sum) in range.zip(sums) {
@@ -83,9 +92,11 @@ pub fn start(cpu: &CpuExecutor, chunk_rows: usize, b: &[f32], w: &[f32], inverse
                 for row in 0..count {
                     let inverse = inverse_of(inverse_diagonal, first + row);
                     for c in 0..3 {
-                        r[row * 3 + c] = if inverse[0] == 0.0 { 0.0 } else { b[(first + row) * 3 + c] - w[(first + row) * 3 + c] };
+                        r[row * 3 + c] =
+                            if inverse[0] == 0.0 { 0.0 } else { b[(first + row) * 3 + c] - w[(first + row) * 3 + c] };
                     }
-                    u[row * 3..row * 3 + 3].copy_from_slice(&precondition(inverse, [r[row * 3], r[row * 3 + 1], r[row * 3 + 2]]));
+                    u[row * 3..row * 3 + 3]
+                        .copy_from_slice(&precondition(inverse, [r[row * 3], r[row * 3 + 1], r[row * 3 + 2]]));
                 }
                 sum[0] += dot_tile(r, u);
                 sum[1] += dot_tile(r, r);
@@ -102,7 +113,20 @@ fn inverse_of(inverse_diagonal: &[f32], row: usize) -> &[f32; 6] {
 /// One fused vector pass of an iteration [Chronopoulos and Gear 1989]:
 /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = inverse_diagonal * r; sums[chunk] = (r . u, r . r).
 /// Pinned rows (zero inverse) keep r = u = 0. Bytes per row: 96 read, 60 written.
-pub fn update(cpu: &CpuExecutor, chunk_rows: usize, alpha: f32, beta: f32, w: &[f32], inverse_diagonal: &[f32], u: &mut [f32], p: &mut [f32], s: &mut [f32], x: &mut [f32], r: &mut [f32], sums: &mut [[f64; 2]]) {
+pub fn update(
+    cpu: &CpuExecutor,
+    chunk_rows: usize,
+    alpha: f32,
+    beta: f32,
+    w: &[f32],
+    inverse_diagonal: &[f32],
+    u: &mut [f32],
+    p: &mut [f32],
+    s: &mut [f32],
+    x: &mut [f32],
+    r: &mut [f32],
+    sums: &mut [[f64; 2]],
+) {
     let rows = r.len() / 3;
     assert!([w.len(), u.len(), p.len(), s.len(), x.len()].iter().all(|&n| n == rows * 3));
     let vectors = [u, p, s, x, r].map(|v| Shared(v.as_mut_ptr()));
@@ -123,7 +147,14 @@ pub fn update(cpu: &CpuExecutor, chunk_rows: usize, alpha: f32, beta: f32, w: &[
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-unsafe fn update_avx2(chunk: std::ops::Range<usize>, alpha: f32, beta: f32, w: &[f32], inverse_diagonal: &[f32], vectors: [Shared; 5]) -> [f64; 2] {
+unsafe fn update_avx2(
+    chunk: std::ops::Range<usize>,
+    alpha: f32,
+    beta: f32,
+    w: &[f32],
+    inverse_diagonal: &[f32],
+    vectors: [Shared; 5],
+) -> [f64; 2] {
     // SAFETY: contract of the caller.
     unsafe { update_chunk(chunk, alpha, beta, w, inverse_diagonal, vectors) }
 }
@@ -131,7 +162,14 @@ unsafe fn update_avx2(chunk: std::ops::Range<usize>, alpha: f32, beta: f32, w: &
 /// # Safety
 /// `chunk` is within the vectors and no other thread works on it.
 #[inline(always)]
-unsafe fn update_chunk(chunk: std::ops::Range<usize>, alpha: f32, beta: f32, w: &[f32], inverse_diagonal: &[f32], vectors: [Shared; 5]) -> [f64; 2] {
+unsafe fn update_chunk(
+    chunk: std::ops::Range<usize>,
+    alpha: f32,
+    beta: f32,
+    w: &[f32],
+    inverse_diagonal: &[f32],
+    vectors: [Shared; 5],
+) -> [f64; 2] {
     let mut sum = [0.0f64; 2];
     for first in chunk.clone().step_by(TILE) {
         let count = TILE.min(chunk.end - first);

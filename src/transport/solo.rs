@@ -51,7 +51,10 @@ impl Transport for SoloTransport {
 
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
         if own.len() > ALL_GATHER_MAX {
-            return Err(TransportError::Mechanism { rank: 0, message: format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len()) });
+            return Err(TransportError::Mechanism {
+                rank: 0,
+                message: format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len()),
+            });
         }
         out.resize_with(1, Vec::new);
         out[0].clear();

@@ -16,8 +16,14 @@ pub struct DeviceBench {
 
 pub fn run(bench: &DeviceBench) -> Result<(), CliError> {
     let executor = bench.common.executor()?;
-    let measured = bandwidth_gb_s(&executor, (bench.megabytes as usize) << 20).map_err(|error| CliError::failed(error.to_string()))?;
-    let title = format!("memory bandwidth of {} ({} thread(s)), {} MiB arrays", executor.device_name(), bench.common.threads, bench.megabytes);
+    let measured = bandwidth_gb_s(&executor, (bench.megabytes as usize) << 20)
+        .map_err(|error| CliError::failed(error.to_string()))?;
+    let title = format!(
+        "memory bandwidth of {} ({} thread(s)), {} MiB arrays",
+        executor.device_name(),
+        bench.common.threads,
+        bench.megabytes
+    );
     let mut table = Table::new("device", title, vec!["copy_gb_s", "read_gb_s"]);
     table.push(vec![measured.copy_gb_s, measured.read_gb_s]);
     table.finish(bench.common.out.as_deref(), None)

@@ -50,7 +50,14 @@ pub struct Common {
 
 impl Common {
     fn executor(&self) -> Result<Executor, CliError> {
-        let setup = WorkerSetup { executor: self.executor.into(), adapter: None, threads: self.threads as usize, ranks: 1, max_message_values: 0, patience_s: 0.0 };
+        let setup = WorkerSetup {
+            executor: self.executor.into(),
+            adapter: None,
+            threads: self.threads as usize,
+            ranks: 1,
+            max_message_values: 0,
+            patience_s: 0.0,
+        };
         crate::worker::make_executor(&setup, 0).map_err(CliError::bad_input)
     }
 }
@@ -68,7 +75,8 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
 
 /// Other work on the machine makes times useless; say so beside them.
 fn warn_of_load() {
-    let load = std::fs::read_to_string("/proc/loadavg").ok().and_then(|text| text.split(' ').next()?.parse::<f64>().ok());
+    let load =
+        std::fs::read_to_string("/proc/loadavg").ok().and_then(|text| text.split(' ').next()?.parse::<f64>().ok());
     if let Some(load) = load {
         let note = if load > 1.5 { ": the machine is busy, trust ratios only" } else { "" };
         eprintln!("load average {load:.2}{note}");

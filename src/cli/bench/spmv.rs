@@ -42,7 +42,10 @@ pub fn run(bench: &SpmvBench) -> Result<(), CliError> {
     let mut table = Table::new("spmv_bytes", title, vec!["ranks", "halo_bytes", "full_bytes", "halo_over_full"]);
     for &ranks in &bench.workers {
         if ranks > model.rows() {
-            return Err(CliError::bad_input(format!("--workers {ranks}: the cloth has only {} vertices", model.rows())));
+            return Err(CliError::bad_input(format!(
+                "--workers {ranks}: the cloth has only {} vertices",
+                model.rows()
+            )));
         }
         let [halo, full] = [ExchangeMode::Halo, ExchangeMode::Full].map(|mode| counted_bytes(&model, ranks, mode));
         let (halo, full) = (halo?, full?);
@@ -52,15 +55,31 @@ pub fn run(bench: &SpmvBench) -> Result<(), CliError> {
 }
 
 fn time_one_rank(bench: &SpmvBench, model: &GlobalModel) -> Result<(), CliError> {
-    let bandwidth = bandwidth_gb_s(&bench.common.executor()?, 512 << 20).map_err(|error| CliError::failed(error.to_string()))?;
+    let bandwidth =
+        bandwidth_gb_s(&bench.common.executor()?, 512 << 20).map_err(|error| CliError::failed(error.to_string()))?;
     let mut simulation = first_step(model, 1, bench.common.executor()?)?;
-    let (mut seconds, bytes) = simulation.time_products(bench.repeat).map_err(|error| CliError::failed(error.to_string()))?;
+    let (mut seconds, bytes) =
+        simulation.time_products(bench.repeat).map_err(|error| CliError::failed(error.to_string()))?;
     let best = seconds.iter().copied().fold(f64::INFINITY, f64::min);
     let middle = median(&mut seconds);
     let rate = bytes as f64 / middle / 1e9;
-    let title = format!("one product, one rank, {} thread(s): {} rows, padding {:.3}", bench.common.threads, model.rows(), simulation.padding_ratio);
-    let mut table = Table::new("spmv", title, vec!["rows", "median_ms", "min_ms", "bytes", "gb_s", "read_gb_s", "share_of_read"]);
-    table.push(vec![model.rows() as f64, middle * 1e3, best * 1e3, bytes as f64, rate, bandwidth.read_gb_s, rate / bandwidth.read_gb_s]);
+    let title = format!(
+        "one product, one rank, {} thread(s): {} rows, padding {:.3}",
+        bench.common.threads,
+        model.rows(),
+        simulation.padding_ratio
+    );
+    let mut table =
+        Table::new("spmv", title, vec!["rows", "median_ms", "min_ms", "bytes", "gb_s", "read_gb_s", "share_of_read"]);
+    table.push(vec![
+        model.rows() as f64,
+        middle * 1e3,
+        best * 1e3,
+        bytes as f64,
+        rate,
+        bandwidth.read_gb_s,
+        rate / bandwidth.read_gb_s,
+    ]);
     table.finish(bench.common.out.as_deref(), None)
 }
 
@@ -75,7 +94,9 @@ fn first_step(model: &GlobalModel, ranks: usize, executor: Executor) -> Result<S
     let part = part.ok_or_else(|| CliError::failed("the model has no part"))?;
     let plan = ExchangePlan { mode: ExchangeMode::Halo, queue: Vec::new() };
     let mut simulation = Simulation::new(executor, part, &plan).map_err(|error| CliError::failed(error.to_string()))?;
-    simulation.step(&mut SoloTransport::new(Box::new(|| false)), 1, false).map_err(|error| CliError::failed(error.to_string()))?;
+    simulation
+        .step(&mut SoloTransport::new(Box::new(|| false)), 1, false)
+        .map_err(|error| CliError::failed(error.to_string()))?;
     Ok(simulation)
 }
 
@@ -93,7 +114,9 @@ fn counted_bytes(model: &GlobalModel, ranks: usize, mode: ExchangeMode) -> Resul
             .into_iter()
             .zip(InProcessTransport::group(ranks))
             .zip(&schedule.queues)
-            .map(|((part, transport), queue)| scope.spawn(move || bytes_of_rank(part, transport, ExchangePlan { mode, queue: queue.clone() })))
+            .map(|((part, transport), queue)| {
+                scope.spawn(move || bytes_of_rank(part, transport, ExchangePlan { mode, queue: queue.clone() }))
+            })
             .collect();
         ranks.into_iter().map(|rank| rank.join().unwrap_or_else(|_| Err("a rank panicked".to_string()))).collect()
     });

@@ -54,34 +54,60 @@ pub fn run(bench: &StepBench, memory: bool) -> Result<(), CliError> {
         }
     }
     let (triangles, vertices) = size;
-    let title = format!("{}: {triangles} triangles, {vertices} vertices, {} thread(s) per worker", bench.scene.display(), bench.common.threads);
-    let table = if memory { memory_table(bench, title, all, vertices) } else { step_table(bench, title, all, triangles) };
-    table.finish(bench.common.out.as_deref(), Some(("workers", if memory { "device_bytes_per_vertex" } else { "speedup" })))
+    let title = format!(
+        "{}: {triangles} triangles, {vertices} vertices, {} thread(s) per worker",
+        bench.scene.display(),
+        bench.common.threads
+    );
+    let table =
+        if memory { memory_table(bench, title, all, vertices) } else { step_table(bench, title, all, triangles) };
+    table.finish(
+        bench.common.out.as_deref(),
+        Some(("workers", if memory { "device_bytes_per_vertex" } else { "speedup" })),
+    )
 }
 
 fn step_table(bench: &StepBench, title: String, all: Vec<Measured>, triangles: usize) -> Table {
-    let columns = vec!["workers", "step_ms", "solve_ms", "iterations", "us_per_triangle", "speedup", "bytes_per_spmv", "start_s"];
+    let columns =
+        vec!["workers", "step_ms", "solve_ms", "iterations", "us_per_triangle", "speedup", "bytes_per_spmv", "start_s"];
     let mut table = Table::new("step", title, columns);
     let mut base = None;
     for (&workers, mut m) in bench.workers.iter().zip(all) {
         let step = median(&mut m.step_s);
         let base = *base.get_or_insert(step);
-        table.push(vec![workers as f64, step * 1e3, median(&mut m.solve_s) * 1e3, m.iterations, step * 1e6 / triangles as f64, base / step, m.bytes_per_spmv, m.first_step_s]);
+        table.push(vec![
+            workers as f64,
+            step * 1e3,
+            median(&mut m.solve_s) * 1e3,
+            m.iterations,
+            step * 1e6 / triangles as f64,
+            base / step,
+            m.bytes_per_spmv,
+            m.first_step_s,
+        ]);
     }
     table
 }
 
 fn memory_table(bench: &StepBench, title: String, all: Vec<Measured>, vertices: usize) -> Table {
-    let columns = vec!["workers", "device_bytes", "device_bytes_per_vertex", "peak_resident_bytes", "peak_resident_per_vertex"];
+    let columns =
+        vec!["workers", "device_bytes", "device_bytes_per_vertex", "peak_resident_bytes", "peak_resident_per_vertex"];
     let mut table = Table::new("memory", title, columns);
     for (&workers, m) in bench.workers.iter().zip(all) {
-        table.push(vec![workers as f64, m.device_bytes, m.device_bytes / vertices as f64, m.resident_bytes, m.resident_bytes / vertices as f64]);
+        table.push(vec![
+            workers as f64,
+            m.device_bytes,
+            m.device_bytes / vertices as f64,
+            m.resident_bytes,
+            m.resident_bytes / vertices as f64,
+        ]);
     }
     table
 }
 
 fn measure(bench: &StepBench, workers: usize, measured: &mut Measured) -> Result<(usize, usize), CliError> {
-    let folder = tempfile::tempdir().map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
+    let folder =
+        tempfile::tempdir().map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
     let options = RunOptions {
         workers,
         executor: bench.common.executor.into(),
@@ -100,7 +126,8 @@ fn measure(bench: &StepBench, workers: usize, measured: &mut Measured) -> Result
     let size = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
     let places = RunPlaces { scene: bench.scene.clone(), out: folder.path().join("run"), existing: Existing::Refuse };
     let start = std::time::Instant::now();
-    crate::coordinator::run(plan, &options, &places, &Launch::Spawn).map_err(|error| CliError::failed(error.to_string()))?;
+    crate::coordinator::run(plan, &options, &places, &Launch::Spawn)
+        .map_err(|error| CliError::failed(error.to_string()))?;
     let wall = start.elapsed().as_secs_f64();
     let report = Report::load(&places.out.join("report.json")).map_err(CliError::failed)?;
     let all: f64 = report.steps.iter().map(|step| step.stage_seconds.total).sum();

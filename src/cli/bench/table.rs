@@ -38,9 +38,16 @@ impl Table {
             v => format!("{v:.4}"),
         };
         let cells: Vec<Vec<String>> = self.rows.iter().map(|row| row.iter().map(|&v| cell(v)).collect()).collect();
-        let widths: Vec<usize> = self.columns.iter().enumerate().map(|(i, head)| cells.iter().map(|row| row[i].len()).max().unwrap_or(0).max(head.len())).collect();
+        let widths: Vec<usize> = self
+            .columns
+            .iter()
+            .enumerate()
+            .map(|(i, head)| cells.iter().map(|row| row[i].len()).max().unwrap_or(0).max(head.len()))
+            .collect();
         let mut text = format!("{}\n", self.title);
-        let line = |cells: Vec<&str>| cells.iter().zip(&widths).map(|(cell, &width)| format!("{cell:>width$}")).collect::<Vec<_>>().join("  ");
+        let line = |cells: Vec<&str>| {
+            cells.iter().zip(&widths).map(|(cell, &width)| format!("{cell:>width$}")).collect::<Vec<_>>().join("  ")
+        };
         text += &line(self.columns.clone());
         for row in &cells {
             text.push('\n');
@@ -48,20 +55,32 @@ impl Table {
         }
         text.push('\n');
         match std::io::stdout().write_all(text.as_bytes()) {
-            Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(CliError::failed(format!("cannot print the table: {error}"))),
+            Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+                Err(CliError::failed(format!("cannot print the table: {error}")))
+            }
             _ => Ok(()),
         }
     }
 
     /// Writes `name.json`, and `name.svg` with column `y` over column `x` if there are at least two rows.
     pub fn write(&self, folder: &Path, curve: Option<(&str, &str)>) -> Result<(), CliError> {
-        std::fs::create_dir_all(folder).map_err(|error| CliError::bad_input(format!("cannot write to {}: {error}", folder.display())))?;
-        let rows: Vec<Value> = self.rows.iter().map(|row| Value::Object(self.columns.iter().zip(row).map(|(head, &v)| (head.to_string(), json!(v))).collect::<Map<_, _>>())).collect();
+        std::fs::create_dir_all(folder)
+            .map_err(|error| CliError::bad_input(format!("cannot write to {}: {error}", folder.display())))?;
+        let rows: Vec<Value> = self
+            .rows
+            .iter()
+            .map(|row| {
+                Value::Object(
+                    self.columns.iter().zip(row).map(|(head, &v)| (head.to_string(), json!(v))).collect::<Map<_, _>>(),
+                )
+            })
+            .collect();
         let machine = Machine::here();
         let document = json!({"benchmark": self.name, "title": self.title, "kind": "measured", "command": std::env::args().collect::<Vec<_>>().join(" "),
             "machine": {"cpu": machine.cpu, "cores": machine.cores}, "rows": rows});
         let text = serde_json::to_string_pretty(&document).map_err(CliError::failed)?;
-        write_atomically(&folder.join(format!("{}.json", self.name)), |out| out.write_all(text.as_bytes())).map_err(CliError::failed)?;
+        write_atomically(&folder.join(format!("{}.json", self.name)), |out| out.write_all(text.as_bytes()))
+            .map_err(CliError::failed)?;
         let column = |name: &str| self.columns.iter().position(|head| *head == name);
         if let Some((x, y)) = curve
             && let (Some(i), Some(j)) = (column(x), column(y))
@@ -69,7 +88,8 @@ impl Table {
         {
             let points = self.rows.iter().map(|row| (row[i], row[j])).collect();
             let series = [Series { name: y.to_string(), points }];
-            line_chart(&folder.join(format!("{}.svg", self.name)), &self.title, x, y, &series).map_err(CliError::failed)?;
+            line_chart(&folder.join(format!("{}.svg", self.name)), &self.title, x, y, &series)
+                .map_err(CliError::failed)?;
         }
         Ok(())
     }

@@ -248,7 +248,8 @@ impl Transport for IceoryxTransport {
         self.wait_for(source, "its next message", |links| {
             let Some(peer) = &links.peers[source] else { return Ok(None) };
             let waiting = peer.subscriber.has_samples();
-            let waiting = waiting.map_err(|error| TransportError::Mechanism { rank, message: format!("receive: {error:?}") })?;
+            let waiting =
+                waiting.map_err(|error| TransportError::Mechanism { rank, message: format!("receive: {error:?}") })?;
             Ok(waiting.then_some(()))
         })
     }
