@@ -18,7 +18,7 @@ use super::real::{Real, V, add, dot, of, scale, sub};
 use crate::math::Vec3;
 
 /// A step below this many roundoffs of the whole is short.
-const SHORT_STEP: f32 = 128.0;
+const SHORT_STEP: f32 = 512.0;
 /// So many short steps in a row are a contact: a true one ends in them, where rounding leaves no better plane.
 const SHORT_STEPS: u32 = 2;
 
