@@ -9,6 +9,7 @@ mod commands;
 mod cpu;
 mod device;
 mod fault;
+mod host_memory;
 mod kernel;
 mod layout;
 pub mod primitives;

@@ -2,6 +2,7 @@
 
 use bytemuck::Pod;
 
+use super::host_memory;
 use super::Executor;
 use super::commands::ReadPart;
 use super::device::{Binding, GpuArray, LEAST_BYTES};
@@ -22,7 +23,7 @@ impl<T: Pod> DeviceVec<T> {
     pub fn zeros(executor: &Executor, len: usize) -> DeviceVec<T> {
         const { assert!(size_of::<T>().is_multiple_of(4) && size_of::<T>() > 0, "items must be whole 32-bit words") };
         let storage = match executor {
-            Executor::Cpu(_) => Storage::Cpu(vec![T::zeroed(); len]),
+            Executor::Cpu(_) => Storage::Cpu(host_memory::zeroed(len)),
             Executor::Gpu(gpu) => Storage::Gpu(gpu.allocate((len * size_of::<T>()) as u64), len),
         };
         DeviceVec { storage }
@@ -31,7 +32,7 @@ impl<T: Pod> DeviceVec<T> {
     /// An array holding `values`.
     pub fn upload(executor: &Executor, values: &[T]) -> DeviceVec<T> {
         if let Executor::Cpu(_) = executor {
-            return DeviceVec { storage: Storage::Cpu(values.to_vec()) };
+            return DeviceVec { storage: Storage::Cpu(host_memory::copied(values)) };
         }
         let mut made = DeviceVec::zeros(executor, values.len());
         made.write_range(executor, 0, values);

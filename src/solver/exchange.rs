@@ -90,14 +90,31 @@ impl HaloExchange {
             let start = recorder.now();
             let rows = source.message_rows.len();
             let staging = &mut self.staging;
+            // The cpu executor reads the message straight into place; a device gets one write per vector.
+            let mut in_place: Option<Vec<&mut [f32]>> = match executor {
+                Executor::Cpu(_) => {
+                    let (first, len) = (source.local_start as usize * 3, rows * 3);
+                    Some(vectors.iter_mut().map(|v| &mut v.as_mut_slice()[first..first + len]).collect())
+                }
+                Executor::Gpu(_) => None,
+            };
             let mut short = None;
             transport.receive(node.vector, &mut |message| {
-                staging.clear();
-                staging.resize(rows * 3 * (width / 3), 0.0);
                 if source.message_rows.last().is_some_and(|&last| (last as usize + 1) * width > message.len()) {
                     short = Some(message.len());
                     return;
                 }
+                if let Some(vectors) = &mut in_place {
+                    for (plane, vector) in vectors.iter_mut().enumerate() {
+                        for (&position, to) in source.message_rows.iter().zip(vector.as_chunks_mut::<3>().0) {
+                            let at = position as usize * width + plane * 3;
+                            to.copy_from_slice(&message[at..at + 3]);
+                        }
+                    }
+                    return;
+                }
+                staging.clear();
+                staging.resize(rows * width, 0.0);
                 // One plane per vector, so that each lands with one contiguous write.
                 for (i, &position) in source.message_rows.iter().enumerate() {
                     let row = &message[position as usize * width..(position as usize + 1) * width];
@@ -111,7 +128,7 @@ impl HaloExchange {
                     format!("message of rank {} holds {got} values, fewer than the halo plan needs", node.vector);
                 return Err(TransportError::Mechanism { rank, message });
             }
-            if rows > 0 {
+            if rows > 0 && matches!(executor, Executor::Gpu(_)) {
                 for (plane, vector) in vectors.iter_mut().enumerate() {
                     vector.write_range(
                         executor,
