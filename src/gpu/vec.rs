@@ -2,10 +2,10 @@
 
 use bytemuck::Pod;
 
-use super::host_memory;
 use super::Executor;
 use super::commands::ReadPart;
 use super::device::{Binding, GpuArray, LEAST_BYTES};
+use super::host_memory;
 
 /// An array on an executor. Plain data only; length fixed at creation. Items are whole 32-bit words, as devices copy
 /// nothing smaller. Empty arrays are allowed everywhere.
