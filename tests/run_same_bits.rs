@@ -59,3 +59,24 @@ fn full_exchange_repeats_its_bits() {
         assert_eq!(run("second"), first, "{workers} workers");
     }
 }
+
+#[test]
+fn workers_with_a_device_each_give_the_bits_of_one() {
+    // Prints why and stops here where there is no adapter.
+    if loomtree::gpu::test_support::executor().is_none() {
+        return;
+    }
+    let place = Place::new();
+    place.write("flag.toml", flag(400, 1, 2));
+    let run = |workers: usize| {
+        let out = format!("gpu{workers}");
+        place.run(&format!("run flag.toml --executor gpu --heartbeat 60 --out {out} --workers {workers}")).expect(0);
+        assert_eq!(place.report(&out)["executor"], "gpu");
+        place.hashes(&out)
+    };
+    let one = run(1);
+    assert_eq!(one.len(), 3);
+    for workers in [2, 4] {
+        assert_eq!(run(workers), one, "{workers} workers");
+    }
+}

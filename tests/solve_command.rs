@@ -66,7 +66,11 @@ fn an_indefinite_matrix_is_a_sentence_with_exit_code_1() {
         "%%MatrixMarket matrix coordinate real symmetric\n4 4 5\n1 1 1\n2 2 1\n3 3 1\n4 4 1\n4 1 3\n",
     )
     .expect("writes");
-    let output = solve(&[&matrix.display().to_string(), "--rtol", "1e-6"]);
+    // Rows 1 and 4 against each other: the direction in which the matrix is negative.
+    let rhs = folder.path().join("b.txt");
+    std::fs::write(&rhs, "1\n0\n0\n-1\n").expect("writes");
+    let (matrix, rhs) = (matrix.display().to_string(), rhs.display().to_string());
+    let output = solve(&[&matrix, "--rhs", &rhs, "--rtol", "1e-6"]);
     assert_eq!(output.status.code(), Some(1));
     let complaint = String::from_utf8_lossy(&output.stderr);
     assert!(complaint.contains("not positive definite"), "{complaint}");

@@ -13,7 +13,8 @@ pub struct Sheet {
 pub fn sheet_cells(size_m: [f64; 2], triangles: u64) -> Sheet {
     let cells = (triangles as f64 / 2.0).max(1.0);
     let most = u32::MAX / 4;
-    let rows = (cells * size_m[1] / size_m[0]).sqrt().clamp(1.0, f64::from(most));
+    // However narrow the sheet: no more rows than cells, or the triangles would outnumber what was asked for.
+    let rows = (cells * size_m[1] / size_m[0]).sqrt().clamp(1.0, cells.min(f64::from(most)));
     // Of the two whole numbers of rows, the one that the columns complete best to the wanted number of cells.
     let complete = |rows: f64| {
         let rows = rows.max(1.0);
@@ -62,6 +63,14 @@ impl Sheet {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_narrowest_strips_have_the_triangles_asked_for() {
+        for size_m in [[1e-30, 1e30], [1e30, 1e-30], [1.0, 1e9]] {
+            let triangles = sheet_cells(size_m, 10_000).triangles();
+            assert!((9_000..=11_000).contains(&triangles), "{size_m:?}: {triangles}");
+        }
+    }
 
     #[test]
     fn two_by_two_cells() {
