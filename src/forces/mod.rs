@@ -6,6 +6,7 @@
 
 pub mod bend;
 mod bend_cpu;
+mod contact_element;
 mod element;
 pub mod stretch;
 mod stretch_cpu;
@@ -14,6 +15,7 @@ mod stretch_cpu;
 mod tests;
 
 pub use bend_cpu::{bend_energy, dihedral_angle};
+pub use contact_element::{ContactElement, NO_VERTEX};
 pub use element::{
     CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,
     TRIANGLE_RECORD_FLOATS, TriangleElement, hinge_element, triangle_element,
