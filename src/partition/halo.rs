@@ -16,6 +16,22 @@ pub struct HaloSource {
     pub message_rows: Vec<u32>,
     /// Local index of the first of them; halo rows of one source are contiguous in the local numbering.
     pub local_start: u32,
+    /// The same for the rows that this step's contacts add.
+    pub extra_rows: Vec<u32>,
+    /// Local index of the first of those.
+    pub extra_start: u32,
+}
+
+impl HaloSource {
+    /// Runs of rows that are contiguous in the local numbering: positions in the message, first local index.
+    pub fn runs(&self) -> [(&[u32], u32); 2] {
+        [(&self.message_rows, self.local_start), (&self.extra_rows, self.extra_start)]
+    }
+
+    /// Rows read.
+    pub fn rows(&self) -> usize {
+        self.message_rows.len() + self.extra_rows.len()
+    }
 }
 
 /// Halo of one rank.
@@ -27,12 +43,14 @@ pub struct HaloPlan {
     pub own: Range<usize>,
     /// Own rows + halo rows.
     pub local_rows: usize,
-    /// Global index of every local row, ascending.
+    /// Global index of every local row: ascending, then (ascending for themselves) the rows that contacts add.
     pub global_from_local: Vec<u32>,
-    /// Own rows (index within the row block) that other ranks read, ascending: the message.
+    /// Own rows (index within the row block) that other ranks read: the message. Ascending, then those that contacts add.
     pub publish_rows: Vec<u32>,
     /// Per source rank (empty for the own rank).
     pub sources: Vec<HaloSource>,
+    /// Global rows that each rank publishes whatever the contacts are, ascending.
+    pub published: Vec<Vec<u32>>,
 }
 
 impl HaloPlan {
@@ -43,7 +61,49 @@ impl HaloPlan {
 
     /// Local index of a global row, if this rank holds it.
     pub fn local_from_global(&self, global: u32) -> Option<u32> {
-        self.global_from_local.binary_search(&global).ok().map(|i| i as u32)
+        let (fixed, extra) = self.global_from_local.split_at(self.local_rows - self.extra_halo_rows());
+        let found = fixed.binary_search(&global).ok();
+        found.or_else(|| extra.binary_search(&global).ok().map(|i| fixed.len() + i)).map(|i| i as u32)
+    }
+
+    /// Halo rows that contacts added.
+    pub fn extra_halo_rows(&self) -> usize {
+        self.sources.iter().map(|source| source.extra_rows.len()).sum()
+    }
+
+    /// This plan for a step whose contacts need more rows: `needs[r]` = global rows that rank r needs and does not hold,
+    /// ascending. Every rank calls it with the same `needs`, so all agree on the messages: the rows that are always
+    /// published, then the others that anybody needs, ascending. `self` has no extra rows.
+    pub fn extended(&self, partition: &RowPartition, needs: &[Vec<u32>]) -> HaloPlan {
+        let mut plan = self.clone();
+        let mut extra: Vec<u32> = needs.concat();
+        extra.sort_unstable();
+        extra.dedup();
+        extra.retain(|row| self.published[partition.owner(*row as usize)].binary_search(row).is_err());
+        let of_rank = |rank: usize| {
+            let rows = partition.rows_of(rank);
+            let start = extra.partition_point(|&row| (row as usize) < rows.start);
+            let end = extra.partition_point(|&row| (row as usize) < rows.end);
+            &extra[start..end]
+        };
+        let own = partition.rows_of(self.rank);
+        plan.publish_rows.extend(of_rank(self.rank).iter().map(|&row| row - own.start as u32));
+        for &row in &needs[self.rank] {
+            let owner = partition.owner(row as usize);
+            let fixed = &self.published[owner];
+            let position = match fixed.binary_search(&row) {
+                Ok(position) => position,
+                Err(_) => fixed.len() + of_rank(owner).binary_search(&row).expect("needs are part of the extra rows"),
+            };
+            let source = &mut plan.sources[owner];
+            if source.extra_rows.is_empty() {
+                source.extra_start = plan.local_rows as u32;
+            }
+            source.extra_rows.push(position as u32);
+            plan.global_from_local.push(row);
+            plan.local_rows += 1;
+        }
+        plan
     }
 }
 
@@ -88,6 +148,7 @@ fn plan_of(partition: &RowPartition, rank: usize, halo: &[u32], published: &[Vec
         global_from_local,
         publish_rows: published[rank].iter().map(|&g| g - rows.start as u32).collect(),
         sources,
+        published: published.to_vec(),
     }
 }
 
@@ -105,10 +166,28 @@ mod tests {
         assert_eq!(plans[1].global_from_local, [1, 2, 3, 4]);
         assert_eq!(plans[1].own, 1..3);
         assert_eq!(plans[1].publish_rows, [0, 1]);
-        assert_eq!(plans[2].sources[1], HaloSource { message_rows: vec![1], local_start: 0 });
-        assert_eq!(plans[1].sources[2], HaloSource { message_rows: vec![0], local_start: 3 });
+        assert_eq!(plans[2].sources[1], HaloSource { message_rows: vec![1], ..HaloSource::default() });
+        assert_eq!(plans[1].sources[2], HaloSource { message_rows: vec![0], local_start: 3, ..HaloSource::default() });
         assert_eq!(plans[1].halo_rows(), 2);
         assert_eq!(plans[1].local_from_global(4), Some(3));
         assert_eq!(plans[1].local_from_global(5), None);
+    }
+
+    #[test]
+    fn contacts_add_rows_behind_the_others() {
+        // As above, but rank 0 also needs rows 3 (nobody reads it otherwise), 4 (published anyway) and 5, rank 2 row 0.
+        let partition = RowPartition::new(6, 3);
+        let plans = halo_plans(&partition, &[vec![2], vec![1, 4], vec![3]]);
+        let needs = [vec![3, 4, 5], vec![], vec![0]];
+        let plans: Vec<_> = plans.iter().map(|plan| plan.extended(&partition, &needs)).collect();
+        assert_eq!(plans[0].global_from_local, [0, 1, 2, 3, 4, 5]);
+        assert_eq!(plans[0].publish_rows, [1, 0], "row 1 always, row 0 for rank 2");
+        assert_eq!(plans[0].sources[1].runs(), [(&[0u32][..], 2), (&[1u32][..], 3)], "row 3 is published anyway");
+        assert_eq!(plans[0].sources[2].runs(), [(&[][..], 0), (&[0u32, 1][..], 4)]);
+        assert_eq!(plans[2].publish_rows, [0, 1]);
+        assert_eq!(plans[2].sources[0].runs(), [(&[][..], 0), (&[1u32][..], 3)]);
+        assert_eq!((plans[0].local_from_global(4), plans[2].local_from_global(0)), (Some(4), Some(3)));
+        assert_eq!((plans[0].extra_halo_rows(), plans[0].halo_rows()), (3, 4));
+        assert_eq!(plans[1].sources[0].runs()[1].0.len(), 0);
     }
 }

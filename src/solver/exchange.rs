@@ -47,6 +47,14 @@ impl HaloExchange {
         &self.plan
     }
 
+    /// Exchanges along another plan from now on (on all ranks at once).
+    pub fn set_plan(&mut self, plan: HaloPlan) {
+        if self.plan.publish_rows != plan.publish_rows {
+            self.gather = Gather::default();
+        }
+        self.plan = plan;
+    }
+
     /// Publishes the own rows that others read. `vectors`: local vectors with 3 values per row; their rows are interleaved in
     /// the message.
     pub fn publish(
@@ -88,39 +96,17 @@ impl HaloExchange {
                 recorder.end_transfer(EventName::Receive, Activity::Wait, start, route, 0, 0);
             }
             let start = recorder.now();
-            let rows = source.message_rows.len();
+            let rows = source.rows();
             let staging = &mut self.staging;
-            // The cpu executor reads the message straight into place; a device gets one write per vector.
-            let mut in_place: Option<Vec<&mut [f32]>> = match executor {
-                Executor::Cpu(_) => {
-                    let (first, len) = (source.local_start as usize * 3, rows * 3);
-                    Some(vectors.iter_mut().map(|v| &mut v.as_mut_slice()[first..first + len]).collect())
-                }
-                Executor::Gpu(_) => None,
-            };
             let mut short = None;
             transport.receive(node.vector, &mut |message| {
-                if source.message_rows.last().is_some_and(|&last| (last as usize + 1) * width > message.len()) {
+                let last = source.runs().iter().filter_map(|(positions, _)| positions.last().copied()).max();
+                if last.is_some_and(|last| (last as usize + 1) * width > message.len()) {
                     short = Some(message.len());
                     return;
                 }
-                if let Some(vectors) = &mut in_place {
-                    for (plane, vector) in vectors.iter_mut().enumerate() {
-                        for (&position, to) in source.message_rows.iter().zip(vector.as_chunks_mut::<3>().0) {
-                            let at = position as usize * width + plane * 3;
-                            to.copy_from_slice(&message[at..at + 3]);
-                        }
-                    }
-                    return;
-                }
-                staging.clear();
-                staging.resize(rows * width, 0.0);
-                // One plane per vector, so that each lands with one contiguous write.
-                for (i, &position) in source.message_rows.iter().enumerate() {
-                    let row = &message[position as usize * width..(position as usize + 1) * width];
-                    for (plane, values) in row.chunks_exact(3).enumerate() {
-                        staging[(plane * rows + i) * 3..(plane * rows + i + 1) * 3].copy_from_slice(values);
-                    }
+                for (positions, local_start) in source.runs() {
+                    place_rows(executor, message, positions, local_start as usize * 3, vectors, staging);
                 }
             })?;
             if let Some(got) = short {
@@ -128,20 +114,42 @@ impl HaloExchange {
                     format!("message of rank {} holds {got} values, fewer than the halo plan needs", node.vector);
                 return Err(TransportError::Mechanism { rank, message });
             }
-            if rows > 0 && matches!(executor, Executor::Gpu(_)) {
-                for (plane, vector) in vectors.iter_mut().enumerate() {
-                    vector.write_range(
-                        executor,
-                        source.local_start as usize * 3,
-                        &staging[plane * rows * 3..(plane + 1) * rows * 3],
-                    );
-                }
-            }
             let bytes = (rows * width * 4) as u64;
             traffic.received_bytes += bytes;
             traffic.messages += 1;
             recorder.end_transfer(EventName::Receive, Activity::Transfer, start, route, bytes, 0);
         }
         Ok(())
+    }
+}
+
+/// Copies the rows at `positions` of a message, where the rows of all `vectors` are interleaved, to values `first..` of each.
+/// The cpu executor writes them straight into place; a device gets one write per vector.
+fn place_rows(
+    executor: &Executor,
+    message: &[f32],
+    positions: &[u32],
+    first: usize,
+    vectors: &mut [&mut DeviceVec<f32>],
+    staging: &mut Vec<f32>,
+) {
+    let width = 3 * vectors.len();
+    for (plane, vector) in vectors.iter_mut().enumerate() {
+        let copy = |out: &mut [f32]| {
+            for (&position, to) in positions.iter().zip(out.as_chunks_mut::<3>().0) {
+                let at = position as usize * width + plane * 3;
+                to.copy_from_slice(&message[at..at + 3]);
+            }
+        };
+        match executor {
+            Executor::Cpu(_) => copy(&mut vector.as_mut_slice()[first..first + positions.len() * 3]),
+            Executor::Gpu(_) if positions.is_empty() => {}
+            Executor::Gpu(_) => {
+                staging.clear();
+                staging.resize(positions.len() * 3, 0.0);
+                copy(staging);
+                vector.write_range(executor, first, staging);
+            }
+        }
     }
 }

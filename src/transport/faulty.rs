@@ -98,6 +98,10 @@ impl<T: Transport> Transport for FaultyTransport<T> {
         self.inner.all_gather(own, out)
     }
 
+    fn max_message_values(&self) -> usize {
+        self.inner.max_message_values()
+    }
+
     fn bytes_published(&self) -> u64 {
         self.inner.bytes_published()
     }

@@ -24,6 +24,7 @@ pub struct InProcessTransport {
     /// Buffers of own messages; one is written while readers hold the others.
     buffers: Vec<Arc<Vec<f32>>>,
     published: u64,
+    max_message_values: usize,
     bytes_published: u64,
     bytes_received: u64,
 }
@@ -81,6 +82,7 @@ impl InProcessTransport {
                 gathers: 0,
                 buffers: Vec::new(),
                 published: 0,
+                max_message_values: usize::MAX,
                 bytes_published: 0,
                 bytes_received: 0,
             })
@@ -90,6 +92,11 @@ impl InProcessTransport {
     /// Longest wait of one call.
     pub fn set_deadline(&mut self, deadline: Duration) {
         self.deadline = deadline;
+    }
+
+    /// What [`Transport::max_message_values`] answers; longer messages are not refused. No bound at first.
+    pub fn set_max_message_values(&mut self, values: usize) {
+        self.max_message_values = values;
     }
 
     /// Called at least every 50 ms while waiting; true = give up.
@@ -244,6 +251,10 @@ impl Transport for InProcessTransport {
             })?;
         }
         Ok(())
+    }
+
+    fn max_message_values(&self) -> usize {
+        self.max_message_values
     }
 
     fn bytes_published(&self) -> u64 {

@@ -8,6 +8,7 @@
 //! Beside it: the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`], [`encode`])
 //! and what a run takes of the machine and leaves behind ([`RunName`]). Linux only.
 
+mod collective;
 mod faulty;
 mod frames;
 mod iceoryx;
@@ -20,6 +21,7 @@ mod shared_memory;
 mod solo;
 mod wait;
 
+pub use collective::share_lists;
 pub use faulty::{Fault, FaultyTransport};
 pub use iceoryx::{
     ControlCoordinator, ControlError, ControlWorker, Heartbeat, HeartbeatHandle, IceoryxOptions, IceoryxTransport,
@@ -86,6 +88,8 @@ pub trait Transport {
         let mut out = Vec::new();
         self.all_gather(&[], &mut out)
     }
+    /// Most values that a message may hold.
+    fn max_message_values(&self) -> usize;
     /// Bytes of all messages published so far (counted once each, however many ranks read them).
     fn bytes_published(&self) -> u64;
     /// Bytes of all messages received so far.

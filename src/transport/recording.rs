@@ -95,6 +95,10 @@ impl<T: Transport> Transport for RecordingTransport<T> {
         Ok(())
     }
 
+    fn max_message_values(&self) -> usize {
+        self.inner.max_message_values()
+    }
+
     fn bytes_published(&self) -> u64 {
         self.inner.bytes_published()
     }

@@ -69,6 +69,10 @@ impl Transport for SoloTransport {
         }
     }
 
+    fn max_message_values(&self) -> usize {
+        usize::MAX
+    }
+
     fn bytes_published(&self) -> u64 {
         self.bytes_published
     }

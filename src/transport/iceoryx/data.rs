@@ -298,6 +298,10 @@ impl Transport for IceoryxTransport {
         Ok(())
     }
 
+    fn max_message_values(&self) -> usize {
+        self.max_len
+    }
+
     fn bytes_published(&self) -> u64 {
         self.bytes_published
     }
