@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::linear_system::{RankSystem, SolveParams, SolveStats};
 use crate::model::RankModel;
-use crate::step::{ExchangePlan, StepStats};
+use crate::step::{ExchangePlan, Imposed, StepStats};
 
 /// Which executor a worker uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -89,6 +89,8 @@ pub enum WorkerFailure {
     Transport(String),
     /// A value is not finite; `row` counts in the global order.
     NotFinite { step: u32, row: u32, quantity: String, cause: String, suspect: String },
+    /// What the scene moves left the cloth no room; rows count in the global order.
+    Squeezed { step: u32, imposed: Vec<Imposed> },
     /// Bad input that only the worker could see.
     BadInput(String),
     /// Anything else.

@@ -2,10 +2,13 @@
 //!
 //! Every rank of a run calls [`Simulation::step`] with the same step number; the calls inside meet over the transport.
 
+mod collisions;
+mod error;
+mod stats;
+
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
 use crate::assembly::fill::{Fill, FillParams, FillTables};
 use crate::assembly::{ElementRows, Pattern, SellLayout, SellMatrix};
@@ -16,7 +19,7 @@ use crate::forces::{
 };
 use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::integrator::advance::Advance;
-use crate::integrator::pins::Pins;
+use crate::integrator::pins::{PinTargets, Pins};
 use crate::integrator::scatter::Scatter;
 use crate::interconnect::QueueNode;
 use crate::model::RankModel;
@@ -25,6 +28,14 @@ use crate::solver::{ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVec
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
+use collisions::{Collisions, Resolved, Span};
+pub use error::{Imposed, SetupError, StepError};
+pub use stats::{QueryStats, StageSeconds, StepStats, ZoneCounts};
+use stats::{StageClock, peak_resident_bytes};
+
+/// Times a step may be cut in two if its end cannot be freed of penetrations otherwise.
+const HALVINGS_MAX: u32 = 4;
+
 /// How the ranks of a run exchange and who receives what when.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ExchangePlan {
@@ -32,71 +43,6 @@ pub struct ExchangePlan {
     pub mode: ExchangeMode,
     /// Own work queue: one sub-vector per stage.
     pub queue: Vec<QueueNode>,
-}
-
-/// Why a rank could not be set up.
-#[derive(Debug, Error)]
-pub enum SetupError {
-    /// A vertex with too many neighbours.
-    #[error(transparent)]
-    RowTooLong(#[from] crate::assembly::RowTooLong),
-    /// The device refused.
-    #[error(transparent)]
-    Device(#[from] crate::gpu::GpuError),
-}
-
-/// Why a step failed.
-#[derive(Debug, Error)]
-pub enum StepError {
-    /// A transfer failed: another rank is gone, or the run was told to stop.
-    #[error(transparent)]
-    Transport(#[from] TransportError),
-    /// A value that is not finite; `vertex` is a global row.
-    #[error("step {step}: {quantity} of vertex {vertex} is not finite ({cause}); likely too large: {suspect}")]
-    NotFinite { step: u32, vertex: u32, quantity: &'static str, cause: String, suspect: &'static str },
-    /// The solve failed for another reason.
-    #[error("step {step}: {cause}")]
-    Solve { step: u32, cause: String },
-    /// The device failed.
-    #[error("step {step}: {message}")]
-    Device { step: u32, message: String },
-}
-
-/// Seconds a rank spent in the stages of a step (wall time of this rank; waiting for others is inside).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct StageSeconds {
-    pub exchange: f64,
-    pub elements: f64,
-    pub index_fill: f64,
-    pub value_fill: f64,
-    pub solve: f64,
-    pub advance: f64,
-    pub total: f64,
-}
-
-/// What a rank reports of a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct StepStats {
-    /// Step number, from 1.
-    pub step: u32,
-    /// PCG iterations.
-    pub iterations: u32,
-    /// Relative residual reached.
-    pub residual: f64,
-    /// True if PCG met its tolerance.
-    pub converged: bool,
-    /// Matrix-vector products.
-    pub products: u32,
-    /// Bytes this rank received for matrix-vector products.
-    pub spmv_bytes: u64,
-    /// Bytes this rank received otherwise (positions and velocities).
-    pub state_bytes: u64,
-    /// Bytes of device memory this rank holds.
-    pub memory_bytes: u64,
-    /// Peak resident memory of this process, bytes; 0 where the system does not tell.
-    pub resident_bytes: u64,
-    /// Stage times.
-    pub seconds: StageSeconds,
 }
 
 /// One rank's simulation.
@@ -217,90 +163,84 @@ impl Simulation {
     pub fn step(&mut self, transport: &mut dyn Transport, step: u32, record: bool) -> Result<StepStats, StepError> {
         self.recorder.begin_step(step, record);
         let clock = StageClock::start();
-        let mut seconds = StageSeconds::default();
-        let time_s = (step - 1) as f64 * self.settings.step_s;
+        let step_s = self.settings.step_s;
+        let span = Span { start_s: (step - 1) as f64 * step_s, end_s: step as f64 * step_s, length_s: step_s };
+        let mut stats = StepStats { step, converged: true, ..StepStats::default() };
+        self.spmv.traffic = TrafficCounter::default();
+        self.advance_over(transport, span, 0, &mut stats)?;
+        if let Some(fault) = self.executor.take_fault() {
+            return Err(StepError::Device { step, message: fault.to_string() });
+        }
+        stats.seconds.total = clock.total();
+        stats.spmv_bytes = self.spmv.traffic.received_bytes;
+        stats.state_bytes += std::mem::take(&mut self.state_traffic).received_bytes;
+        stats.memory_bytes = self.memory_bytes();
+        stats.resident_bytes = peak_resident_bytes();
+        Ok(stats)
+    }
 
-        // 1. Pins (and obstacles) at t1.
-        let targets = self.move_pins(time_s);
+    /// Advances over `span`, in two halves if its end cannot be freed of penetrations in one.
+    fn advance_over(
+        &mut self,
+        transport: &mut dyn Transport,
+        span: Span,
+        halvings: u32,
+        stats: &mut StepStats,
+    ) -> Result<(), StepError> {
+        let before = self.collisions.is_some().then(|| (self.state(), self.pins.clone()));
+        let Resolved::Squeezed(imposed) = self.solve_over(transport, span, stats)? else { return Ok(()) };
+        let (Some((state, pins)), true) = (before, halvings < HALVINGS_MAX) else {
+            return Err(StepError::Squeezed { step: stats.step, imposed });
+        };
+        self.positions.write_range(&self.executor, self.own_start, &state.0);
+        self.velocities.write_range(&self.executor, self.own_start, &state.1);
+        self.pins = pins;
+        stats.zones.halvings += 1;
+        for half in span.halves() {
+            self.advance_over(transport, half, halvings + 1, stats)?;
+        }
+        Ok(())
+    }
 
-        // 2. Proximity: the place of the discrete query. Its pairs become contact elements of stage 3 and change the pattern of
-        //    stage 4 and the halo; without them both are fixed.
+    /// One implicit step over `span` [Li et al. 2020, Fig. 2].
+    fn solve_over(
+        &mut self,
+        transport: &mut dyn Transport,
+        span: Span,
+        stats: &mut StepStats,
+    ) -> Result<Resolved, StepError> {
+        let clock = StageClock::start();
+
+        // 1. Pins and obstacles at t1.
+        let targets = self.move_pins(span);
+
+        // 2. Proximity: pairs closer than the thickness become contact elements; with them come halo rows.
+        self.find_contacts(transport, span, stats)?;
         self.exchange_state(transport)?;
-        clock.lap(&mut seconds.exchange);
+        clock.lap(&mut stats.seconds.exchange);
 
         // 3. Assembly elements.
-        self.element_records();
-        clock.lap(&mut seconds.elements);
+        self.element_records(span);
+        clock.lap(&mut stats.seconds.elements);
         transport.alive()?;
 
         // 4. Matrix, right-hand side, preconditioner of the own rows.
-        self.fill_matrix();
-        clock.lap(&mut seconds.value_fill);
+        self.fill_matrix(span);
+        clock.lap(&mut stats.seconds.value_fill);
         transport.alive()?;
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.vectors.x.fill_zero(&self.executor);
         self.scatter.apply(&self.executor, &targets.rows, &targets.velocity_changes, 0, &mut self.vectors.x);
-        let params = PcgParams {
-            relative_tolerance: self.settings.relative_tolerance,
-            max_iterations: self.settings.max_iterations,
-        };
-        self.spmv.traffic = TrafficCounter::default();
-        let solved = self.pcg.solve(
-            &self.executor,
-            transport,
-            &mut self.spmv,
-            &self.matrix,
-            &self.inverse_diagonal,
-            &self.rhs,
-            &mut self.vectors,
-            self.pins_move,
-            &params,
-            &mut self.recorder,
-        );
-        let info = solved.map_err(|error| self.explain(step, error))?;
-        clock.lap(&mut seconds.solve);
+        self.solve(transport, stats)?;
+        clock.lap(&mut stats.seconds.solve);
 
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
-        let start = self.recorder.now();
-        self.advance.advance(
-            &self.executor,
-            self.settings.step_s as f32,
-            &self.vectors.x,
-            self.own_start,
-            &mut self.velocities,
-            &mut self.positions,
-        );
-        self.scatter.apply(&self.executor, &targets.rows, &targets.velocities, self.own_start, &mut self.velocities);
-        self.scatter.apply(&self.executor, &targets.rows, &targets.positions, self.own_start, &mut self.positions);
-        self.recorder.end(
-            EventName::Advance,
-            Activity::Compute,
-            start,
-            self.own_rows as u64 * 60,
-            self.own_rows as u64 * 9,
-        );
-        clock.lap(&mut seconds.advance);
+        self.advance_state(span, &targets);
+        clock.lap(&mut stats.seconds.advance);
 
-        // 7. Continuous collision detection over the step and impact zones until nothing penetrates: their place.
-
-        if let Some(fault) = self.executor.take_fault() {
-            return Err(StepError::Device { step, message: fault.to_string() });
-        }
-        seconds.total = clock.total();
-        let state_bytes = std::mem::take(&mut self.state_traffic).received_bytes;
-        Ok(StepStats {
-            step,
-            iterations: info.iterations,
-            residual: info.relative_residual,
-            converged: info.converged,
-            products: info.products,
-            spmv_bytes: self.spmv.traffic.received_bytes,
-            state_bytes,
-            memory_bytes: self.memory_bytes(),
-            resident_bytes: peak_resident_bytes(),
-            seconds,
-        })
+        // 7. Continuous collision detection over the step and impact zones until nothing penetrates.
+        self.resolve_impacts(transport, span, stats)
     }
 
     /// Times `repeat` products of the current matrix on a single rank: seconds of each, and the bytes that one moves.
@@ -359,8 +299,8 @@ impl Simulation {
         self.executor.name().to_string()
     }
 
-    fn move_pins(&mut self, time_s: f64) -> crate::integrator::pins::PinTargets {
-        let step_s = self.settings.step_s;
+    fn move_pins(&mut self, span: Span) -> PinTargets {
+        let (time_s, step_s) = (span.start_s, span.length_s);
         if self.pins.changes(time_s, step_s) {
             let (positions, velocities) = self.state();
             let held = self.pins.regrip(time_s, step_s, &positions, &velocities);
@@ -369,6 +309,26 @@ impl Simulation {
             self.pinned.write_range(&self.executor, 0, &pinned);
         }
         self.pins.targets(time_s, step_s, &self.motions)
+    }
+
+    /// Contacts of the state at t0: their elements, their halo rows, and the obstacle vertices they touch.
+    fn find_contacts(
+        &mut self,
+        transport: &mut dyn Transport,
+        span: Span,
+        stats: &mut StepStats,
+    ) -> Result<(), StepError> {
+        let Some(collisions) = &mut self.collisions else { return Ok(()) };
+        let (start, step) = (self.recorder.now(), stats.step);
+        let mut own = vec![0.0; self.own_rows * 3];
+        self.positions.read_range(&self.executor, self.own_start, &mut own);
+        let contacts = collisions.contacts(transport, &own, span, stats, &mut self.recorder)?;
+        let local_rows = contacts.plan.local_rows + contacts.obstacle_vertices.len();
+        self.spmv.halo().set_plan(contacts.plan);
+        self.positions.grow(&self.executor, local_rows * 3);
+        self.velocities.grow(&self.executor, local_rows * 3);
+        self.vectors.grow(&self.executor, local_rows * 3);
+        Ok(())
     }
 
     /// Halo positions and velocities of the state at t0.
@@ -387,10 +347,10 @@ impl Simulation {
         Ok(())
     }
 
-    fn element_records(&mut self) {
+    fn element_records(&mut self, span: Span) {
         let start = self.recorder.now();
         let params = |count: usize| StepParams {
-            step_s: self.settings.step_s as f32,
+            step_s: span.length_s as f32,
             air_density: self.settings.air_density_kg_m3 as f32,
             air_drag: self.settings.air_drag_kg_m2_s as f32,
             count: count as u32,
@@ -426,11 +386,11 @@ impl Simulation {
         );
     }
 
-    fn fill_matrix(&mut self) {
+    fn fill_matrix(&mut self, span: Span) {
         let start = self.recorder.now();
         let params = FillParams {
             gravity: self.settings.gravity_m_s2.to_array(),
-            step_s: self.settings.step_s as f32,
+            step_s: span.length_s as f32,
             rows: self.own_rows as u32,
         };
         self.fill.apply(
@@ -451,6 +411,76 @@ impl Simulation {
             + self.matrix.blocks as u64 * 36
             + self.fill_tables.bytes();
         self.recorder.end(EventName::ValueFill, Activity::Compute, start, bytes, self.matrix.blocks as u64 * 90);
+    }
+
+    fn solve(&mut self, transport: &mut dyn Transport, stats: &mut StepStats) -> Result<(), StepError> {
+        let params = PcgParams {
+            relative_tolerance: self.settings.relative_tolerance,
+            max_iterations: self.settings.max_iterations,
+        };
+        let solved = self.pcg.solve(
+            &self.executor,
+            transport,
+            &mut self.spmv,
+            &self.matrix,
+            &self.inverse_diagonal,
+            &self.rhs,
+            &mut self.vectors,
+            self.pins_move,
+            &params,
+            &mut self.recorder,
+        );
+        let info = solved.map_err(|error| self.explain(stats.step, error))?;
+        stats.iterations += info.iterations;
+        stats.products += info.products;
+        stats.converged &= info.converged;
+        stats.residual = stats.residual.max(info.relative_residual);
+        Ok(())
+    }
+
+    fn advance_state(&mut self, span: Span, targets: &PinTargets) {
+        let start = self.recorder.now();
+        self.advance.advance(
+            &self.executor,
+            span.length_s as f32,
+            &self.vectors.x,
+            self.own_start,
+            &mut self.velocities,
+            &mut self.positions,
+        );
+        self.scatter.apply(&self.executor, &targets.rows, &targets.velocities, self.own_start, &mut self.velocities);
+        self.scatter.apply(&self.executor, &targets.rows, &targets.positions, self.own_start, &mut self.positions);
+        let rows = self.own_rows as u64;
+        self.recorder.end(EventName::Advance, Activity::Compute, start, rows * 60, rows * 9);
+    }
+
+    /// Frees the state at t1 of penetrations; moved vertices get the velocity that brought them where they are.
+    fn resolve_impacts(
+        &mut self,
+        transport: &mut dyn Transport,
+        span: Span,
+        stats: &mut StepStats,
+    ) -> Result<Resolved, StepError> {
+        let Some(collisions) = &mut self.collisions else { return Ok(Resolved::Free(Vec::new())) };
+        let mut own = vec![0.0; self.own_rows * 3];
+        self.positions.read_range(&self.executor, self.own_start, &mut own);
+        let resolved = collisions.resolve(&self.executor, transport, &own, stats, &mut self.recorder)?;
+        if let Resolved::Free(moved) = &resolved
+            && !moved.is_empty()
+        {
+            let mut velocities = vec![0.0; self.own_rows * 3];
+            self.velocities.read_range(&self.executor, self.own_start, &mut velocities);
+            for &(row, x) in moved {
+                let at = row as usize * 3;
+                for axis in 0..3 {
+                    velocities[at + axis] += (x[axis] - own[at + axis]) / span.length_s as f32;
+                    own[at + axis] = x[axis];
+                }
+            }
+            self.positions.write_range(&self.executor, self.own_start, &own);
+            self.velocities.write_range(&self.executor, self.own_start, &velocities);
+        }
+        Ok(resolved)
     }
 
     /// Finds the vertex behind a failed solve and names what usually causes it.
@@ -481,36 +511,5 @@ impl Simulation {
             }
         }
         StepError::Solve { step, cause }
-    }
-}
-
-/// High-water mark of this process's resident memory.
-fn peak_resident_bytes() -> u64 {
-    let Ok(status) = std::fs::read_to_string("/proc/self/status") else { return 0 };
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    line.and_then(|line| line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok())
-        .map_or(0, |kilobytes| kilobytes * 1024)
-}
-
-/// Splits a step's time into stages.
-struct StageClock {
-    start: Instant,
-    last: std::cell::Cell<Instant>,
-}
-
-impl StageClock {
-    fn start() -> StageClock {
-        let now = Instant::now();
-        StageClock { start: now, last: std::cell::Cell::new(now) }
-    }
-
-    /// Adds the time since the last lap to `stage`.
-    fn lap(&self, stage: &mut f64) {
-        let now = Instant::now();
-        *stage += (now - self.last.replace(now)).as_secs_f64();
-    }
-
-    fn total(&self) -> f64 {
-        self.start.elapsed().as_secs_f64()
     }
 }

@@ -52,6 +52,8 @@ event_names! {
     ProximityQuery = "proximity query",
     ContinuousQuery = "continuous collision query",
     ImpactZones = "impact zones",
+    ShareContacts = "share contacts",
+    SharePositions = "share positions",
 }
 
 /// One event; plain data, so that it can cross processes as bytes.

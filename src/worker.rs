@@ -10,7 +10,7 @@ use thiserror::Error;
 
 use crate::gpu::Executor;
 use crate::linear_system::{RankSystem, RankSystemArrays, SolveError, SolveParams, solve_rank};
-use crate::model::{RankArrays, RankModel};
+use crate::model::RankModel;
 use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Simulation, StepError};
 use crate::transport::{
@@ -90,6 +90,7 @@ impl Inbox {
         let text = match &failure {
             WorkerFailure::Transport(text) | WorkerFailure::BadInput(text) | WorkerFailure::Other(text) => text.clone(),
             WorkerFailure::NotFinite { quantity, step, .. } => format!("step {step}: {quantity} is not finite"),
+            WorkerFailure::Squeezed { step, .. } => format!("step {step}: no room for the cloth"),
         };
         if let Err(error) = self.send(&ToCoordinator::Failed(failure), &[]) {
             return error;
@@ -120,8 +121,7 @@ fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
     let (message, arrays) = decode::<ToWorker>(&bytes)?;
     match message {
         ToWorker::Simulate { setup, exchange, mut model } => {
-            model.arrays =
-                RankArrays::from_bytes(&arrays).map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
+            model.set_arrays(&arrays).map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
             drop(arrays);
             drop(bytes);
             simulate(run, rank, &inbox, &setup, &exchange, *model)
@@ -220,6 +220,7 @@ fn failure_of(error: StepError) -> WorkerFailure {
         StepError::NotFinite { step, vertex, quantity, cause, suspect } => {
             WorkerFailure::NotFinite { step, row: vertex, quantity: quantity.into(), cause, suspect: suspect.into() }
         }
+        StepError::Squeezed { step, imposed } => WorkerFailure::Squeezed { step, imposed },
         other => WorkerFailure::Other(other.to_string()),
     }
 }

@@ -48,6 +48,9 @@ pub struct RunArgs {
     /// Order of the transfers; auto = the cheapest by the modelled cost
     #[arg(long)]
     pub schedule: Option<ScheduleKind>,
+    /// Memory for the collision tables of each worker; what does not fit is done in batches (for example 500M, 2G)
+    #[arg(long, value_name = "BYTES", value_parser = bytes)]
+    pub memory_limit: Option<u64>,
     /// Write a checkpoint every K frames (one is always left at the end, at Ctrl-C and after a failure) [default: 10]
     #[arg(long, value_name = "K")]
     pub checkpoint_every: Option<u32>,
@@ -119,6 +122,20 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A number of bytes with K, M or G (powers of 1000) behind it, or nothing.
+fn bytes(text: &str) -> Result<u64, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit = match &text[digits.len()..] {
+        "" => 1.0,
+        "K" | "k" | "KB" => 1e3,
+        "M" | "MB" => 1e6,
+        "G" | "GB" => 1e9,
+        _ => f64::NAN,
+    };
+    let bytes = digits.parse::<f64>().unwrap_or(f64::NAN) * unit;
+    if bytes >= 1e6 && bytes < 1e18 { Ok(bytes as u64) } else { Err("expected at least 1M, for example 500M or 2G".into()) }
+}
+
 impl RunArgs {
     /// What the flags say, on top of `base` (defaults, or the options of the run that is resumed).
     fn options(&self, mut base: RunOptions) -> RunOptions {
@@ -131,6 +148,7 @@ impl RunArgs {
         base.resolution = self.resolution.or(base.resolution);
         base.exchange = self.exchange.map_or(base.exchange, Into::into);
         base.schedule = self.schedule.unwrap_or(base.schedule);
+        base.memory_limit_bytes = self.memory_limit.or(base.memory_limit_bytes);
         base.checkpoint_every = self.checkpoint_every.unwrap_or(base.checkpoint_every);
         base.formats = self.format.clone().map_or(base.formats, |list| list.0);
         base.heartbeat_s = self.heartbeat.unwrap_or(base.heartbeat_s);
@@ -151,6 +169,7 @@ pub fn defaults() -> RunOptions {
         resolution: None,
         exchange: ExchangeMode::Halo,
         schedule: ScheduleKind::Auto,
+        memory_limit_bytes: None,
         checkpoint_every: 10,
         formats: vec![FrameFormat::Ply],
         heartbeat_s: 10.0,

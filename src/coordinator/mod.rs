@@ -28,7 +28,7 @@ use crate::math::Vec3;
 use crate::model::RankModel;
 use crate::output::{Checkpoint, Status};
 use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
-use crate::step::{ExchangePlan, StepStats};
+use crate::step::{ExchangePlan, Imposed, StepStats};
 use crate::telemetry::Event;
 use crate::transport::{check_shared_memory, shared_memory_space};
 
@@ -185,10 +185,39 @@ impl DriveError {
                     "step {step}: the {quantity} of vertex {vertex} is not finite ({cause}); likely too large: {suspect}"
                 )
             }
+            DriveError::Crew(CrewError::Failed { failure: WorkerFailure::Squeezed { step, imposed }, .. }) => {
+                squeezed(*step, imposed, original_from_global)
+            }
             DriveError::Crew(CrewError::Failed { failure: WorkerFailure::BadInput(text), .. }) => text.clone(),
             other => other.to_string(),
         }
     }
+}
+
+/// Names at most this many culprits of each kind.
+const NAMED_MOST: usize = 3;
+
+/// The sentence for a step that has no end without penetration.
+fn squeezed(step: u32, imposed: &[Imposed], original_from_global: &[u32]) -> String {
+    let mut obstacles: Vec<&str> = Vec::new();
+    let mut pins: Vec<u32> = Vec::new();
+    for one in imposed {
+        match one {
+            Imposed::Obstacle(name) => obstacles.push(name),
+            Imposed::Pin(row) => pins.push(original_from_global.get(*row as usize).copied().unwrap_or(*row)),
+        }
+    }
+    let mut culprits: Vec<String> =
+        obstacles.iter().take(NAMED_MOST).map(|name| format!("the obstacle `{name}`")).collect();
+    culprits.extend(pins.iter().take(NAMED_MOST).map(|vertex| format!("the pin of vertex {vertex}")));
+    let unnamed = obstacles.len().saturating_sub(NAMED_MOST) + pins.len().saturating_sub(NAMED_MOST);
+    if unnamed > 0 {
+        culprits.push(format!("{unnamed} more"));
+    }
+    let who = if culprits.is_empty() { "what moves in the scene".to_string() } else { culprits.join(", ") };
+    format!(
+        "step {step}: the cloth cannot be kept free of penetration, {who} left it no room; move them less or more slowly, or shorten simulation.step_s"
+    )
 }
 
 /// Drives the workers of one run.
@@ -265,12 +294,13 @@ impl Driver<'_> {
         RankModel::split(&model, &self.plan.partition, |rank, mut part| {
             let exchange =
                 ExchangePlan { mode: self.options.exchange, queue: self.plan.transfers.schedule.queues[rank].clone() };
-            let arrays = std::mem::take(&mut part.arrays);
-            crew.send(
-                rank,
-                &ToWorker::Simulate { setup: setup.clone(), exchange, model: Box::new(part) },
-                &arrays.to_bytes(),
-            )?;
+            if let Some(collision) = &mut part.collision {
+                collision.memory_limit_bytes = self.options.memory_limit_bytes;
+            }
+            // The serializer skips the arrays; they travel beside the message.
+            let message = ToWorker::Simulate { setup: setup.clone(), exchange, model: Box::new(part) };
+            let ToWorker::Simulate { model, .. } = &message else { unreachable!("made above") };
+            crew.send(rank, &message, &model.to_bytes())?;
             // One part at a time in flight: the coordinator's memory stays at one part.
             crew.flush(rank, SETUP_LIMIT)
         })?;

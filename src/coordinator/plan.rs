@@ -43,6 +43,9 @@ pub struct RunOptions {
     /// How transfers are scheduled.
     #[serde(with = "schedule_name")]
     pub schedule: ScheduleKind,
+    /// Bytes that the collision tables of a worker may take; none: as many as they need.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub memory_limit_bytes: Option<u64>,
     /// Frames between checkpoints; 0: only when stopped.
     pub checkpoint_every: u32,
     /// Frame formats.

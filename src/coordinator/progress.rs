@@ -28,7 +28,11 @@ impl Progress {
 
     /// A frame is written.
     pub fn frame(&self, frame: u32, step: u32, stats: &StepStats, hash: &str, seconds_per_step: f64) {
-        let work = format!("{} iterations, {:.1} ms/step", stats.iterations, seconds_per_step * 1e3);
+        let mut work = format!("{} iterations, ", stats.iterations);
+        if stats.contacts > 0 || stats.zones.zones > 0 {
+            work += &format!("{} contacts, {} zones, ", stats.contacts, stats.zones.zones);
+        }
+        work += &format!("{:.1} ms/step", seconds_per_step * 1e3);
         match &self.bar {
             Some(bar) => {
                 bar.set_message(work);

@@ -8,11 +8,11 @@ use thiserror::Error;
 use super::{RunOptions, RunPlaces, RunPlan};
 use crate::math::Vec3;
 use crate::output::{
-    Checkpoint, Existing, FrameRecord, FrameWriter, RankEvents, ReportHeader, ReportWriter, RunDirectory, RunManifest,
+    Checkpoint, Existing, FrameRecord, FrameWriter, QueryRecord, RankEvents, ReportHeader, ReportWriter, RunDirectory, RunManifest,
     StageSeconds, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, state_hash,
 };
 use crate::protocol::WorkerReady;
-use crate::step::StepStats;
+use crate::step::{QueryStats, StepStats};
 use crate::telemetry::Event;
 
 /// Why something could not be written or resumed.
@@ -155,17 +155,34 @@ impl Recorder {
             residual: first.residual,
             converged: first.converged,
             stage_seconds: StageSeconds {
+                proximity: slowest(|rank| rank.seconds.proximity),
+                contacts: slowest(|rank| rank.seconds.contacts),
                 exchange: slowest(|rank| rank.seconds.exchange),
                 elements: slowest(|rank| rank.seconds.elements),
                 index_fill: slowest(|rank| rank.seconds.index_fill),
                 value_fill: slowest(|rank| rank.seconds.value_fill),
                 solve: slowest(|rank| rank.seconds.solve),
                 advance: slowest(|rank| rank.seconds.advance),
+                positions: slowest(|rank| rank.seconds.positions),
+                continuous: slowest(|rank| rank.seconds.continuous),
+                zones: slowest(|rank| rank.seconds.zones),
                 total: wall_s,
                 ..StageSeconds::default()
             },
             bytes_moved: spmv_bytes + ranks.iter().map(|rank| rank.state_bytes).sum::<u64>(),
             bytes_per_spmv: spmv_bytes / first.products.max(1) as u64,
+            contacts: first.contacts,
+            smallest_gap_m: first.smallest_gap_m.map(f64::from),
+            zones: first.zones.zones,
+            impacts: first.zones.impacts,
+            zone_rounds: first.zones.rounds,
+            largest_zone: first.zones.largest,
+            zone_iterations: ranks.iter().map(|rank| rank.zones.iterations).sum(),
+            fail_safes: first.zones.fail_safes,
+            halvings: first.zones.halvings,
+            proximity: query_record(ranks.iter().map(|rank| &rank.proximity)),
+            continuous: query_record(ranks.iter().map(|rank| &rank.continuous)),
+            collision_mesh_bytes_per_rank: ranks.iter().map(|rank| rank.collision_mesh_bytes).collect(),
             memory_bytes_per_rank: ranks.iter().map(|rank| rank.memory_bytes).collect(),
             resident_bytes_per_rank: ranks.iter().map(|rank| rank.resident_bytes).collect(),
             ..StepRecord::default()
@@ -250,6 +267,21 @@ impl Recorder {
             None => Ok(()),
         }
     }
+}
+
+fn query_record<'a>(ranks: impl Iterator<Item = &'a QueryStats>) -> QueryRecord {
+    let mut record = QueryRecord::default();
+    for rank in ranks {
+        record.tests += rank.tests;
+        record.tests_per_rank.push(rank.tests);
+        record.pairs += rank.candidates;
+        record.found += rank.found;
+        record.batches = record.batches.max(rank.batches);
+        record.broad_s += rank.broad_s;
+        record.narrow_s += rank.narrow_s;
+        record.bytes_per_rank.push(rank.bytes);
+    }
+    record
 }
 
 /// Folders that this start makes, the innermost first: removed again if nothing gets written into them.

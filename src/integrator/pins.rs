@@ -29,7 +29,7 @@ struct Held {
 }
 
 /// All pins of a rank.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Pins {
     pins: Vec<RankPin>,
     held: Vec<Option<Held>>,
@@ -56,14 +56,14 @@ impl Pins {
 
     /// True if the set of held rows changes in the step that starts at `time_s` (always in the first step of a run or resume).
     pub fn changes(&self, time_s: f64, step_s: f64) -> bool {
-        self.pins.iter().zip(&self.held).any(|(pin, held)| is_held(pin, time_s, step_s) != held.is_some())
+        self.pins.iter().zip(&self.held).any(|(pin, held)| is_held((pin.start_s, pin.end_s), time_s, step_s) != held.is_some())
     }
 
     /// Takes hold of and releases pins for the step that starts at `time_s`, given the own rows' state. Call when
     /// [`Pins::changes`]; returns the held rows.
     pub fn regrip(&mut self, time_s: f64, step_s: f64, positions: &[f32], velocities: &[f32]) -> Vec<u32> {
         for (pin, held) in self.pins.iter().zip(&mut self.held) {
-            if !is_held(pin, time_s, step_s) {
+            if !is_held((pin.start_s, pin.end_s), time_s, step_s) {
                 *held = None;
             } else if held.is_none() {
                 let at = pin.row as usize * 3;
@@ -102,9 +102,10 @@ impl Pins {
     }
 }
 
-fn is_held(pin: &RankPin, time_s: f64, step_s: f64) -> bool {
+/// Whether a pin that holds from `span.0` to `span.1` seconds holds during the step that starts at `time_s`.
+pub fn is_held(span: (f64, f64), time_s: f64, step_s: f64) -> bool {
     // Half a step of slack: a pin that ends at a step's end is held through that step, whatever the rounding of the time.
-    time_s + 0.5 * step_s >= pin.start_s && time_s + 0.5 * step_s <= pin.end_s
+    time_s + 0.5 * step_s >= span.0 && time_s + 0.5 * step_s <= span.1
 }
 
 fn moved(pin: &RankPin, motions: &[Motion], time_s: f64) -> DVec3 {

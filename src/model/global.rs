@@ -5,7 +5,7 @@ use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, t
 use crate::integrator::pins::RankPin;
 use crate::math::{Vec2, Vec3};
 use crate::mesh::{hinges, locality_order, ordering_coordinates};
-use crate::scene::{Motion, Scene, Settings};
+use crate::scene::{Motion, Obstacles, Scene, Settings};
 
 /// The cloth in global order.
 pub struct GlobalModel {
@@ -27,6 +27,10 @@ pub struct GlobalModel {
     pub pins: Vec<RankPin>,
     /// Motions of the pins.
     pub motions: Vec<Motion>,
+    /// Friction coefficients in global order.
+    pub friction: Vec<f32>,
+    /// Obstacles.
+    pub obstacles: Obstacles,
     /// Numbers of the run.
     pub settings: Settings,
 }
@@ -95,6 +99,8 @@ impl GlobalModel {
                 })
                 .collect(),
             motions: scene.motions.clone(),
+            friction: original_from_global.iter().map(|&v| scene.friction_of_vertex(v) as f32).collect(),
+            obstacles: Obstacles::new(&scene.obstacles),
             settings: scene.settings.clone(),
             original_from_global,
         }

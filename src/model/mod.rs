@@ -1,8 +1,11 @@
 //! From a scene to what the ranks hold: the global order of vertices, elements and masses ([`GlobalModel`], on the
-//! coordinator), and one rank's part of it ([`RankModel`], which travels to a worker).
+//! coordinator), one rank's part of it ([`RankModel`], which travels to a worker), and what every rank needs of all of it
+//! for collisions ([`CollisionModel`]).
 
+mod collision;
 mod global;
 mod rank;
 
+pub use collision::{CollisionArrays, CollisionModel, PinSpan};
 pub use global::GlobalModel;
 pub use rank::{RankArrays, RankModel, RankModelError};

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::GlobalModel;
+use super::{CollisionArrays, CollisionModel, GlobalModel};
 use crate::forces::{FabricTable, HingeElement, TriangleElement};
 use crate::integrator::pins::RankPin;
 use crate::partition::{HaloPlan, RowPartition, halo_plans};
@@ -25,6 +25,8 @@ pub struct RankModel {
     pub settings: Settings,
     /// True if any pin of any rank moves or lets go: then the solve starts from prescribed values.
     pub pins_move: bool,
+    /// The whole scene as collisions see it; none if the scene wants no collisions.
+    pub collision: Option<CollisionModel>,
     /// Bulk data; travels beside the header.
     #[serde(skip)]
     pub arrays: RankArrays,
@@ -73,10 +75,13 @@ impl RankModel {
             halo.sort_unstable();
             halo.dedup();
         }
+        let collision = model.settings.collisions.then(|| CollisionModel::new(model));
         let pins_move = model.pins.iter().any(|pin| pin.motion.is_some() || pin.start_s > 0.0)
             || model.pins.iter().any(|pin| model.velocities[pin.row as usize * 3..][..3] != [0.0; 3]);
         for (rank, plan) in halo_plans(partition, &halos).into_iter().enumerate() {
-            emit(rank, RankModel::part(model, partition, plan, pins_move))?;
+            let mut part = RankModel::part(model, partition, plan, pins_move);
+            part.collision.clone_from(&collision);
+            emit(rank, part)?;
         }
         Ok(())
     }
@@ -127,6 +132,7 @@ impl RankModel {
             motions: model.motions.clone(),
             settings: model.settings.clone(),
             pins_move,
+            collision: None,
             arrays,
             plan,
         }
@@ -152,9 +158,44 @@ fn collect_halo(partition: &RowPartition, corners: &[u32], halos: &mut [Vec<u32>
     }
 }
 
+impl RankModel {
+    /// All bulk arrays as bytes, in a fixed order.
+    pub fn to_bytes(&self) -> Vec<&[u8]> {
+        let collision = self.collision.iter().flat_map(|collision| collision.arrays.to_bytes());
+        self.arrays.to_bytes().into_iter().chain(collision).collect()
+    }
+
+    /// Takes the bulk arrays from bytes in the order of [`RankModel::to_bytes`].
+    pub fn set_arrays(&mut self, bytes: &[&[u8]]) -> Result<(), RankModelError> {
+        let expected = if self.collision.is_some() { 12 } else { 6 };
+        if bytes.len() != expected {
+            return Err(RankModelError::Arrays(format!("{} arrays instead of {expected}", bytes.len())));
+        }
+        let (own, all) = bytes.split_at(6);
+        self.arrays = RankArrays {
+            positions: cast(own[0])?,
+            velocities: cast(own[1])?,
+            masses: cast(own[2])?,
+            triangles: cast(own[3])?,
+            hinges: cast(own[4])?,
+            fabrics: cast(own[5])?,
+        };
+        if let Some(collision) = &mut self.collision {
+            collision.arrays = CollisionArrays {
+                triangles: cast(all[0])?,
+                altitudes_m: cast(all[1])?,
+                masses: cast(all[2])?,
+                friction: cast(all[3])?,
+                obstacle_positions: cast(all[4])?,
+                obstacle_triangles: cast(all[5])?,
+            };
+        }
+        Ok(())
+    }
+}
+
 impl RankArrays {
-    /// The arrays as bytes, in a fixed order.
-    pub fn to_bytes(&self) -> [&[u8]; 6] {
+    fn to_bytes(&self) -> [&[u8]; 6] {
         [
             bytemuck::cast_slice(&self.positions),
             bytemuck::cast_slice(&self.velocities),
@@ -163,21 +204,6 @@ impl RankArrays {
             bytemuck::cast_slice(&self.hinges),
             bytemuck::cast_slice(&self.fabrics),
         ]
-    }
-
-    /// The arrays from bytes in the order of [`RankArrays::to_bytes`].
-    pub fn from_bytes(bytes: &[&[u8]]) -> Result<RankArrays, RankModelError> {
-        let [positions, velocities, masses, triangles, hinges, fabrics] = bytes else {
-            return Err(RankModelError::Arrays(format!("{} arrays instead of 6", bytes.len())));
-        };
-        Ok(RankArrays {
-            positions: cast(positions)?,
-            velocities: cast(velocities)?,
-            masses: cast(masses)?,
-            triangles: cast(triangles)?,
-            hinges: cast(hinges)?,
-            fabrics: cast(fabrics)?,
-        })
     }
 }
 

@@ -149,6 +149,10 @@ pub struct FrameRecord {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct StageSeconds {
+    /// Proximity query: broad and narrow phase.
+    pub proximity: f64,
+    /// Contacts to the ranks that own their rows.
+    pub contacts: f64,
     /// Positions and velocities of other ranks' vertices.
     pub exchange: f64,
     /// Element records.
@@ -163,8 +167,36 @@ pub struct StageSeconds {
     pub solve: f64,
     /// New velocities and positions.
     pub advance: f64,
+    /// Candidate positions of all vertices to all ranks.
+    pub positions: f64,
+    /// Continuous collision detection, all rounds.
+    pub continuous: f64,
+    /// Impact zones.
+    pub zones: f64,
     /// The whole step.
     pub total: f64,
+}
+
+/// What the collision queries of one kind did in a step; sums over all ranks unless it says otherwise.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct QueryRecord {
+    /// Triangle-triangle tests.
+    pub tests: u64,
+    /// Those of every rank.
+    pub tests_per_rank: Vec<u64>,
+    /// Pairs of features handed to the narrow phase.
+    pub pairs: u64,
+    /// Contacts or impacts, as found (those found twice counted twice).
+    pub found: u64,
+    /// Most batches that a rank needed; more than the number of queries if a memory limit was in the way.
+    pub batches: u64,
+    /// Thread seconds of the broad phase.
+    pub broad_s: f64,
+    /// Thread seconds of the narrow phase.
+    pub narrow_s: f64,
+    /// Bytes of tables and buffers of every rank.
+    pub bytes_per_rank: Vec<u64>,
 }
 
 /// A step.
@@ -194,6 +226,24 @@ pub struct StepRecord {
     pub contacts: u64,
     /// Impact zones.
     pub zones: u64,
+    /// Impacts that made them.
+    pub impacts: u64,
+    /// Rounds of continuous detection that found impacts.
+    pub zone_rounds: u32,
+    /// Vertices of the largest zone.
+    pub largest_zone: u64,
+    /// Descent iterations of all zones.
+    pub zone_iterations: u64,
+    /// Zones that a fail-safe ended.
+    pub fail_safes: u64,
+    /// Times the step was cut in two because nothing else helped.
+    pub halvings: u32,
+    /// Proximity query.
+    pub proximity: QueryRecord,
+    /// Continuous queries.
+    pub continuous: QueryRecord,
+    /// Bytes of mesh and positions that every rank holds for collisions.
+    pub collision_mesh_bytes_per_rank: Vec<u64>,
     /// Device memory of every rank, bytes.
     pub memory_bytes_per_rank: Vec<u64>,
     /// Peak resident memory of every worker process, bytes (0 where the system does not tell).

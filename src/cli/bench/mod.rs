@@ -1,7 +1,9 @@
 //! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, never
 //! modelled; each table names what it ran on.
 
+mod collision;
 mod device;
+mod runs;
 mod spmv;
 mod step;
 mod table;
@@ -28,10 +30,12 @@ enum Bench {
     Device(device::DeviceBench),
     /// Matrix-vector product of a scene's matrix: time, share of the read bandwidth, bytes exchanged by 1, 2, 4, 8 ranks
     Spmv(spmv::SpmvBench),
-    /// Whole steps of a scene on several numbers of worker processes: time, speed-up, bytes, memory
-    Step(step::StepBench),
+    /// Collision detection and impact zones of a scene on several numbers of worker processes: time, tests, their split
+    Collision(runs::SceneBench),
+    /// Whole steps of a scene on several numbers of worker processes: time, speed-up, bytes, shares of the stages
+    Step(runs::SceneBench),
     /// Memory of a scene's workers per structure and vertex
-    Memory(step::StepBench),
+    Memory(runs::SceneBench),
 }
 
 /// What all benchmarks take.
@@ -68,8 +72,9 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
     match args.what {
         Bench::Device(bench) => device::run(&bench),
         Bench::Spmv(bench) => spmv::run(&bench),
-        Bench::Step(bench) => step::run(&bench, false),
-        Bench::Memory(bench) => step::run(&bench, true),
+        Bench::Collision(bench) => collision::run(&bench),
+        Bench::Step(bench) => step::time(&bench),
+        Bench::Memory(bench) => step::memory(&bench),
     }
 }
 

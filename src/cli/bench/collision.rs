@@ -1,0 +1,90 @@
+//! `loomtree bench collision`: time, tests and their even split, zones, with real worker processes. P-Cloth's counterparts:
+//! Figs. 10 and 12 [Li et al. 2020].
+
+use super::CliError;
+use super::runs::{Runs, SceneBench};
+use super::table::Table;
+use crate::output::{QueryRecord, StepRecord};
+
+/// Runs the benchmark.
+pub fn run(bench: &SceneBench) -> Result<(), CliError> {
+    let (size, all) = bench.run()?;
+    let out = bench.common.out.as_deref();
+    collision_table(bench.title(size), &all, size.triangles).finish(out, Some(("workers", "speedup")))?;
+    zone_table(&all).finish(out, None)
+}
+
+fn collision_s(step: &StepRecord) -> f64 {
+    let s = &step.stage_seconds;
+    s.proximity + s.contacts + s.positions + s.continuous + s.zones
+}
+
+/// Largest over mean of the tests of the ranks.
+fn imbalance(query: &QueryRecord) -> f64 {
+    let most = query.tests_per_rank.iter().copied().max().unwrap_or(0) as f64;
+    if query.tests == 0 { 1.0 } else { most * query.tests_per_rank.len() as f64 / query.tests as f64 }
+}
+
+fn collision_table(title: String, all: &[Runs], triangles: usize) -> Table {
+    let columns = vec![
+        "workers",
+        "proximity_ms",
+        "ccd_ms",
+        "zones_ms",
+        "all_ms",
+        "us_per_triangle",
+        "speedup",
+        "tests",
+        "worst_max_over_mean",
+        "pairs",
+        "contacts",
+        "bytes_of_a_rank",
+    ];
+    let mut table = Table::new("collision", title, columns);
+    let base = all.first().map_or(f64::NAN, |runs| runs.median(collision_s));
+    for runs in all {
+        let seconds = runs.median(collision_s);
+        let largest = |query: &QueryRecord| query.bytes_per_rank.iter().copied().max().unwrap_or(0) as f64;
+        table.push(vec![
+            runs.workers as f64,
+            runs.median(|step| step.stage_seconds.proximity) * 1e3,
+            runs.median(|step| step.stage_seconds.continuous) * 1e3,
+            runs.median(|step| step.stage_seconds.zones) * 1e3,
+            seconds * 1e3,
+            seconds * 1e6 / triangles as f64,
+            base / seconds,
+            runs.mean(|step| (step.proximity.tests + step.continuous.tests) as f64),
+            runs.most(|step| imbalance(&step.proximity).max(imbalance(&step.continuous))),
+            runs.mean(|step| (step.proximity.pairs + step.continuous.pairs) as f64),
+            runs.mean(|step| step.contacts as f64),
+            runs.most(|step| largest(&step.proximity).max(largest(&step.continuous))),
+        ]);
+    }
+    table
+}
+
+/// How many steps took how many rounds; the counts are the same for every number of workers, so those of the first are shown.
+fn zone_table(all: &[Runs]) -> Table {
+    let columns = vec!["rounds", "steps", "zones", "largest_zone", "impacts", "iterations", "fail_safes", "halvings"];
+    let mut table = Table::new("zones", "Rounds of continuous detection and impact zones".to_string(), columns);
+    let Some(runs) = all.first() else { return table };
+    let most = runs.most(|step| step.zone_rounds as f64) as u32;
+    for rounds in 0..=most {
+        let steps: Vec<&StepRecord> = runs.steps.iter().filter(|step| step.zone_rounds == rounds).collect();
+        if steps.is_empty() {
+            continue;
+        }
+        let sum = |figure: fn(&StepRecord) -> u64| steps.iter().map(|step| figure(step)).sum::<u64>() as f64;
+        table.push(vec![
+            rounds as f64,
+            steps.len() as f64,
+            sum(|step| step.zones),
+            steps.iter().map(|step| step.largest_zone).max().unwrap_or(0) as f64,
+            sum(|step| step.impacts),
+            sum(|step| step.zone_iterations),
+            sum(|step| step.fail_safes),
+            sum(|step| u64::from(step.halvings)),
+        ]);
+    }
+    table
+}

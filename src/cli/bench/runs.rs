@@ -1,0 +1,135 @@
+//! Runs of a scene with real worker processes, for the benchmarks that measure whole steps.
+
+use std::path::PathBuf;
+
+use super::{CliError, Common, worker_counts};
+use crate::cli::run::{ExchangeArg, defaults};
+use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
+use crate::output::{Existing, Report, StepRecord};
+
+/// What benchmarks of whole steps take.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SceneBench {
+    #[command(flatten)]
+    pub common: Common,
+    /// Scene to run
+    #[arg(long, default_value = "scenes/flag.toml")]
+    pub scene: PathBuf,
+    /// Triangles of the scene
+    #[arg(long, default_value_t = 50_000)]
+    pub resolution: u64,
+    /// Numbers of worker processes, measured in turn
+    #[arg(long, value_delimiter = ',', default_value = "1,2,4,8", value_parser = worker_counts)]
+    pub workers: Vec<usize>,
+    /// Steps per run; those of --skip are not counted
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(2..))]
+    pub steps: u32,
+    /// Steps before the counted ones, for scenes whose contacts come late [default: a fifth of --steps]
+    #[arg(long, value_name = "N")]
+    pub skip: Option<u32>,
+    /// Rounds: every number of workers is run this many times, interleaved
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub rounds: u32,
+    /// What a product exchanges
+    #[arg(long, value_enum, default_value = "halo")]
+    pub exchange: ExchangeArg,
+}
+
+/// The counted steps of all rounds with one number of workers.
+#[derive(Default)]
+pub struct Runs {
+    pub workers: usize,
+    pub steps: Vec<StepRecord>,
+    /// Everything before and after the steps of the last round: reading, splitting, starting, leaving; seconds.
+    pub start_s: f64,
+}
+
+impl Runs {
+    /// Values of a figure over the counted steps.
+    pub fn values(&self, figure: impl Fn(&StepRecord) -> f64) -> Vec<f64> {
+        self.steps.iter().map(figure).collect()
+    }
+
+    /// Its median.
+    pub fn median(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
+        super::median(&mut self.values(figure))
+    }
+
+    /// Its mean.
+    pub fn mean(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
+        self.values(figure).iter().sum::<f64>() / self.steps.len().max(1) as f64
+    }
+
+    /// Its largest value.
+    pub fn most(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
+        self.values(figure).into_iter().fold(0.0, f64::max)
+    }
+}
+
+/// Triangles and vertices of a scene.
+#[derive(Clone, Copy, Default)]
+pub struct Size {
+    pub triangles: usize,
+    pub vertices: usize,
+}
+
+impl SceneBench {
+    /// Runs every number of workers `rounds` times, interleaved.
+    pub fn run(&self) -> Result<(Size, Vec<Runs>), CliError> {
+        let mut all: Vec<Runs> =
+            self.workers.iter().map(|&workers| Runs { workers, ..Runs::default() }).collect();
+        let mut size = Size::default();
+        for _ in 0..self.rounds {
+            for runs in &mut all {
+                size = self.run_once(runs)?;
+            }
+        }
+        Ok((size, all))
+    }
+
+    /// Title of a table.
+    pub fn title(&self, size: Size) -> String {
+        format!(
+            "{}: {} triangles, {} vertices, {} thread(s) per worker",
+            self.scene.display(),
+            size.triangles,
+            size.vertices,
+            self.common.threads
+        )
+    }
+
+    fn run_once(&self, runs: &mut Runs) -> Result<Size, CliError> {
+        let folder =
+            tempfile::tempdir().map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
+        let options = RunOptions {
+            workers: runs.workers,
+            executor: self.common.executor.into(),
+            threads: Some(self.common.threads as usize),
+            resolution: Some(self.resolution),
+            frames: Some(1),
+            exchange: self.exchange.into(),
+            checkpoint_every: 0,
+            heartbeat_s: 600.0,
+            trace_steps: 0,
+            ..defaults()
+        };
+        let skip = self.skip.unwrap_or(self.steps.div_ceil(5));
+        let steps = if self.skip.is_some() { self.steps + skip } else { self.steps };
+        let mut plan = RunPlan::new(&self.scene, &options).map_err(CliError::bad_input)?;
+        // One frame at the end, so that frames are not part of what is measured.
+        plan.scene.settings.steps_per_frame = steps;
+        let size = Size { triangles: plan.scene.mesh.triangles.len(), vertices: plan.scene.mesh.positions.len() };
+        let places = RunPlaces { scene: self.scene.clone(), out: folder.path().join("run"), existing: Existing::Refuse };
+        let start = std::time::Instant::now();
+        crate::coordinator::run(plan, &options, &places, &Launch::Spawn)
+            .map_err(|error| CliError::failed(error.to_string()))?;
+        let wall = start.elapsed().as_secs_f64();
+        let mut report = Report::load(&places.out.join("report.json")).map_err(CliError::failed)?;
+        runs.start_s = wall - report.steps.iter().map(|step| step.stage_seconds.total).sum::<f64>();
+        if report.steps.len() <= skip as usize {
+            return Err(CliError::bad_input(format!("--skip {skip} leaves none of {steps} steps to count")));
+        }
+        runs.steps.extend(report.steps.drain(skip as usize..));
+        Ok(size)
+    }
+}

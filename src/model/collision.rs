@@ -1,0 +1,112 @@
+//! What every rank needs of the whole scene to detect and answer collisions: all triangles, masses, pins and obstacles.
+//! About 50 bytes per triangle, on every rank; the tables of queries are what is split (`collision`).
+
+use serde::{Deserialize, Serialize};
+
+use super::GlobalModel;
+use crate::integrator::pins::{RankPin, is_held};
+use crate::scene::{ObstacleHeader, Obstacles};
+
+/// When a row is pinned.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PinSpan {
+    /// Global row.
+    pub row: u32,
+    /// Held from, seconds.
+    pub start_s: f64,
+    /// Held until, seconds.
+    pub end_s: f64,
+}
+
+/// The scene as collisions see it. Vertices are numbered cloth rows (global order) first, then obstacle vertices.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CollisionModel {
+    /// Distance below which cloth repels, metres.
+    pub thickness_m: f64,
+    /// Stiffness of contacts in effective masses per step^2.
+    pub stiffness: f64,
+    /// Pins of all ranks.
+    pub pins: Vec<PinSpan>,
+    /// Bytes that the tables of a query may take on a rank; more work is done in batches.
+    pub memory_limit_bytes: Option<u64>,
+    obstacle_header: ObstacleHeader,
+    /// Bulk data; travels beside the header.
+    #[serde(skip)]
+    pub arrays: CollisionArrays,
+}
+
+/// Flat arrays of a [`CollisionModel`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CollisionArrays {
+    /// Cloth triangles, global rows.
+    pub triangles: Vec<[u32; 3]>,
+    /// Smallest altitude of each triangle at rest, metres.
+    pub altitudes_m: Vec<f32>,
+    /// Masses of all rows, kg.
+    pub masses: Vec<f32>,
+    /// Friction coefficients of all rows.
+    pub friction: Vec<f32>,
+    /// Obstacle positions, as [`Obstacles::arrays`] gives them.
+    pub obstacle_positions: Vec<f32>,
+    /// Obstacle triangles, numbered over the obstacles.
+    pub obstacle_triangles: Vec<[u32; 3]>,
+}
+
+impl CollisionModel {
+    /// Of a whole model.
+    pub fn new(model: &GlobalModel) -> CollisionModel {
+        let altitudes_m = model.triangles.iter().map(|e| e.smallest_altitude_m()).collect();
+        let (positions, triangles) = model.obstacles.arrays();
+        let arrays = CollisionArrays {
+            triangles: model.triangles.iter().map(|e| e.vertices).collect(),
+            altitudes_m,
+            masses: model.masses.clone(),
+            friction: model.friction.clone(),
+            obstacle_positions: positions.to_vec(),
+            obstacle_triangles: triangles.to_vec(),
+        };
+        CollisionModel {
+            thickness_m: model.settings.thickness_m,
+            stiffness: model.settings.contact_stiffness,
+            pins: model
+                .pins
+                .iter()
+                .map(|pin: &RankPin| PinSpan { row: pin.row, start_s: pin.start_s, end_s: pin.end_s })
+                .collect(),
+            memory_limit_bytes: None,
+            obstacle_header: model.obstacles.header().clone(),
+            arrays,
+        }
+    }
+
+    /// The obstacles; leaves their arrays empty. None if the arrays do not fit the header.
+    pub fn take_obstacles(&mut self) -> Option<Obstacles> {
+        let positions = std::mem::take(&mut self.arrays.obstacle_positions);
+        let triangles = std::mem::take(&mut self.arrays.obstacle_triangles);
+        Obstacles::from_parts(self.obstacle_header.clone(), positions, triangles)
+    }
+
+    /// Inverse masses of the rows during a step, 1/kg: 0 where a pin holds.
+    pub fn inverse_masses(&self, start_s: f64, step_s: f64, out: &mut [f32]) {
+        for (inverse, mass) in out.iter_mut().zip(&self.arrays.masses) {
+            *inverse = 1.0 / mass;
+        }
+        for pin in self.pins.iter().filter(|pin| is_held((pin.start_s, pin.end_s), start_s, step_s)) {
+            out[pin.row as usize] = 0.0;
+        }
+    }
+}
+
+impl CollisionArrays {
+    /// The arrays as bytes, in a fixed order.
+    pub fn to_bytes(&self) -> [&[u8]; 6] {
+        [
+            bytemuck::cast_slice(&self.triangles),
+            bytemuck::cast_slice(&self.altitudes_m),
+            bytemuck::cast_slice(&self.masses),
+            bytemuck::cast_slice(&self.friction),
+            bytemuck::cast_slice(&self.obstacle_positions),
+            bytemuck::cast_slice(&self.obstacle_triangles),
+        ]
+    }
+}

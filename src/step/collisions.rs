@@ -1,0 +1,320 @@
+//! Collisions of a step, on every rank at once [Li et al. 2020, Sec. 4]: contacts before the solve, impact zones after it.
+//!
+//! Every rank holds the positions of all vertices (12 bytes each, twice) and tests its even share of the pairs; what it
+//! finds goes to all ranks. Lists are sorted before use and decisions are made by everybody from the same data, so nothing
+//! depends on who found what or on the number of ranks.
+
+use crate::collision::{DetectionError, DetectionStats, Detector, Impact, merge_contacts};
+use crate::forces::{ContactElement, NO_VERTEX};
+use crate::gpu::{CpuExecutor, Executor};
+use crate::impact_zone::{self, ImpactZones, Moved, StepPositions, ZoneSettings};
+use crate::model::CollisionModel;
+use crate::partition::{HaloPlan, RowPartition};
+use crate::telemetry::{Activity, EventName, Recorder};
+use crate::transport::{Transport, TransportError, share_lists};
+
+use super::error::{Imposed, StepError};
+use super::stats::{QueryStats, StageClock, StepStats};
+
+/// Time of a step or of a part of one, seconds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Span {
+    pub start_s: f64,
+    /// Exactly the start of what follows, so that whatever moves is there where it was here.
+    pub end_s: f64,
+    pub length_s: f64,
+}
+
+impl Span {
+    /// The two halves, in order.
+    pub fn halves(self) -> [Span; 2] {
+        let length_s = 0.5 * self.length_s;
+        let middle_s = self.start_s + length_s;
+        [Span { end_s: middle_s, length_s, ..self }, Span { start_s: middle_s, length_s, ..self }]
+    }
+}
+
+/// The contacts of a step as one rank needs them.
+pub(super) struct RankContacts {
+    /// Contacts that touch own rows, in their global order; vertices are local.
+    pub elements: Vec<ContactElement>,
+    /// Halo plan with the rows that contacts add.
+    pub plan: HaloPlan,
+    /// Positions and velocities (over the step) of the obstacle vertices that contacts touch, xyz; they follow the plan's
+    /// rows in the local numbering.
+    pub obstacle_positions: Vec<f32>,
+    pub obstacle_velocities: Vec<f32>,
+}
+
+/// How the end of a step was freed of penetrations.
+pub(super) enum Resolved {
+    /// Own rows (within the row block) that zones moved, and where to.
+    Free(Vec<(u32, [f32; 3])>),
+    /// Not at all: what the scene moves leaves no room.
+    Squeezed(Vec<Imposed>),
+}
+
+/// Collision detection and response of one rank.
+pub(super) struct Collisions {
+    model: CollisionModel,
+    obstacles: Obstacles,
+    detector: Detector,
+    cpu: CpuExecutor,
+    partition: RowPartition,
+    /// Halo plan without contacts.
+    plan: HaloPlan,
+    /// Positions of all vertices at the ends of the step, cloth rows, then obstacle vertices, xyz.
+    x_t0: Vec<f32>,
+    x_t1: Vec<f32>,
+    /// Of all vertices; 0 for what the scene moves.
+    inverse_masses: Vec<f32>,
+    /// Positions of the obstacles at some time, xyz.
+    obstacle_positions: Vec<f32>,
+    /// Whether `x_t0` holds the cloth's state.
+    state_known: bool,
+}
+
+impl Collisions {
+    /// Collisions of rank `plan.rank`; native code with `cpu`'s threads.
+    pub fn new(cpu: CpuExecutor, partition: RowPartition, plan: HaloPlan, model: CollisionModel) -> Collisions {
+        let vertices = partition.rows() + model.obstacles.vertices();
+        let detector = Detector::new(model.mesh(), model.contact_params());
+        Collisions {
+            detector,
+            cpu,
+            partition,
+            plan,
+            x_t0: vec![0.0; vertices * 3],
+            x_t1: vec![0.0; vertices * 3],
+            inverse_masses: vec![0.0; vertices],
+            state_known: false,
+            model,
+        }
+    }
+
+    /// Bytes held besides the tables of queries: mesh, positions, masses.
+    pub fn mesh_bytes(&self) -> u64 {
+        4 * (self.x_t0.len() + self.x_t1.len() + self.inverse_masses.len()) as u64 + self.detector.mesh_bytes()
+    }
+
+    /// Obstacles at both ends of `span`, pinned vertices; finds the contacts of the state at its start, whose own rows are
+    /// `own` (xyz), and tells everybody who needs which rows.
+    pub fn contacts(
+        &mut self,
+        transport: &mut dyn Transport,
+        own: &[f32],
+        span: Span,
+        stats: &mut StepStats,
+        recorder: &mut Recorder,
+    ) -> Result<RankContacts, StepError> {
+        let clock = StageClock::start();
+        let start = recorder.now();
+        if !self.state_known {
+            share_positions(transport, &self.partition, own, &mut self.x_t0)?;
+            self.state_known = true;
+        }
+        let cloth = self.partition.rows() * 3;
+        for (time_s, x) in [(span.start_s, &mut self.x_t0), (span.end_s, &mut self.x_t1)] {
+            self.obstacles.positions_at(time_s, &mut self.obstacle_positions);
+            x[cloth..].copy_from_slice(&self.obstacle_positions);
+        }
+        self.model.inverse_masses(span.start_s, span.length_s, &mut self.inverse_masses);
+        let (rank, ranks) = (transport.rank(), transport.ranks());
+        let mut found = Vec::new();
+        let query = self
+            .detector
+            .contacts(&self.cpu, &self.x_t0, &self.inverse_masses, span.length_s, rank, ranks, &mut found)
+            .map_err(|error| detection_failed(stats.step, error))?;
+        add(&mut stats.proximity, &query);
+        recorder.end(EventName::ProximityQuery, Activity::Compute, start, query.bytes, 0);
+        clock.lap(&mut stats.seconds.proximity);
+        transport.alive()?;
+
+        let start = recorder.now();
+        let elements = self.own_contacts(transport, &found, stats)?;
+        let contacts = self.localize(transport, elements, span)?;
+        recorder.end(EventName::ShareContacts, Activity::Transfer, start, size_of_val(&found[..]) as u64, 0);
+        clock.lap(&mut stats.seconds.contacts);
+        Ok(contacts)
+    }
+
+    /// Contacts of all ranks that touch own rows, sorted, each once.
+    fn own_contacts(
+        &self,
+        transport: &mut dyn Transport,
+        found: &[ContactElement],
+        stats: &mut StepStats,
+    ) -> Result<Vec<ContactElement>, StepError> {
+        let own = self.partition.rows_of(self.plan.rank);
+        let mut elements = Vec::new();
+        share_lists(transport, found, &mut |_, part: &[ContactElement]| {
+            elements.extend(part.iter().filter(|c| c.vertices.iter().any(|&v| own.contains(&(v as usize)))));
+        })?;
+        let elements = merge_contacts(elements);
+        // A contact is counted by the owner of its first cloth vertex.
+        let rows = self.partition.rows() as u32;
+        let first = |c: &ContactElement| c.vertices.into_iter().find(|&v| v < rows).unwrap_or(NO_VERTEX);
+        let counted = elements.iter().filter(|c| own.contains(&(first(c) as usize))).count();
+        let gap = elements.iter().map(|c| c.distance_m).fold(f32::INFINITY, f32::min);
+        let mut all = Vec::new();
+        transport.all_gather(&[counted as f64, f64::from(gap)], &mut all)?;
+        stats.contacts += all.iter().map(|of_rank| of_rank[0] as u64).sum::<u64>();
+        let gap = all.iter().map(|of_rank| of_rank[1] as f32).fold(f32::INFINITY, f32::min);
+        let before = stats.smallest_gap_m.unwrap_or(f32::INFINITY);
+        stats.smallest_gap_m = Some(gap.min(before)).filter(|gap| gap.is_finite());
+        Ok(elements)
+    }
+
+    /// Global vertices to local ones: extends the halo on all ranks.
+    fn localize(
+        &self,
+        transport: &mut dyn Transport,
+        mut elements: Vec<ContactElement>,
+        span: Span,
+    ) -> Result<RankContacts, StepError> {
+        let rows = self.partition.rows() as u32;
+        let vertices = || elements.iter().flat_map(|c| c.vertices).filter(|&v| v != NO_VERTEX);
+        let sorted = |mut list: Vec<u32>| {
+            list.sort_unstable();
+            list.dedup();
+            list
+        };
+        let own = self.partition.rows_of(self.plan.rank);
+        let lacking = |v: &u32| !own.contains(&(*v as usize)) && self.plan.local_from_global(*v).is_none();
+        let needed = sorted(vertices().filter(|&v| v < rows).filter(lacking).collect());
+        let touched = sorted(vertices().filter(|&v| v >= rows).collect());
+        let mut needs = vec![Vec::new(); transport.ranks()];
+        share_lists(transport, &needed, &mut |source, part: &[u32]| needs[source].extend_from_slice(part))?;
+        let plan = self.plan.extended(&self.partition, &needs);
+        for v in elements.iter_mut().flat_map(|c| &mut c.vertices).filter(|v| **v != NO_VERTEX) {
+            *v = if own.contains(&(*v as usize)) {
+                (plan.own.start + *v as usize - own.start) as u32
+            } else if *v < rows {
+                plan.local_from_global(*v).expect("the plan was extended by this row")
+            } else {
+                let place = touched.binary_search(v).expect("obstacle vertices were collected from these elements");
+                (plan.local_rows + place) as u32
+            };
+        }
+        let of = |x: &[f32]| touched.iter().flat_map(|&v| x[v as usize * 3..][..3].to_vec()).collect::<Vec<f32>>();
+        let (obstacle_positions, ends) = (of(&self.x_t0), of(&self.x_t1));
+        let rate = (1.0 / span.length_s) as f32;
+        let obstacle_velocities = ends.iter().zip(&obstacle_positions).map(|(end, start)| (end - start) * rate).collect();
+        Ok(RankContacts { elements, plan, obstacle_positions, obstacle_velocities })
+    }
+
+    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones, in
+    /// rounds until nothing penetrates.
+    pub fn resolve(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        own: &[f32],
+        stats: &mut StepStats,
+        recorder: &mut Recorder,
+    ) -> Result<Resolved, StepError> {
+        let clock = StageClock::start();
+        let start = recorder.now();
+        share_positions(transport, &self.partition, own, &mut self.x_t1)?;
+        let bytes = 4 * (self.partition.rows() * 3 - own.len()) as u64;
+        stats.state_bytes += bytes;
+        recorder.end(EventName::SharePositions, Activity::Transfer, start, bytes, 0);
+        clock.lap(&mut stats.seconds.positions);
+        let mut zones = ImpactZones::new(ZoneSettings::for_thickness(self.model.thickness_m));
+        let mut touched: Option<Vec<bool>> = None;
+        loop {
+            let impacts = self.impacts(transport, touched.as_deref(), stats, recorder)?;
+            clock.lap(&mut stats.seconds.continuous);
+            if impacts.is_empty() {
+                break;
+            }
+            let start = recorder.now();
+            let step =
+                StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses: &self.inverse_masses };
+            if let Err(impossible) = zones.add(&step, &impacts) {
+                return Ok(Resolved::Squeezed(self.imposed(&impossible.imposed)));
+            }
+            let share = zones.share(transport.rank(), transport.ranks());
+            let solved = zones.solve(executor, &step, &share);
+            stats.zones.iterations += solved.iterations;
+            let mask = touched.get_or_insert_with(Vec::new);
+            mask.clear();
+            mask.resize(self.inverse_masses.len(), false);
+            let x_t1 = &mut self.x_t1;
+            share_lists(transport, &solved.moved, &mut |_, part: &[Moved]| {
+                impact_zone::apply(part, x_t1);
+                part.iter().for_each(|one| mask[one.vertex as usize] = true);
+            })?;
+            recorder.end(EventName::ImpactZones, Activity::Compute, start, 0, 0);
+            clock.lap(&mut stats.seconds.zones);
+        }
+        stats.zones.add(&zones.counts());
+        Ok(Resolved::Free(self.accept(own)))
+    }
+
+    /// What holds the vertices that cannot be resolved.
+    fn imposed(&self, vertices: &[u32]) -> Vec<Imposed> {
+        let rows = self.partition.rows();
+        let mut imposed: Vec<Imposed> = vertices
+            .iter()
+            .map(|&v| match (v as usize).checked_sub(rows) {
+                Some(v) => Imposed::Obstacle(self.obstacles.name(self.obstacles.obstacle_of_vertex(v)).to_string()),
+                None => Imposed::Pin(v),
+            })
+            .collect();
+        imposed.sort();
+        imposed.dedup();
+        imposed
+    }
+
+    /// The end of the step becomes the known state; own rows that differ from `own`.
+    fn accept(&mut self, own: &[f32]) -> Vec<(u32, [f32; 3])> {
+        let rows = self.partition.rows_of(self.plan.rank);
+        let (ends, _) = self.x_t1[rows.start * 3..rows.end * 3].as_chunks::<3>();
+        let (candidates, _) = own.as_chunks::<3>();
+        let moved = ends.iter().zip(candidates).enumerate().filter(|(_, (end, candidate))| end != candidate);
+        let moved = moved.map(|(row, (end, _))| (row as u32, *end)).collect();
+        std::mem::swap(&mut self.x_t0, &mut self.x_t1);
+        moved
+    }
+
+    /// Impacts of all ranks, sorted, each once.
+    fn impacts(
+        &mut self,
+        transport: &mut dyn Transport,
+        touched: Option<&[bool]>,
+        stats: &mut StepStats,
+        recorder: &mut Recorder,
+    ) -> Result<Vec<Impact>, StepError> {
+        let start = recorder.now();
+        let (rank, ranks) = (transport.rank(), transport.ranks());
+        let mut found = Vec::new();
+        let query = self
+            .detector
+            .impacts(&self.cpu, &self.x_t0, &self.x_t1, touched, rank, ranks, &mut found)
+            .map_err(|error| detection_failed(stats.step, error))?;
+        add(&mut stats.continuous, &query);
+        recorder.end(EventName::ContinuousQuery, Activity::Compute, start, query.bytes, 0);
+        transport.alive()?;
+        let mut impacts = Vec::new();
+        share_lists(transport, &found, &mut |_, part: &[Impact]| impacts.extend_from_slice(part))?;
+        impacts.sort_unstable_by_key(|impact| impact.candidate);
+        impacts.dedup_by_key(|impact| impact.candidate);
+        Ok(impacts)
+    }
+}
+
+/// Positions of the own rows to everybody: `all` receives the cloth's rows.
+fn share_positions(
+    transport: &mut dyn Transport,
+    partition: &RowPartition,
+    own: &[f32],
+    all: &mut [f32],
+) -> Result<(), TransportError> {
+    let mut next: Vec<usize> = (0..transport.ranks()).map(|rank| partition.rows_of(rank).start * 3).collect();
+    share_lists(transport, own, &mut |source, part: &[f32]| {
+        all[next[source]..next[source] + part.len()].copy_from_slice(part);
+        next[source] += part.len();
+    })?;
+    Ok(())
+}
