@@ -11,13 +11,13 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use crate::assembly::fill::{Fill, FillParams, FillTables};
-use crate::assembly::{ElementRows, Pattern, SellLayout, SellMatrix};
+use crate::assembly::{ElementRows, Numbering, SellMatrix, SubVectors};
 use crate::forces::bend::Bend;
 use crate::forces::stretch::Stretch;
 use crate::forces::{
     FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement,
 };
-use crate::gpu::{CpuExecutor, DeviceVec, Executor};
+use crate::gpu::{DeviceVec, Executor};
 use crate::integrator::advance::Advance;
 use crate::integrator::pins::{PinTargets, Pins};
 use crate::integrator::scatter::Scatter;
@@ -95,36 +95,35 @@ impl Simulation {
         let hinge_vertices: Vec<[u32; 4]> = arrays.hinges.iter().map(|e| e.vertices).collect();
         let triangle_rows = ElementRows::new(own.clone(), &triangle_vertices);
         let hinge_rows = ElementRows::new(own.clone(), &hinge_vertices);
-        // Without contacts the pattern is fixed, so the Index Table is filled once, on the host.
-        let threads = match &executor {
-            Executor::Cpu(cpu) => cpu,
-            Executor::Gpu(_) => &CpuExecutor::new(1),
-        };
-        let pattern =
-            Pattern::new(threads, own.clone(), (&triangle_rows, &triangle_vertices), (&hinge_rows, &hinge_vertices))?;
         drop((triangle_vertices, hinge_vertices));
-        let layout = match exchange.mode {
-            ExchangeMode::Halo => SellLayout::halo(&pattern.offsets, &pattern.columns, own.clone()),
-            ExchangeMode::Full => {
-                let rows_of: Vec<_> = (0..partition.ranks()).map(|r| partition.rows_of(r)).collect();
-                let order: Vec<usize> = exchange.queue.iter().map(|node| node.vector).collect();
-                SellLayout::full(&pattern.offsets, &pattern.columns, &plan.global_from_local, &rows_of, rank, &order)
-            }
+        let (triangles, hinges) =
+            (DeviceVec::upload(&executor, &arrays.triangles), DeviceVec::upload(&executor, &arrays.hinges));
+        let rows_of: Vec<_> = (0..partition.ranks()).map(|r| partition.rows_of(r)).collect();
+        let order: Vec<usize> = exchange.queue.iter().map(|node| node.vector).collect();
+        let numbering = Numbering {
+            own: own.clone(),
+            columns: plan.local_rows,
+            global_from_local: &plan.global_from_local,
+            sub_vectors: (exchange.mode == ExchangeMode::Full)
+                .then_some(SubVectors { rows_of: &rows_of, order: &order }),
         };
+        let (fill_tables, matrix) =
+            FillTables::new(&executor, &numbering, (&triangle_rows, &triangles), (&hinge_rows, &hinges))?;
         let (rows, local_len) = (own.len(), plan.local_rows * 3);
         let ex = &executor;
         let simulation = Simulation {
             fabrics: DeviceVec::upload(ex, &arrays.fabrics),
             triangle_records: DeviceVec::zeros(ex, arrays.triangles.len() * TRIANGLE_RECORD_FLOATS),
             hinge_records: DeviceVec::zeros(ex, arrays.hinges.len() * HINGE_RECORD_FLOATS),
-            triangles: DeviceVec::upload(ex, &arrays.triangles),
-            hinges: DeviceVec::upload(ex, &arrays.hinges),
+            triangles,
+            hinges,
             masses: DeviceVec::upload(ex, &arrays.masses),
             pinned: DeviceVec::zeros(ex, rows),
             positions: DeviceVec::upload(ex, &arrays.positions),
             velocities: DeviceVec::upload(ex, &arrays.velocities),
-            fill_tables: FillTables::new(ex, &pattern, &layout, &triangle_rows, &hinge_rows),
-            matrix: SellMatrix::new(ex, rows, &layout),
+            fill_tables,
+            padding_ratio: matrix.padding_ratio(),
+            matrix,
             rhs: DeviceVec::zeros(ex, rows * 3),
             inverse_diagonal: DeviceVec::zeros(ex, rows * 6),
             vectors: PcgVectors::new(ex, rows, local_len),
@@ -134,7 +133,6 @@ impl Simulation {
             pcg: Pcg::new(ex, &partition, rank),
             advance: Advance::new(ex),
             scatter: Scatter::new(ex),
-            padding_ratio: layout.padding_ratio(),
             rows_start: partition.rows_of(rank).start,
             own_rows: rows,
             own_start: own.start * 3,
@@ -253,7 +251,7 @@ impl Simulation {
             self.spmv.apply(
                 &self.executor,
                 &mut alone,
-                &self.matrix,
+                &(&self.matrix).into(),
                 &mut self.vectors.u,
                 &mut y,
                 &mut self.recorder,
@@ -402,6 +400,7 @@ impl Simulation {
             &self.hinge_records,
             &self.masses,
             &self.pinned,
+            None,
             &mut self.matrix,
             &mut self.rhs,
             &mut self.inverse_diagonal,

@@ -4,12 +4,12 @@
 mod support;
 
 use loomtree::assembly::fill::{Fill, FillParams, FillTables};
-use loomtree::assembly::{ElementRows, Pattern, SellLayout, SellMatrix};
+use loomtree::assembly::{ElementRows, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS};
 use loomtree::gpu::test_support::{self, Seeded};
-use loomtree::gpu::{CpuExecutor, DeviceVec, Executor};
+use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::integrator::advance::Advance;
 use loomtree::integrator::scatter::Scatter;
 use loomtree::math::Vec3;
@@ -55,15 +55,25 @@ struct Assembled {
     values: Vec<f32>,
     rhs: Vec<f32>,
     inverse_diagonal: Vec<f32>,
+    /// Tables of the matrix: row of every lane, slice offsets, columns.
+    index: [Vec<u32>; 3],
 }
 
-fn pattern_of(part: &RankModel) -> (Pattern, ElementRows, ElementRows) {
+/// Fill tables and zero matrix of a rank.
+fn tables_of(executor: &Executor, part: &RankModel) -> (FillTables, SellMatrix) {
     let triangles: Vec<[u32; 3]> = part.arrays.triangles.iter().map(|e| e.vertices).collect();
     let hinges: Vec<[u32; 4]> = part.arrays.hinges.iter().map(|e| e.vertices).collect();
     let own = part.plan.own.clone();
     let (t, h) = (ElementRows::new(own.clone(), &triangles), ElementRows::new(own.clone(), &hinges));
-    let pattern = Pattern::new(&CpuExecutor::new(1), own, (&t, &triangles), (&h, &hinges)).unwrap();
-    (pattern, t, h)
+    let (triangles, hinges) =
+        (DeviceVec::upload(executor, &part.arrays.triangles), DeviceVec::upload(executor, &part.arrays.hinges));
+    let numbering = Numbering {
+        own,
+        columns: part.plan.local_rows,
+        global_from_local: &part.plan.global_from_local,
+        sub_vectors: None,
+    };
+    FillTables::new(executor, &numbering, (&t, &triangles), (&h, &hinges)).unwrap()
 }
 
 /// Every seventh row is pinned.
@@ -72,9 +82,7 @@ fn pinned(rows: usize) -> Vec<u32> {
 }
 
 fn assemble(executor: &Executor, part: &RankModel) -> Assembled {
-    let (pattern, triangle_rows, hinge_rows) = pattern_of(part);
     let (arrays, rows) = (&part.arrays, part.plan.own.len());
-    let layout = SellLayout::halo(&pattern.offsets, &pattern.columns, part.plan.own.clone());
     let fabrics = DeviceVec::upload(executor, &arrays.fabrics);
     let (triangles, hinges) =
         (DeviceVec::upload(executor, &arrays.triangles), DeviceVec::upload(executor, &arrays.hinges));
@@ -100,8 +108,7 @@ fn assemble(executor: &Executor, part: &RankModel) -> Assembled {
     );
     Bend::new(executor).apply(executor, &params(hinges.len()), &fabrics, &hinges, &x, &v, &mut hinge_records);
 
-    let tables = FillTables::new(executor, &pattern, &layout, &triangle_rows, &hinge_rows);
-    let mut matrix = SellMatrix::new(executor, rows, &layout);
+    let (tables, mut matrix) = tables_of(executor, part);
     let (mut rhs, mut inverse) = (DeviceVec::zeros(executor, rows * 3), DeviceVec::zeros(executor, rows * 6));
     let (masses, pinned) = (DeviceVec::upload(executor, &arrays.masses), DeviceVec::upload(executor, &pinned(rows)));
     let params = FillParams { gravity: [0.0, 0.0, -9.81], step_s: 0.004, rows: rows as u32 };
@@ -117,6 +124,7 @@ fn assemble(executor: &Executor, part: &RankModel) -> Assembled {
             &hinge_records,
             &masses,
             &pinned,
+            None,
             &mut matrix,
             &mut rhs,
             &mut inverse,
@@ -128,6 +136,7 @@ fn assemble(executor: &Executor, part: &RankModel) -> Assembled {
         values: matrix.values.read(executor),
         rhs: rhs.read(executor),
         inverse_diagonal: inverse.read(executor),
+        index: [&matrix.row_of_lane, &matrix.slice_offsets, &matrix.columns].map(|words| words.read(executor)),
     };
     assert_eq!(executor.take_fault(), None);
     made
@@ -154,6 +163,7 @@ fn assembly_equals_the_native_twins() {
     let (expected, found) = (assemble(&Executor::cpu(1), &part), assemble(&gpu, &part));
     assert_close("triangle records", &found.triangle_records, &expected.triangle_records, TRIANGLE_RECORD_FLOATS, 1e-5);
     assert_close("hinge records", &found.hinge_records, &expected.hinge_records, HINGE_RECORD_FLOATS, 1e-5);
+    assert!(found.index == expected.index && found.index[2].len() > 13 * part.plan.own.len());
     assert_close("values", &found.values, &expected.values, 1, 1e-5);
     assert_close("right-hand side", &found.rhs, &expected.rhs, 3, 1e-5);
     assert_close("inverse diagonal", &found.inverse_diagonal, &expected.inverse_diagonal, 6, 1e-4);
@@ -175,6 +185,7 @@ fn splitting_arrays_does_not_change_a_bit() {
         equal(&found.triangle_records, &expected.triangle_records)
             && equal(&found.hinge_records, &expected.hinge_records)
     );
+    assert!(found.index == expected.index);
     assert!(equal(&found.values, &expected.values) && equal(&found.rhs, &expected.rhs));
     assert!(equal(&found.inverse_diagonal, &expected.inverse_diagonal));
 
@@ -185,10 +196,8 @@ fn splitting_arrays_does_not_change_a_bit() {
 
 /// y = A x over both sections, then y += A x with x from the host.
 fn products(executor: &Executor, part: &RankModel, values: &[f32], x: &[f32]) -> Vec<f32> {
-    let (pattern, ..) = pattern_of(part);
     let rows = part.plan.own.len();
-    let layout = SellLayout::halo(&pattern.offsets, &pattern.columns, part.plan.own.clone());
-    let mut matrix = SellMatrix::new(executor, rows, &layout);
+    let (_, mut matrix) = tables_of(executor, part);
     matrix.values.write_range(executor, 0, values);
     let (spmv, device_x, mut y) =
         (Spmv::new(executor), DeviceVec::upload(executor, x), DeviceVec::zeros(executor, rows * 3));

@@ -6,11 +6,13 @@ mod support;
 
 use loomtree::assembly::fill::{Fill, FillParams, FillTables};
 use loomtree::assembly::sell::value_index;
-use loomtree::assembly::{ElementRows, Pattern, SellLayout, SellMatrix};
+use loomtree::assembly::{ContactSystem, ElementRows, LANES, NO_ROW, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
 use loomtree::forces::stretch::Stretch;
-use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS, dihedral_angle};
-use loomtree::gpu::{CpuExecutor, DeviceVec, Executor};
+use loomtree::forces::{
+    ContactElement, HINGE_RECORD_FLOATS, NO_VERTEX, STICK_SPEED_M_S, StepParams, TRIANGLE_RECORD_FLOATS, dihedral_angle,
+};
+use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::math::{DQuat, DVec3, Vec3};
 use loomtree::model::{GlobalModel, RankModel};
 use loomtree::partition::RowPartition;
@@ -194,7 +196,7 @@ struct RankRows {
     b: Vec<f32>,
 }
 
-fn rank_rows(model: &GlobalModel, part: &RankModel) -> RankRows {
+fn rank_rows(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement]) -> RankRows {
     let ex = Executor::cpu(1);
     let (plan, arrays) = (&part.plan, &part.arrays);
     let own = plan.own.clone();
@@ -202,14 +204,18 @@ fn rank_rows(model: &GlobalModel, part: &RankModel) -> RankRows {
     let hinge_vertices: Vec<_> = arrays.hinges.iter().map(|e| e.vertices).collect();
     let triangle_rows = ElementRows::new(own.clone(), &triangle_vertices);
     let hinge_rows = ElementRows::new(own.clone(), &hinge_vertices);
-    let pattern = Pattern::new(
-        &CpuExecutor::new(1),
-        own.clone(),
-        (&triangle_rows, &triangle_vertices),
-        (&hinge_rows, &hinge_vertices),
-    )
-    .unwrap();
-    let layout = SellLayout::halo(&pattern.offsets, &pattern.columns, own.clone());
+    let (global_from_local, local_contacts) = localized(model, part, contacts);
+    let numbering = Numbering {
+        own: own.clone(),
+        columns: global_from_local.len(),
+        global_from_local: &global_from_local,
+        sub_vectors: None,
+    };
+    let mut local_velocities: Vec<f32> = Vec::new();
+    for &global in &global_from_local {
+        local_velocities.extend(&model.velocities[global as usize * 3..][..3]);
+    }
+    local_velocities.extend(OBSTACLE.iter().flat_map(|v| v.to_array()));
     let params = |count: usize| StepParams {
         step_s: STEP_S as f32,
         air_density: AIR_KG_M3 as f32,
@@ -226,8 +232,12 @@ fn rank_rows(model: &GlobalModel, part: &RankModel) -> RankRows {
     let mut hinge_records = DeviceVec::zeros(&ex, hinges.len() * HINGE_RECORD_FLOATS);
     Stretch::new(&ex).apply(&ex, &params(triangles.len()), &fabrics, &triangles, &x, &v, &mut triangle_records);
     Bend::new(&ex).apply(&ex, &params(hinges.len()), &fabrics, &hinges, &x, &v, &mut hinge_records);
-    let tables = FillTables::new(&ex, &pattern, &layout, &triangle_rows, &hinge_rows);
-    let mut matrix = SellMatrix::new(&ex, own.len(), &layout);
+    let (tables, mut matrix) =
+        FillTables::new(&ex, &numbering, (&triangle_rows, &triangles), (&hinge_rows, &hinges)).unwrap();
+    let mut system = ContactSystem::new(&ex);
+    system.build(&ex, &local_contacts, &numbering, &matrix).unwrap();
+    system.records(&ex, STEP_S as f32, &DeviceVec::upload(&ex, &local_velocities));
+    system.fill(&ex);
     let (mut b, mut inverse) = (DeviceVec::zeros(&ex, own.len() * 3), DeviceVec::zeros(&ex, own.len() * 6));
     let fill = FillParams { gravity: DOWN.to_array(), step_s: STEP_S as f32, rows: own.len() as u32 };
     let (masses, pinned) = (DeviceVec::upload(&ex, &arrays.masses), DeviceVec::zeros(&ex, own.len()));
@@ -240,22 +250,123 @@ fn rank_rows(model: &GlobalModel, part: &RankModel) -> RankRows {
         &hinge_records,
         &masses,
         &pinned,
+        system.sums(),
         &mut matrix,
         &mut b,
         &mut inverse,
     );
 
-    let values = matrix.values.read(&ex);
     let mut a = vec![vec![0.0; model.rows() * 3]; own.len() * 3];
-    for row in 0..own.len() {
-        for k in pattern.offsets[row]..pattern.offsets[row + 1] {
-            let column = plan.global_from_local[pattern.columns[k as usize] as usize] as usize;
+    add_blocks(&ex, &matrix, &global_from_local, &mut a);
+    if let Some(matrix) = system.matrix() {
+        add_blocks(&ex, matrix, &global_from_local, &mut a);
+    }
+    RankRows { first: plan.global_from_local[own.start] as usize, a, b: b.read(&ex) }
+}
+
+/// Adds what a matrix stores to rows over all global columns.
+fn add_blocks(ex: &Executor, matrix: &SellMatrix, global_from_local: &[u32], a: &mut [Vec<f32>]) {
+    let (rows, slices) = (matrix.row_of_lane.read(ex), matrix.slice_offsets.read(ex));
+    let (columns, values) = (matrix.columns.read(ex), matrix.values.read(ex));
+    for (i, &row) in rows.iter().enumerate().filter(|(_, row)| **row != NO_ROW) {
+        for slot in slices[i / LANES]..slices[i / LANES + 1] {
+            let address = slot * LANES as u32 + (i % LANES) as u32;
+            let column = global_from_local[columns[address as usize] as usize] as usize;
             for c in 0..9 {
-                a[row * 3 + c / 3][column * 3 + c % 3] = values[value_index(layout.block_address[k as usize], c)];
+                a[row as usize * 3 + c / 3][column * 3 + c % 3] += values[value_index(address, c)];
             }
         }
     }
-    RankRows { first: plan.global_from_local[own.start] as usize, a, b: b.read(&ex) }
+}
+
+/// Velocities of three obstacle vertices in the coming step.
+const OBSTACLE: [Vec3; 3] = [Vec3::new(0.2, 0.0, 0.1), Vec3::ZERO, Vec3::new(-0.3, 0.4, 0.0)];
+
+/// Contacts of all kinds between any vertices of the model, in ascending order of their keys; some do not repel.
+fn contacts(model: &GlobalModel) -> Vec<ContactElement> {
+    let (mut random, rows) = (Random(77), model.rows() as u32);
+    let mut contacts: Vec<ContactElement> = (0..40u32)
+        .map(|i| {
+            let v = |k: u32| (i * 7 + k * (3 + i % 4)) % rows;
+            let obstacle = |k: u32| rows + (i + k) % 3;
+            let (vertices, weights) = match i % 5 {
+                0 => ([v(0), v(1), v(2), v(3)], [1.0, -0.5, -0.25, -0.25]),
+                1 => ([v(0), v(1), v(2), NO_VERTEX], [1.0, -0.75, -0.25, 0.0]),
+                2 => ([v(0), obstacle(0), obstacle(1), obstacle(2)], [1.0, -0.5, -0.25, -0.25]),
+                3 => ([v(0), v(1), NO_VERTEX, NO_VERTEX], [1.0, -1.0, 0.0, 0.0]),
+                _ => ([v(0), v(1), v(2), v(3)], [0.75, 0.25, -0.5, -0.5]),
+            };
+            ContactElement {
+                vertices,
+                weights,
+                normal: random.vector().normalize().to_array(),
+                distance_m: 0.0002 * (i % 6) as f32,
+                thickness_m: 0.0008,
+                stiffness_n_m: 300.0,
+                friction: 0.1 * (i % 4) as f32,
+                kind: u32::from(i % 5 == 4),
+            }
+        })
+        .collect();
+    contacts.sort_by_key(ContactElement::key);
+    contacts
+}
+
+/// Local vertices of a rank with those appended, in no particular order, that only contacts reach, and the contacts that
+/// touch own rows in this numbering; obstacles come last.
+fn localized(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement]) -> (Vec<u32>, Vec<ContactElement>) {
+    let (plan, rows) = (&part.plan, model.rows() as u32);
+    let mut global_from_local = plan.global_from_local.clone();
+    let own = &plan.global_from_local[plan.own.clone()];
+    let mine: Vec<_> = contacts.iter().filter(|c| c.vertices.iter().any(|v| own.contains(v))).collect();
+    for &v in mine.iter().rev().flat_map(|c| &c.vertices) {
+        if v < rows && !global_from_local.contains(&v) {
+            global_from_local.push(v);
+        }
+    }
+    let columns = global_from_local.len() as u32;
+    let local = |v: u32| match v {
+        NO_VERTEX => NO_VERTEX,
+        v if v >= rows => columns + v - rows,
+        v => global_from_local.iter().position(|&g| g == v).unwrap() as u32,
+    };
+    let numbered = mine.iter().map(|c| ContactElement { vertices: c.vertices.map(local), ..**c }).collect();
+    (global_from_local, numbered)
+}
+
+/// Adds the contacts to the dense system: dt^2 k n n' and friction as a drag of mu F / |u_t|.
+fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElement]) -> usize {
+    let rows = model.rows() as u32;
+    let velocity = |v: u32| match v {
+        NO_VERTEX => DVec3::ZERO,
+        v if v >= rows => OBSTACLE[(v - rows) as usize].as_dvec3(),
+        v => Vec3::from_slice(&model.velocities[v as usize * 3..][..3]).as_dvec3(),
+    };
+    let mut repelling = 0;
+    for c in contacts {
+        let (n, k) = (Vec3::from(c.normal).as_dvec3(), f64::from(c.stiffness_n_m));
+        let u: DVec3 = (0..4).map(|a| velocity(c.vertices[a]) * f64::from(c.weights[a])).sum();
+        let depth = f64::from(c.thickness_m - c.distance_m);
+        let later = depth - STEP_S * n.dot(u);
+        if depth <= 0.0 || later <= 0.0 {
+            continue;
+        }
+        repelling += 1;
+        let slip = u - n * n.dot(u);
+        let drag =
+            STEP_S * f64::from(c.friction) * k * depth.min(later) / slip.length().max(f64::from(STICK_SPEED_M_S));
+        let cloth: Vec<usize> = (0..4).filter(|&a| c.vertices[a] < rows).collect();
+        let vertices: Vec<u32> = cloth.iter().map(|&a| c.vertices[a]).collect();
+        let along = |axis: DVec3| cloth.iter().map(|&a| axis * f64::from(c.weights[a])).collect::<Vec<_>>();
+        system.add_rank_one(&vertices, STEP_S * STEP_S * k - drag, &along(n), &along(n));
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+            system.add_rank_one(&vertices, drag, &along(axis), &along(axis));
+        }
+        for &a in &cloth {
+            system.add_rhs(c.vertices[a], (n * (STEP_S * k * later) - slip * drag) * f64::from(c.weights[a]));
+        }
+    }
+    repelling
 }
 
 fn parts(model: &GlobalModel, ranks: usize) -> Vec<RankModel> {
@@ -274,8 +385,21 @@ const F32_RELATIVE: f64 = 1e-4;
 #[test]
 fn block_ell_and_right_hand_side_equal_a_dense_accumulate_and_are_symmetric() {
     let model = GlobalModel::new(&crumpled());
-    let dense = dense_system(&model);
-    let rows = rank_rows(&model, &parts(&model, 1)[0]);
+    check_system(&model, dense_system(&model), &[]);
+}
+
+#[test]
+fn contacts_add_what_a_dense_accumulate_adds() {
+    let model = GlobalModel::new(&crumpled());
+    let contacts = contacts(&model);
+    let mut dense = dense_system(&model);
+    let repelling = add_contacts(&mut dense, &model, &contacts);
+    assert!(repelling > 10 && repelling < 35, "{repelling} of 40 contacts repel");
+    check_system(&model, dense, &contacts);
+}
+
+fn check_system(model: &GlobalModel, dense: Dense, contacts: &[ContactElement]) {
+    let rows = rank_rows(model, &parts(model, 1)[0], contacts);
     let n = dense.n;
     assert_eq!((rows.first, rows.a.len()), (0, n));
     let (largest_a, largest_b) = (norm(&dense.a), norm(&dense.b));
@@ -298,12 +422,13 @@ fn block_ell_and_right_hand_side_equal_a_dense_accumulate_and_are_symmetric() {
 #[test]
 fn rows_have_the_same_bits_on_every_rank_count() {
     let model = GlobalModel::new(&crumpled());
-    let one = rank_rows(&model, &parts(&model, 1)[0]);
+    let contacts = contacts(&model);
+    let one = rank_rows(&model, &parts(&model, 1)[0], &contacts);
     let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     for ranks in 2..=4 {
         let mut next = 0;
         for part in parts(&model, ranks) {
-            let rows = rank_rows(&model, &part);
+            let rows = rank_rows(&model, &part, &contacts);
             assert_eq!(rows.first, next);
             for (i, row) in rows.a.iter().enumerate() {
                 assert_eq!(bits(row), bits(&one.a[rows.first * 3 + i]), "{ranks} ranks, row {}", rows.first * 3 + i);

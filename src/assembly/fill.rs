@@ -2,12 +2,13 @@
 //! same element records. The paper adds with atomics per element; here each row gathers from its sorted list, which gives the
 //! same bits for every rank count (docs/papers.md).
 
+use super::contact_fill::ContactSums;
 use super::element_rows::ElementRows;
 use super::fill_cpu::{self, FillInputs};
-use super::layout::{LANES, SellLayout};
-use super::pattern::Pattern;
+use super::index_fill::{Elements, IndexFill, IndexRows, Kind, Numbering, RowTooLong};
+use super::layout::{LANES, Placement};
 use super::sell::{BLOCK, SellMatrix};
-use crate::forces::{HINGE_RECORD_FLOATS, TRIANGLE_RECORD_FLOATS, TriangleElement};
+use crate::forces::{HINGE_RECORD_FLOATS, HingeElement, TRIANGLE_RECORD_FLOATS, TriangleElement};
 use crate::gpu::{DeviceVec, Executor, GpuExecutor, GpuStruct, KernelSource, gpu_struct};
 
 pub use super::fill_cpu::inverse_symmetric;
@@ -42,8 +43,8 @@ gpu_struct! {
         first_hinge: u32,
         hinges: u32,
         passes: u32,
+        contacts: u32,
         padding0: u32,
-        padding1: u32,
     }
 }
 /// FIRST_PASS and LAST_PASS of the shader.
@@ -70,28 +71,68 @@ pub struct FillTables {
 }
 
 impl FillTables {
-    /// Uploads the tables.
+    /// The tables of the elastic elements (corners are local vertices) and the zero matrix that they fill: the Index Table
+    /// of a run, filled once. The row lists are those of the rows `numbering.own`.
+    ///
+    /// # Errors
+    /// A vertex is coupled to more others than a row can hold.
     pub fn new(
         executor: &Executor,
-        pattern: &Pattern,
-        layout: &SellLayout,
-        triangles: &ElementRows,
-        hinges: &ElementRows,
-    ) -> FillTables {
-        let length = |offsets: &[u32], row: usize| (offsets[row + 1] - offsets[row]) as usize;
-        let contributions = |row| length(&triangles.offsets, row) + length(&hinges.offsets, row);
-        FillTables {
-            most_blocks: (0..pattern.rows()).map(|row| length(&pattern.offsets, row)).max().unwrap_or(0),
-            most_contributions: (0..pattern.rows()).map(contributions).max().unwrap_or(0),
-            row_offsets: DeviceVec::upload(executor, &pattern.offsets),
-            block_address: DeviceVec::upload(executor, &layout.block_address),
-            triangle_offsets: DeviceVec::upload(executor, &triangles.offsets),
-            triangle_entries: DeviceVec::upload(executor, &triangles.entries),
-            triangle_positions: DeviceVec::upload(executor, &pattern.triangle_positions),
-            hinge_offsets: DeviceVec::upload(executor, &hinges.offsets),
-            hinge_entries: DeviceVec::upload(executor, &hinges.entries),
-            hinge_positions: DeviceVec::upload(executor, &pattern.hinge_positions),
+        numbering: &Numbering<'_>,
+        triangles: (&ElementRows, &DeviceVec<TriangleElement>),
+        hinges: (&ElementRows, &DeviceVec<HingeElement>),
+    ) -> Result<(FillTables, SellMatrix), RowTooLong> {
+        let count = numbering.own.len();
+        let upload = |words: &[u32]| DeviceVec::upload(executor, words);
+        let (triangle_offsets, triangle_entries) = (upload(&triangles.0.offsets), upload(&triangles.0.entries));
+        let (hinge_offsets, hinge_entries) = (upload(&hinges.0.offsets), upload(&hinges.0.entries));
+        let (mut triangle_positions, mut hinge_positions) =
+            (DeviceVec::zeros(executor, 0), DeviceVec::zeros(executor, 0));
+        let rows = IndexRows { own: numbering.own.clone(), columns: numbering.columns, own_column: true };
+        let mut kinds = [
+            Kind {
+                elements: Elements::Triangles(triangles.1),
+                host_offsets: &triangles.0.offsets,
+                offsets: &triangle_offsets,
+                entries: &triangle_entries,
+                positions: &mut triangle_positions,
+            },
+            Kind {
+                elements: Elements::Hinges(hinges.1),
+                host_offsets: &hinges.0.offsets,
+                offsets: &hinge_offsets,
+                entries: &hinge_entries,
+                positions: &mut hinge_positions,
+            },
+        ];
+        let mut index = IndexFill::new(executor);
+        index.fill(executor, numbering, &rows, count, &mut kinds)?;
+        let mut offsets = vec![0u32; count + 1];
+        for row in 0..count {
+            offsets[row + 1] = offsets[row] + index.length(row) as u32;
         }
+        let placement = Placement::new(&index.segments(numbering, count, |row| row as u32, |_| false));
+        let mut matrix = SellMatrix::empty(executor, count);
+        matrix.place(executor, &placement);
+        let row_offsets = upload(&offsets);
+        let mut block_address = DeviceVec::zeros(executor, placement.blocks);
+        let addresses = Some((&row_offsets, &mut block_address));
+        index.place(executor, &rows, count, &kinds, &placement, &mut matrix, addresses);
+        let length = |offsets: &[u32], row: usize| (offsets[row + 1] - offsets[row]) as usize;
+        let contributions = |row| length(&triangles.0.offsets, row) + length(&hinges.0.offsets, row);
+        let tables = FillTables {
+            most_blocks: (0..count).map(|row| length(&offsets, row)).max().unwrap_or(0),
+            most_contributions: (0..count).map(contributions).max().unwrap_or(0),
+            row_offsets,
+            block_address,
+            triangle_offsets,
+            triangle_entries,
+            triangle_positions,
+            hinge_offsets,
+            hinge_entries,
+            hinge_positions,
+        };
+        Ok((tables, matrix))
     }
 
     /// Device bytes.
@@ -125,15 +166,20 @@ fn passes(gpu: &GpuExecutor, triangles: usize, hinges: usize) -> Vec<Pass> {
 }
 
 /// The fill kernel on one executor.
-pub struct Fill {}
+pub struct Fill {
+    /// What a device binds in place of the sums of contacts where there are none.
+    no_slots: DeviceVec<u32>,
+    no_sums: DeviceVec<f32>,
+}
 
 impl Fill {
     /// Prepares the kernel.
-    pub fn new(_executor: &Executor) -> Fill {
-        Fill {}
+    pub fn new(executor: &Executor) -> Fill {
+        Fill { no_slots: DeviceVec::zeros(executor, 0), no_sums: DeviceVec::zeros(executor, 0) }
     }
 
-    /// Fills `matrix`, `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows).
+    /// Fills `matrix`, `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows). `contacts` are
+    /// added to the diagonal blocks and the right-hand side of the rows that they touch.
     pub fn apply(
         &self,
         executor: &Executor,
@@ -144,10 +190,13 @@ impl Fill {
         hinge_records: &DeviceVec<f32>,
         masses: &DeviceVec<f32>,
         pinned: &DeviceVec<u32>,
+        contacts: Option<ContactSums<'_>>,
         matrix: &mut SellMatrix,
         rhs: &mut DeviceVec<f32>,
         inverse_diagonal: &mut DeviceVec<f32>,
     ) {
+        let touched = contacts.is_some();
+        let contacts = contacts.unwrap_or(ContactSums { slots: &self.no_slots, sums: &self.no_sums });
         match executor {
             Executor::Cpu(cpu) => {
                 let inputs = FillInputs {
@@ -164,6 +213,8 @@ impl Fill {
                     hinge_records: hinge_records.as_slice(),
                     masses: masses.as_slice(),
                     pinned: pinned.as_slice(),
+                    contact_slots: contacts.slots.as_slice(),
+                    contact_sums: contacts.sums.as_slice(),
                 };
                 fill_cpu::fill(
                     cpu,
@@ -183,6 +234,8 @@ impl Fill {
                 hinge_records,
                 masses,
                 pinned,
+                touched,
+                contacts,
                 matrix,
                 rhs,
                 inverse_diagonal,
@@ -200,6 +253,8 @@ fn apply_on_device(
     hinge_records: &DeviceVec<f32>,
     masses: &DeviceVec<f32>,
     pinned: &DeviceVec<u32>,
+    touched: bool,
+    contacts: ContactSums<'_>,
     matrix: &mut SellMatrix,
     rhs: &mut DeviceVec<f32>,
     inverse_diagonal: &mut DeviceVec<f32>,
@@ -230,8 +285,8 @@ fn apply_on_device(
                     hinges: pass.hinges.len() as u32,
                     passes: if index == 0 { FIRST_PASS } else { 0 }
                         | if index + 1 == passes.len() { LAST_PASS } else { 0 },
+                    contacts: touched.into(),
                     padding0: 0,
-                    padding1: 0,
                 };
                 let bindings = [
                     tables.row_offsets.binding(),
@@ -251,6 +306,8 @@ fn apply_on_device(
                         .window(pass.hinges.start * HINGE_RECORD_FLOATS, pass.hinges.len() * HINGE_RECORD_FLOATS),
                     masses.binding(),
                     pinned.binding(),
+                    contacts.slots.binding(),
+                    contacts.sums.binding(),
                     matrix.values.window_mut(part.slots.start * LANES * BLOCK, part.slots.len() * LANES * BLOCK),
                     rhs.binding_mut(),
                     inverse_diagonal.binding_mut(),

@@ -19,8 +19,9 @@ struct FillPass {
     hinges: u32,
     // FIRST_PASS: nothing was added yet. LAST_PASS: nothing will be.
     passes: u32,
+    // 1: contact_slots and contact_sums are bound.
+    contacts: u32,
     padding0: u32,
-    padding1: u32,
 }
 
 const FIRST_PASS: u32 = 1u;
@@ -30,6 +31,9 @@ const BLOCK: u32 = 9u;
 // Invocations per row.
 const SHARE: u32 = 16u;
 const NO_BLOCK: u32 = 0xffffffffu;
+const NO_SLOT: u32 = 0xffffffffu;
+// Values per row that contacts touch: symmetric diagonal block, right-hand side.
+const SUMS: u32 = 9u;
 
 @group(0) @binding(0) var<storage, read> row_offsets: array<u32>;
 @group(0) @binding(1) var<storage, read> block_address: array<u32>;
@@ -44,10 +48,12 @@ const NO_BLOCK: u32 = 0xffffffffu;
 @group(0) @binding(10) var<storage, read> hinge_records: array<vec4<f32>>;
 @group(0) @binding(11) var<storage, read> masses: array<f32>;
 @group(0) @binding(12) var<storage, read> pinned: array<u32>;
-@group(0) @binding(13) var<storage, read_write> values: array<f32>;
-@group(0) @binding(14) var<storage, read_write> rhs: array<Packed3>;
-@group(0) @binding(15) var<storage, read_write> inverse_diagonal: array<f32>;
-@group(0) @binding(16) var<uniform> params: FillPass;
+@group(0) @binding(13) var<storage, read> contact_slots: array<u32>;
+@group(0) @binding(14) var<storage, read> contact_sums: array<f32>;
+@group(0) @binding(15) var<storage, read_write> values: array<f32>;
+@group(0) @binding(16) var<storage, read_write> rhs: array<Packed3>;
+@group(0) @binding(17) var<storage, read_write> inverse_diagonal: array<f32>;
+@group(0) @binding(18) var<uniform> params: FillPass;
 
 // The four positions of a contribution's corners in their row.
 fn unpacked_positions(words: vec2<u32>) -> vec4<u32> {
@@ -129,6 +135,15 @@ fn store_inverse(row: u32, m: mat3x3<f32>) {
     inverse_diagonal[at + 5u] = c.z * scale;
 }
 
+// Where the sums of a row's contacts are, or NO_SLOT.
+fn contact_sums_of(row: u32) -> u32 {
+    if (params.contacts == 0u) {
+        return NO_SLOT;
+    }
+    let slot = contact_slots[row];
+    return select(slot * SUMS, NO_SLOT, slot == NO_SLOT);
+}
+
 fn fill_force(row: u32) {
     var force = unpacked(rhs[row]);
     if ((params.passes & FIRST_PASS) != 0u) {
@@ -148,6 +163,10 @@ fn fill_force(row: u32) {
     }
     if ((params.passes & LAST_PASS) != 0u) {
         force *= params.step_s;
+        let at = contact_sums_of(row);
+        if (at != NO_SLOT) {
+            force += vec3<f32>(contact_sums[at + 6u], contact_sums[at + 7u], contact_sums[at + 8u]);
+        }
     }
     rhs[row] = packed(force);
 }
@@ -190,6 +209,17 @@ fn fill_block(row: u32, k: u32) {
         block[0].x += masses[row];
         block[1].y += masses[row];
         block[2].z += masses[row];
+        let sums = contact_sums_of(row);
+        if (sums != NO_SLOT) {
+            let xy = contact_sums[sums + 1u];
+            let xz = contact_sums[sums + 2u];
+            let yz = contact_sums[sums + 4u];
+            block += mat3x3<f32>(
+                contact_sums[sums], xy, xz,
+                xy, contact_sums[sums + 3u], yz,
+                xz, yz, contact_sums[sums + 5u],
+            );
+        }
         store_inverse(row, block);
     }
     for (var c = 0u; c < BLOCK; c++) {

@@ -1,5 +1,7 @@
 //! CPU twin of `fill.wgsl`: one row at a time, contributions in ascending element order, triangles before hinges.
 
+use super::contact_fill::SUMS;
+use super::contact_rows::NO_SLOT;
 use super::fill::FillParams;
 use super::sell::{BLOCK, value_index};
 use crate::forces::{HINGE_RECORD_FLOATS, TRIANGLE_RECORD_FLOATS, TriangleElement};
@@ -21,6 +23,9 @@ pub struct FillInputs<'a> {
     pub hinge_records: &'a [f32],
     pub masses: &'a [f32],
     pub pinned: &'a [u32],
+    /// Per own row its number among those that contacts touch; empty without contacts.
+    pub contact_slots: &'a [u32],
+    pub contact_sums: &'a [f32],
 }
 
 /// Outputs that several threads write at disjoint places: `values` at the addresses of the own rows' blocks.
@@ -71,15 +76,21 @@ pub fn fill(
             for c in [0, 4, 8] {
                 blocks[diagonal][c] += inputs.masses[row];
             }
+            let mut impulse = (force * params.step_s).to_array();
+            if let Some(&slot) = inputs.contact_slots.get(row)
+                && slot != NO_SLOT
+            {
+                add_contacts(inputs, slot as usize, &mut blocks[diagonal], &mut impulse);
+            }
             for (k, block) in blocks.iter().enumerate() {
                 for (c, value) in block.iter().enumerate() {
                     // SAFETY: addresses of this row's blocks.
                     unsafe { shared.set(value_index(inputs.block_address[first + k], c), *value) };
                 }
             }
-            for (c, f) in force.to_array().into_iter().enumerate() {
+            for (c, value) in impulse.into_iter().enumerate() {
                 // SAFETY: the row's own entries.
-                unsafe { rhs_shared.set(row * 3 + c, params.step_s * f) };
+                unsafe { rhs_shared.set(row * 3 + c, value) };
             }
             inverse.copy_from_slice(&if inputs.pinned[row] != 0 {
                 [0.0; 6]
@@ -88,6 +99,12 @@ pub fn fill(
             });
         }
     });
+}
+
+fn add_contacts(inputs: &FillInputs, slot: usize, diagonal: &mut [f32; BLOCK], impulse: &mut [f32; 3]) {
+    let [xx, xy, xz, yy, yz, zz, x, y, z] = inputs.contact_sums.as_chunks::<SUMS>().0[slot];
+    diagonal.iter_mut().zip([xx, xy, xz, xy, yy, yz, xz, yz, zz]).for_each(|(to, value)| *to += value);
+    impulse.iter_mut().zip([x, y, z]).for_each(|(to, value)| *to += value);
 }
 
 fn add_triangle(inputs: &FillInputs, entry: u32, positions: [u16; 4], blocks: &mut [[f32; BLOCK]], force: &mut Vec3) {

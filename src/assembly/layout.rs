@@ -28,11 +28,66 @@ pub struct SellLayout {
 }
 
 /// A stretch of one row's columns that belongs to one section.
-#[derive(Clone, Copy)]
-struct Segment {
-    row: u32,
-    first: u32,
-    length: u32,
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Segment {
+    /// Number of the row in the tables that the columns come from.
+    pub index: u32,
+    /// Own row.
+    pub row: u32,
+    /// Sub-vector of its columns (`full`).
+    pub part: u32,
+    /// Position in the row of the first of its columns.
+    pub first: u32,
+    /// Columns.
+    pub length: u32,
+}
+
+/// Which segment sits in which lane, before any column is known.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Placement {
+    /// See [`SellLayout::row_of_lane`].
+    pub row_of_lane: Vec<u32>,
+    /// See [`SellLayout::slice_offsets`].
+    pub slice_offsets: Vec<u32>,
+    /// See [`SellLayout::sections`].
+    pub sections: Vec<Range<u32>>,
+    /// Segment of every lane: index ([`NO_ROW`] for none), part, first, length.
+    pub lanes: Vec<[u32; 4]>,
+    /// Columns of all segments.
+    pub blocks: usize,
+}
+
+impl Placement {
+    /// Places the segments of each section: sorted by length within windows of [`SORT_WINDOW`], then cut into slices.
+    pub fn new(sections: &[Vec<Segment>]) -> Placement {
+        let mut placement = Placement { slice_offsets: vec![0], ..Default::default() };
+        let mut order: Vec<u64> = Vec::new();
+        for segments in sections {
+            order.clear();
+            // Longest first, equal ones in their own order.
+            order.extend(segments.iter().enumerate().map(|(i, s)| u64::from(u32::MAX - s.length) << 32 | i as u64));
+            order.chunks_mut(SORT_WINDOW).for_each(<[u64]>::sort_unstable);
+            let first_slice = placement.slice_offsets.len() as u32 - 1;
+            for slice in order.chunks(LANES) {
+                placement.push_slice(slice.iter().map(|&key| segments[key as u32 as usize]));
+            }
+            placement.sections.push(first_slice..placement.slice_offsets.len() as u32 - 1);
+        }
+        placement
+    }
+
+    fn push_slice(&mut self, segments: impl Iterator<Item = Segment>) {
+        let (mut width, end) = (0, self.lanes.len() + LANES);
+        for segment in segments {
+            width = width.max(segment.length);
+            self.blocks += segment.length as usize;
+            self.row_of_lane.push(segment.row);
+            self.lanes.push([segment.index, segment.part, segment.first, segment.length]);
+        }
+        self.row_of_lane.resize(end, NO_ROW);
+        self.lanes.resize(end, [NO_ROW, 0, 0, 0]);
+        self.slice_offsets.push(self.slice_offsets[self.slice_offsets.len() - 1] + width);
+    }
 }
 
 impl SellLayout {
@@ -43,13 +98,10 @@ impl SellLayout {
         for row in 0..offsets.len() - 1 {
             let range = offsets[row] as usize..offsets[row + 1] as usize;
             let remote = columns[range.clone()].iter().any(|&c| !own.contains(&(c as usize)));
-            sections[remote as usize].push(Segment {
-                row: row as u32,
-                first: range.start as u32,
-                length: range.len() as u32,
-            });
+            let (row, length) = (row as u32, range.len() as u32);
+            sections[remote as usize].push(Segment { index: row, row, part: 0, first: 0, length });
         }
-        Self::place(columns, &sections, |_, c| c)
+        Self::place(offsets, columns, &sections, |_, c| c)
     }
 
     /// One section per rank for the `full` exchange: the blocks A_ij of row block i [Li et al. 2020, Eq. 5], the own one
@@ -79,49 +131,43 @@ impl SellLayout {
                 {
                     k += 1;
                 }
-                sections[section_of_rank[owner]].push(Segment { row: row as u32, first, length: k - first });
+                let (row, part, length) = (row as u32, owner as u32, k - first);
+                let first = first - offsets[row as usize];
+                sections[section_of_rank[owner]].push(Segment { index: row, row, part, first, length });
             }
         }
-        let order_of_section: Vec<usize> = std::iter::once(rank).chain(order.iter().copied()).collect();
-        Self::place(columns, &sections, |section, c| {
-            global_from_local[c as usize] - rows_of[order_of_section[section]].start as u32
+        debug_assert!(section_of_rank[rank] == 0, "the own sub-vector comes first, without a stage");
+        Self::place(offsets, columns, &sections, |part, c| {
+            global_from_local[c as usize] - rows_of[part as usize].start as u32
         })
     }
 
-    fn place(columns: &[u32], sections: &[Vec<Segment>], renumber: impl Fn(usize, u32) -> u32) -> SellLayout {
-        let mut layout =
-            SellLayout { slice_offsets: vec![0], block_address: vec![0; columns.len()], ..Default::default() };
-        for (s, rows) in sections.iter().enumerate() {
-            let mut sorted = rows.clone();
-            for window in sorted.chunks_mut(SORT_WINDOW) {
-                window.sort_by_key(|segment| std::cmp::Reverse(segment.length));
-            }
-            let first_slice = layout.slice_offsets.len() as u32 - 1;
-            for slice in sorted.chunks(LANES) {
-                layout.push_slice(slice, columns, |c| renumber(s, c));
-            }
-            layout.sections.push(first_slice..layout.slice_offsets.len() as u32 - 1);
-        }
-        layout
-    }
-
-    fn push_slice(&mut self, slice: &[Segment], columns: &[u32], renumber: impl Fn(u32) -> u32) {
-        let start = self.slice_offsets[self.slice_offsets.len() - 1];
-        let width = slice.iter().map(|segment| segment.length).max().unwrap_or(0);
-        let padding = renumber(columns[slice[0].first as usize]);
-        let base = self.columns.len();
-        self.columns.resize(base + width as usize * LANES, padding);
-        for lane in 0..LANES {
-            self.row_of_lane.push(slice.get(lane).map_or(NO_ROW, |segment| segment.row));
-            if let Some(segment) = slice.get(lane) {
-                for k in 0..segment.length {
-                    let address = (start + k) * LANES as u32 + lane as u32;
-                    self.columns[address as usize] = renumber(columns[(segment.first + k) as usize]);
-                    self.block_address[(segment.first + k) as usize] = address;
+    fn place(
+        offsets: &[u32],
+        columns: &[u32],
+        sections: &[Vec<Segment>],
+        renumber: impl Fn(u32, u32) -> u32,
+    ) -> SellLayout {
+        let Placement { row_of_lane, slice_offsets, sections, lanes, .. } = Placement::new(sections);
+        let mut block_address = vec![0; columns.len()];
+        let mut placed = vec![0; slice_offsets[slice_offsets.len() - 1] as usize * LANES];
+        for (slice, lanes) in lanes.chunks_exact(LANES).enumerate() {
+            let slots = slice_offsets[slice]..slice_offsets[slice + 1];
+            for (lane, &[row, part, first, length]) in lanes.iter().enumerate() {
+                // The first lane always holds a row; lanes without one repeat its column.
+                let [row, part, first, length] = if row == NO_ROW { lanes[0] } else { [row, part, first, length] };
+                let at = (offsets[row as usize] + first) as usize;
+                for (k, slot) in slots.clone().enumerate() {
+                    let address = slot * LANES as u32 + lane as u32;
+                    let within = k < length as usize;
+                    placed[address as usize] = renumber(part, columns[if within { at + k } else { at }]);
+                    if within && lanes[lane][0] != NO_ROW {
+                        block_address[at + k] = address;
+                    }
                 }
             }
         }
-        self.slice_offsets.push(start + width);
+        SellLayout { row_of_lane, slice_offsets, columns: placed, sections, block_address }
     }
 
     /// Number of stored block slots, padding included.

@@ -4,11 +4,17 @@
 mod element_rows;
 pub mod fill;
 mod fill_cpu;
+mod index_fill;
+mod index_fill_cpu;
 mod layout;
-mod pattern;
+pub mod contact_fill;
+mod contact_fill_cpu;
+mod contact_rows;
+pub mod contact_system;
 pub mod sell;
 
+pub use contact_system::ContactSystem;
 pub use element_rows::ElementRows;
+pub use index_fill::{NO_POSITION, Numbering, RowTooLong, SubVectors};
 pub use layout::{LANES, NO_ROW, SORT_WINDOW, SellLayout};
-pub use pattern::{Pattern, RowTooLong};
-pub use sell::SellMatrix;
+pub use sell::{SellMatrix, SystemMatrix};

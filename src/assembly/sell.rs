@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use super::layout::{LANES, SellLayout};
+use super::layout::{LANES, NO_ROW, Placement, SellLayout};
 use crate::gpu::{DeviceVec, Executor};
 
 /// Values of a block.
@@ -19,7 +19,7 @@ pub fn value_index(address: u32, c: usize) -> usize {
     (slot * BLOCK + c) * LANES + lane
 }
 
-/// The matrix; its pattern is fixed until it is built anew.
+/// A block matrix; its pattern is fixed until it is built anew.
 pub struct SellMatrix {
     /// Own rows.
     pub rows: usize,
@@ -39,6 +39,8 @@ pub struct SellMatrix {
     pub section_slots: Vec<usize>,
     /// Blocks of the longest row.
     pub longest_row: usize,
+    /// Own rows of all sections but the first, ascending.
+    pub(crate) late_rows: Vec<u32>,
     /// Per section, parts that a device can bind; one each on the cpu executor.
     pub(crate) parts: Vec<Vec<SellPart>>,
     /// The same for all sections together.
@@ -76,24 +78,82 @@ fn parts(slice_offsets: &[u32], section: &Range<u32>, slots_max: usize) -> Vec<S
 impl SellMatrix {
     /// A zero matrix with this layout.
     pub fn new(executor: &Executor, rows: usize, layout: &SellLayout) -> SellMatrix {
-        let slot = |slice: u32| layout.slice_offsets[slice as usize] as usize;
+        let mut matrix = SellMatrix::empty(executor, rows);
+        matrix.allocate(
+            executor,
+            &layout.row_of_lane,
+            &layout.slice_offsets,
+            &layout.sections,
+            layout.block_address.len(),
+        );
+        matrix.columns = DeviceVec::upload(executor, &layout.columns);
+        matrix
+    }
+
+    /// A matrix of `rows` rows without blocks.
+    pub(super) fn empty(executor: &Executor, rows: usize) -> SellMatrix {
+        SellMatrix {
+            rows,
+            sections: Vec::new(),
+            row_of_lane: DeviceVec::zeros(executor, 0),
+            slice_offsets: DeviceVec::zeros(executor, 0),
+            columns: DeviceVec::zeros(executor, 0),
+            values: DeviceVec::zeros(executor, 0),
+            blocks: 0,
+            section_slots: Vec::new(),
+            longest_row: 0,
+            late_rows: Vec::new(),
+            parts: Vec::new(),
+            fill_parts: Vec::new(),
+        }
+    }
+
+    /// Makes room for `placement`. Columns are to be filled by the caller, then values, padding included; where the matrix
+    /// had no memory before, both are zeros.
+    pub(super) fn place(&mut self, executor: &Executor, placement: &Placement) {
+        let Placement { row_of_lane, slice_offsets, sections, blocks, .. } = placement;
+        self.allocate(executor, row_of_lane, slice_offsets, sections, *blocks);
+    }
+
+    fn allocate(
+        &mut self,
+        executor: &Executor,
+        row_of_lane: &[u32],
+        slice_offsets: &[u32],
+        sections: &[Range<u32>],
+        blocks: usize,
+    ) {
+        let slot = |slice: u32| slice_offsets[slice as usize] as usize;
         let slots_max = match executor {
             Executor::Cpu(_) => usize::MAX / 2,
             Executor::Gpu(gpu) => gpu.window_items(LANES * BLOCK * size_of::<f32>()),
         };
-        SellMatrix {
-            rows,
-            sections: layout.sections.clone(),
-            row_of_lane: DeviceVec::upload(executor, &layout.row_of_lane),
-            slice_offsets: DeviceVec::upload(executor, &layout.slice_offsets),
-            columns: DeviceVec::upload(executor, &layout.columns),
-            values: DeviceVec::zeros(executor, layout.slots() * BLOCK),
-            blocks: layout.block_address.len(),
-            longest_row: layout.slice_offsets.windows(2).map(|pair| (pair[1] - pair[0]) as usize).max().unwrap_or(0),
-            parts: layout.sections.iter().map(|section| parts(&layout.slice_offsets, section, slots_max)).collect(),
-            fill_parts: parts(&layout.slice_offsets, &(0..layout.slice_offsets.len() as u32 - 1), slots_max),
-            section_slots: layout.sections.iter().map(|s| (slot(s.end) - slot(s.start)) * LANES).collect(),
+        let slices = slice_offsets.len() as u32 - 1;
+        let slots = slot(slices) * LANES;
+        if self.columns.is_empty() {
+            (self.columns, self.values) =
+                (DeviceVec::zeros(executor, slots), DeviceVec::zeros(executor, slots * BLOCK));
         }
+        self.columns.resize(executor, slots);
+        self.values.resize(executor, slots * BLOCK);
+        self.row_of_lane.assign(executor, row_of_lane);
+        self.slice_offsets.assign(executor, slice_offsets);
+        self.sections = sections.to_vec();
+        self.blocks = blocks;
+        self.longest_row = slice_offsets.windows(2).map(|pair| (pair[1] - pair[0]) as usize).max().unwrap_or(0);
+        self.parts = sections.iter().map(|section| parts(slice_offsets, section, slots_max)).collect();
+        self.fill_parts = parts(slice_offsets, &(0..slices), slots_max);
+        self.section_slots = sections.iter().map(|s| (slot(s.end) - slot(s.start)) * LANES).collect();
+        let first_late = sections.first().map_or(0, |section| section.end as usize) * LANES;
+        self.late_rows.clear();
+        self.late_rows.extend(row_of_lane[first_late..].iter().copied().filter(|&row| row != NO_ROW));
+        self.late_rows.sort_unstable();
+        self.late_rows.dedup();
+    }
+
+    /// Slots over stored blocks: 1 = no padding.
+    pub fn padding_ratio(&self) -> f64 {
+        self.columns.len() as f64 / self.blocks.max(1) as f64
     }
 
     /// Bytes that multiplying section `section` moves: values and columns once, the vector entries at least once.
@@ -103,7 +163,44 @@ impl SellMatrix {
 
     /// Device bytes of all tables.
     pub fn bytes(&self) -> u64 {
-        self.row_of_lane.bytes() + self.slice_offsets.bytes() + self.columns.bytes() + self.values.bytes()
+        self.row_of_lane.held_bytes()
+            + self.slice_offsets.held_bytes()
+            + self.columns.held_bytes()
+            + self.values.held_bytes()
+    }
+}
+
+/// The matrix of a step as the sum of two: what the elastic elements couple, with every diagonal block, and what only
+/// contacts couple. y = elastic x + contact x, each row in this order, so contacts never move an elastic block.
+#[derive(Clone, Copy)]
+pub struct SystemMatrix<'a> {
+    /// Fixed pattern; diagonal blocks hold masses and the contacts' share, too.
+    pub elastic: &'a SellMatrix,
+    /// Blocks off the diagonal of the rows that contacts touch; sections as those of `elastic`. None without contacts.
+    pub contact: Option<&'a SellMatrix>,
+}
+
+impl<'a> From<&'a SellMatrix> for SystemMatrix<'a> {
+    fn from(elastic: &'a SellMatrix) -> SystemMatrix<'a> {
+        SystemMatrix { elastic, contact: None }
+    }
+}
+
+impl SystemMatrix<'_> {
+    /// The matrices, in the order in which a row adds them.
+    pub fn parts(&self) -> impl Iterator<Item = &SellMatrix> {
+        std::iter::once(self.elastic).chain(self.contact)
+    }
+
+    /// Bytes that multiplying section `section` of both moves; the contact rows are read and written once more.
+    pub fn section_bytes(&self, section: usize) -> u64 {
+        let again = self.contact.map_or(0, |contact| contact.sections[section].len() * LANES * 24);
+        self.parts().map(|matrix| matrix.section_bytes(section)).sum::<u64>() + again as u64
+    }
+
+    /// Operations of multiplying section `section` of both.
+    pub fn section_flops(&self, section: usize) -> u64 {
+        self.parts().map(|matrix| matrix.section_slots[section] as u64 * 18).sum()
     }
 }
 

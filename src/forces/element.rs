@@ -13,6 +13,8 @@ pub const CORNERS_HINGE: usize = 4;
 pub const TRIANGLE_RECORD_FLOATS: usize = 24;
 /// Length of a hinge record (layout: `bend`).
 pub const HINGE_RECORD_FLOATS: usize = 16;
+/// Length of a contact record (layout: `contact`).
+pub const CONTACT_RECORD_FLOATS: usize = 12;
 
 gpu_struct! {
     /// Stretch element: a triangle and its rest shape.

@@ -6,6 +6,8 @@
 
 pub mod bend;
 mod bend_cpu;
+pub mod contact;
+mod contact_cpu;
 mod contact_element;
 mod element;
 pub mod stretch;
@@ -15,9 +17,10 @@ mod stretch_cpu;
 mod tests;
 
 pub use bend_cpu::{bend_energy, dihedral_angle};
+pub use contact_cpu::{STICK_SPEED_M_S, contact_energy};
 pub use contact_element::{ContactElement, NO_VERTEX};
 pub use element::{
-    CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,
+    CONTACT_RECORD_FLOATS, CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,
     TRIANGLE_RECORD_FLOATS, TriangleElement, hinge_element, triangle_element,
 };
 pub use stretch_cpu::{stretch_energy, stretch_stiffness};

@@ -22,6 +22,9 @@ pub(super) const LEAST_BYTES: u64 = 256;
 /// lets an adapter ask for.
 pub const WINDOW_STEP: usize = 64;
 
+/// Bind groups that are kept; making one anew costs microseconds.
+const BIND_GROUPS_MAX: usize = 4096;
+
 /// Runs kernels through wgpu.
 pub struct GpuExecutor {
     device: wgpu::Device,
@@ -226,7 +229,12 @@ impl GpuExecutor {
             })
         };
         let key = (kernel.id, bindings.iter().map(|b| (b.array.id, b.offset, b.size)).collect());
-        locked(&self.bind_groups.0).entry(key).or_insert_with(make).clone()
+        let mut groups = locked(&self.bind_groups.0);
+        // Arrays whose length changes from step to step leave groups behind that nobody asks for again.
+        if groups.len() >= BIND_GROUPS_MAX {
+            groups.clear();
+        }
+        groups.entry(key).or_insert_with(make).clone()
     }
 
     /// Hands the commands so far to the device, without waiting for them.

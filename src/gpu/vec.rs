@@ -7,8 +7,8 @@ use super::commands::ReadPart;
 use super::device::{Binding, GpuArray, LEAST_BYTES};
 use super::host_memory;
 
-/// An array on an executor. Plain data only; length fixed at creation. Items are whole 32-bit words, as devices copy
-/// nothing smaller. Empty arrays are allowed everywhere.
+/// An array on an executor. Plain data only; the length changes only by [`DeviceVec::resize`]. Items are whole 32-bit words,
+/// as devices copy nothing smaller. Empty arrays are allowed everywhere.
 pub struct DeviceVec<T> {
     storage: Storage<T>,
 }
@@ -39,6 +39,40 @@ impl<T: Pod> DeviceVec<T> {
         made
     }
 
+    /// Changes the number of items. The first ones are kept, further ones hold anything. Memory is made anew only for more
+    /// items than ever before, then with an eighth to spare, so that an array that varies from step to step soon rests.
+    pub fn resize(&mut self, executor: &Executor, len: usize) {
+        let (kept, roomy) = (self.len().min(len), len + len / 8);
+        match (&mut self.storage, executor) {
+            (Storage::Cpu(values), Executor::Cpu(_)) => {
+                if len > values.capacity() {
+                    let mut larger = host_memory::zeroed(roomy);
+                    larger[..kept].copy_from_slice(&values[..kept]);
+                    *values = larger;
+                }
+                values.resize(len, T::zeroed());
+            }
+            (Storage::Gpu(array, own), Executor::Gpu(gpu)) => {
+                let bytes = |items: usize| (items * size_of::<T>()) as u64;
+                if bytes(len) > array.buffer.size() {
+                    let larger = gpu.allocate(bytes(roomy));
+                    if kept > 0 && larger.buffer.size() >= bytes(kept) {
+                        gpu.commands().copy(&array.buffer, 0, &larger.buffer, 0, bytes(kept));
+                    }
+                    *array = larger;
+                }
+                *own = len;
+            }
+            _ => panic!("{WRONG_EXECUTOR}"),
+        }
+    }
+
+    /// Becomes a copy of `values`, as [`DeviceVec::upload`] but in the memory that is already there.
+    pub fn assign(&mut self, executor: &Executor, values: &[T]) {
+        self.resize(executor, values.len());
+        self.write_range(executor, 0, values);
+    }
+
     /// Number of items.
     pub fn len(&self) -> usize {
         match &self.storage {
@@ -55,6 +89,14 @@ impl<T: Pod> DeviceVec<T> {
     /// Bytes of device memory.
     pub fn bytes(&self) -> u64 {
         (self.len() * size_of::<T>()) as u64
+    }
+
+    /// Bytes of device memory, those kept for later growth included.
+    pub fn held_bytes(&self) -> u64 {
+        match &self.storage {
+            Storage::Cpu(values) => (values.capacity() * size_of::<T>()) as u64,
+            Storage::Gpu(array, _) => array.buffer.size(),
+        }
     }
 
     /// Copies items `start..start + out.len()` to the host; on a device this waits for all work submitted so far. After a
@@ -262,6 +304,23 @@ mod tests {
             batch.add(&b, 1, &mut from_b);
             batch.finish(&executor);
             assert_eq!((from_a, from_b), ([2.0, 3.0], [8]));
+        }
+    }
+
+    #[test]
+    fn a_resized_array_keeps_its_first_items_and_its_memory() {
+        for executor in executors() {
+            let items: Vec<u32> = (0..1000).collect();
+            let mut a = DeviceVec::upload(&executor, &items);
+            a.resize(&executor, 3000);
+            assert!(a.len() == 3000 && a.read(&executor)[..1000] == items);
+            let held = a.held_bytes();
+            a.resize(&executor, 10);
+            a.assign(&executor, &[7; 3001]);
+            assert_eq!((a.held_bytes(), a.read(&executor)), (held, vec![7; 3001]));
+            a.assign(&executor, &[]);
+            assert!(a.is_empty() && a.read(&executor).is_empty());
+            assert_eq!(executor.take_fault(), None);
         }
     }
 

@@ -262,7 +262,7 @@ impl<'a> RankSolver<'a> {
             self.executor,
             transport,
             &mut self.spmv,
-            &self.matrix,
+            &(&self.matrix).into(),
             inverse,
             &self.rhs,
             vectors,
@@ -299,7 +299,14 @@ impl<'a> RankSolver<'a> {
         for _ in 0..TIMED_PRODUCTS {
             transport.barrier()?;
             let clock = Instant::now();
-            self.spmv.apply(self.executor, transport, &self.matrix, &mut self.vectors.u, &mut y, &mut self.recorder)?;
+            self.spmv.apply(
+                self.executor,
+                transport,
+                &(&self.matrix).into(),
+                &mut self.vectors.u,
+                &mut y,
+                &mut self.recorder,
+            )?;
             // On a device this waits for the product.
             y.read_range(self.executor, 0, &mut one);
             best = best.min(all_max(transport, clock.elapsed().as_secs_f64())?);

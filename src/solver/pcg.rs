@@ -9,7 +9,7 @@ use thiserror::Error;
 use super::pipelined::PipelinedSpmv;
 use super::reduction::ReductionTree;
 use super::vector::{ChunkSums, VectorOps};
-use crate::assembly::SellMatrix;
+use crate::assembly::SystemMatrix;
 use crate::gpu::{DeviceVec, Executor};
 use crate::partition::RowPartition;
 use crate::telemetry::{Activity, EventName, Recorder};
@@ -75,9 +75,17 @@ impl PcgVectors {
         PcgVectors { u: DeviceVec::zeros(executor, local_len), x: own(), r: own(), w: own(), p: own(), s: own() }
     }
 
+    /// Makes room for local vectors of `local_len` values. Never shrinks; halo rows of `u` are received anew in every
+    /// product, so nothing of it needs to be kept.
+    pub fn grow(&mut self, executor: &Executor, local_len: usize) {
+        if local_len > self.u.len() {
+            self.u.resize(executor, local_len);
+        }
+    }
+
     /// Device bytes.
     pub fn bytes(&self) -> u64 {
-        self.u.bytes() + 5 * self.x.bytes()
+        self.u.held_bytes() + 5 * self.x.bytes()
     }
 }
 
@@ -106,7 +114,7 @@ impl Pcg {
         executor: &Executor,
         transport: &mut dyn Transport,
         spmv: &mut PipelinedSpmv,
-        matrix: &SellMatrix,
+        matrix: &SystemMatrix<'_>,
         inverse_diagonal: &DeviceVec<f32>,
         b: &DeviceVec<f32>,
         vectors: &mut PcgVectors,

@@ -2,11 +2,11 @@
 //! blocks) that are ready are multiplied.
 //!
 //! `halo`: publish the rows others read; multiply rows without halo columns; receive; multiply the rest. Each row is summed
-//! once, in global column order, so the bits do not depend on the number of ranks.
+//! once, elastic blocks before contact blocks, each in global column order, so the bits do not depend on the number of ranks.
 //! `full`: publish the whole sub-vector; multiply A_ii v_i; then per stage receive v_j and add A_ij v_j (Eq. 5). The order of
 //! a row's sum is the order of the stages, so its bits depend on the rank count and the schedule.
 
-use crate::assembly::SellMatrix;
+use crate::assembly::SystemMatrix;
 use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::telemetry::{Activity, EventName, Recorder};
@@ -15,7 +15,7 @@ use crate::transport::{Transport, TransportError};
 use super::exchange::{ExchangeMode, HaloExchange, TrafficCounter};
 use super::spmv::Spmv;
 
-/// y = A u over all ranks; holds what is fixed while the matrix pattern is.
+/// y = A u over all ranks; holds what is fixed while the halo is.
 pub struct PipelinedSpmv {
     kernel: Spmv,
     mode: ExchangeMode,
@@ -67,7 +67,7 @@ impl PipelinedSpmv {
         &mut self,
         executor: &Executor,
         transport: &mut dyn Transport,
-        matrix: &SellMatrix,
+        matrix: &SystemMatrix<'_>,
         u: &mut DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
         recorder: &mut Recorder,
@@ -82,41 +82,51 @@ impl PipelinedSpmv {
         &mut self,
         executor: &Executor,
         transport: &mut dyn Transport,
-        matrix: &SellMatrix,
+        matrix: &SystemMatrix<'_>,
         u: &mut DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
         recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
         self.halo.publish(executor, transport, &[&*u], recorder)?;
         let start = recorder.now();
-        self.kernel.apply(executor, matrix, 0, false, u, y);
+        self.multiply(executor, matrix, 0, u, y);
         // A device works on these rows while the halo is received.
         executor.flush();
-        recorder.end(EventName::SpmvLocal, Activity::Compute, start, matrix.section_bytes(0), section_flops(matrix, 0));
+        recorder.end(EventName::SpmvLocal, Activity::Compute, start, matrix.section_bytes(0), matrix.section_flops(0));
         self.halo.receive(executor, transport, &mut [u], recorder, &mut self.traffic)?;
         let start = recorder.now();
-        self.kernel.apply(executor, matrix, 1, false, u, y);
-        recorder.end(
-            EventName::SpmvRemote,
-            Activity::Compute,
-            start,
-            matrix.section_bytes(1),
-            section_flops(matrix, 1),
-        );
+        self.multiply(executor, matrix, 1, u, y);
+        recorder.end(EventName::SpmvRemote, Activity::Compute, start, matrix.section_bytes(1), matrix.section_flops(1));
         Ok(())
+    }
+
+    /// Rows of section `section`: the elastic sum first, then what contacts add. No row is in an earlier section of the
+    /// contact matrix than of the elastic one.
+    fn multiply(
+        &self,
+        executor: &Executor,
+        matrix: &SystemMatrix<'_>,
+        section: usize,
+        u: &DeviceVec<f32>,
+        y: &mut DeviceVec<f32>,
+    ) {
+        self.kernel.apply(executor, matrix.elastic, section, false, u, y);
+        if let Some(contact) = matrix.contact {
+            self.kernel.apply(executor, contact, section, true, u, y);
+        }
     }
 
     fn apply_full(
         &mut self,
         executor: &Executor,
         transport: &mut dyn Transport,
-        matrix: &SellMatrix,
+        matrix: &SystemMatrix<'_>,
         u: &DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
         recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
         let rank = transport.rank();
-        let own = self.own_start()..self.own_start() + matrix.rows * 3;
+        let own = self.own_start()..self.own_start() + matrix.elastic.rows * 3;
         let start = recorder.now();
         self.staging.resize(self.sub_vector_len, 0.0);
         u.read_range(executor, own.start, &mut self.staging[..own.len()]);
@@ -127,14 +137,17 @@ impl PipelinedSpmv {
         }
         let block = (0, rank as u32, rank as u32);
         let start = recorder.now();
-        self.kernel.apply_host(executor, matrix, 0, false, &self.staging, y);
+        self.kernel.apply_host(executor, matrix.elastic, 0, false, &self.staging, y);
+        if let Some(contact) = matrix.contact {
+            self.kernel.apply_host(executor, contact, 0, true, &self.staging, y);
+        }
         recorder.end_transfer(
             EventName::SpmvBlock,
             Activity::Compute,
             start,
             block,
             matrix.section_bytes(0),
-            section_flops(matrix, 0),
+            matrix.section_flops(0),
         );
         for stage in 0..self.queue.len() {
             let node = self.queue[stage];
@@ -151,14 +164,16 @@ impl PipelinedSpmv {
                 if got == len {
                     recorder.end_transfer(EventName::Receive, Activity::Transfer, start, route, got as u64 * 4, 0);
                     let start = recorder.now();
-                    kernel.apply_host(executor, matrix, section, true, v_j, y);
+                    for part in matrix.parts() {
+                        kernel.apply_host(executor, part, section, true, v_j, y);
+                    }
                     recorder.end_transfer(
                         EventName::SpmvBlock,
                         Activity::Compute,
                         start,
                         route,
                         matrix.section_bytes(section),
-                        section_flops(matrix, section),
+                        matrix.section_flops(section),
                     );
                 }
             })?;
@@ -173,8 +188,4 @@ impl PipelinedSpmv {
         }
         Ok(())
     }
-}
-
-fn section_flops(matrix: &SellMatrix, section: usize) -> u64 {
-    matrix.section_slots[section] as u64 * 18
 }
