@@ -45,7 +45,7 @@ impl ZoneSettings {
     /// Settings for a cloth of this thickness: a tenth of it as margin, so that all attempts stay below the thickness and a
     /// resolved pair lies where proximity forces act.
     pub fn for_thickness(thickness_m: f64) -> ZoneSettings {
-        ZoneSettings { margin_m: 0.1 * thickness_m, attempts: 10, iterations: 2000 }
+        ZoneSettings { margin_m: 0.1 * thickness_m, attempts: 10, iterations: 1000 }
     }
 }
 

@@ -18,7 +18,7 @@ use crate::math::{DVec3, Vec3};
 /// constraint from there. Saves rounds, in which all ranks meet.
 const PASSES: u32 = 4;
 /// Error of a constraint that ends a descent, in margins.
-const TOLERANCE: f64 = 0.02;
+const TOLERANCE: f64 = 0.05;
 
 /// A vertex and its new end position: what ranks exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

@@ -314,7 +314,11 @@ impl ImpactZones {
 fn impossible<'a>(step: &StepPositions, impacts: impl IntoIterator<Item = &'a Impact>) -> Impossible {
     let (mut vertices, mut imposed) = (BTreeSet::new(), BTreeSet::new());
     for vertex in impacts.into_iter().flat_map(|impact| impact.candidate.vertices) {
-        if step.inverse_masses[vertex as usize] > 0.0 { vertices.insert(vertex) } else { imposed.insert(vertex) };
+        if step.inverse_masses[vertex as usize] > 0.0 {
+            vertices.insert(vertex)
+        } else {
+            imposed.insert(vertex)
+        };
     }
     Impossible { vertices: vertices.into_iter().collect(), imposed: imposed.into_iter().collect() }
 }
