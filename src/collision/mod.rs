@@ -49,3 +49,21 @@ impl Candidate {
         self.kind == CandidateKind::VertexFace as u32
     }
 }
+
+/// A pair that continuous collision detection found to touch within a step: plain data, the same on every executor.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Impact {
+    /// The pair.
+    pub candidate: Candidate,
+    /// A lower bound of the first time of contact, in [0, 1] over the step; the pair is apart before it.
+    pub toi: f32,
+}
+
+impl Impact {
+    /// Sort key: one order of all impacts of a step, whoever found them.
+    #[inline]
+    pub fn key(&self) -> (Candidate, u32) {
+        (self.candidate, self.toi.to_bits())
+    }
+}

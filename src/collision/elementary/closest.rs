@@ -6,7 +6,7 @@
 
 use super::StencilKind;
 use super::real::{Real, V, add, clamp01, cross, dot, of, scale, size, sub};
-use crate::math::Vec3;
+use crate::math::{DVec3, Vec3};
 
 /// Squared sine (roughly) below which a face or a pair of edges is compared with its borders as well, because the
 /// solution in its inside may be noise.
@@ -81,6 +81,24 @@ pub fn closest_points(kind: StencilKind, x: [Vec3; 4]) -> Closest {
         offset: Vec3::from(found),
         weights,
         feature: Feature::of_weights(weights),
+    }
+}
+
+/// Closest points of a stencil in f64: signed weights, which sum to zero, and `sum(weights[i] * x[i])`, the point of the
+/// first part minus the point of the second.
+pub fn closest_offset(kind: StencilKind, x: [DVec3; 4]) -> ([f64; 4], DVec3) {
+    let x: [V<f64>; 4] = x.map(|p| p.to_array());
+    match kind {
+        StencilKind::VertexFace => {
+            let found = point_triangle(sub(x[0], x[1]), sub(x[0], x[2]), sub(x[0], x[3]));
+            let [a, b, c] = found.weights;
+            ([1.0, -a, -b, -c], DVec3::from(found.offset))
+        }
+        StencilKind::EdgeEdge => {
+            let found = segment_segment(sub(x[0], x[2]), sub(x[1], x[0]), sub(x[3], x[2]));
+            let [s, t] = found.parameters;
+            ([1.0 - s, s, t - 1.0, -t], DVec3::from(found.offset))
+        }
     }
 }
 

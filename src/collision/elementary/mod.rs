@@ -14,7 +14,7 @@ mod planes;
 mod real;
 
 pub use ccd::{Ccd, DecidedBy, Filtered, ccd, ccd_fallback, ccd_filter};
-pub use closest::{Closest, Feature, Proximity, closest_points, proximity};
+pub use closest::{Closest, Feature, Proximity, closest_offset, closest_points, proximity};
 // Lives with the start-state check of a mesh, which uses it too.
 pub use crate::mesh::edge_crosses_triangle;
 

@@ -1,0 +1,189 @@
+//! New end positions of zones, by the stage that each has reached.
+
+use bytemuck::{Pod, Zeroable};
+
+use super::constraint::{Constraint, stencil_kind};
+use super::distribute::distribute;
+use super::problem::{Batch, IMMOVABLE, Row};
+use super::rigid::{self, MovingPoint, RigidMotion};
+use super::solve::solve;
+use super::zones::{ImpactZones, Stage, Zone};
+use super::{StepPositions, at};
+use crate::collision::Impact;
+use crate::collision::elementary::ccd;
+use crate::gpu::Executor;
+use crate::math::{DVec3, Vec3};
+
+/// Solves per attempt: between them the zone's own pairs are tested along the new paths, and those that still hit get a
+/// constraint from there. Saves rounds, in which all ranks meet.
+const PASSES: u32 = 4;
+/// Error of a constraint that ends a descent, in margins.
+const TOLERANCE: f64 = 0.05;
+
+/// A vertex and its new end position: what ranks exchange.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Moved {
+    /// Vertex.
+    pub vertex: u32,
+    /// End position, metres.
+    pub position: [f32; 3],
+}
+
+/// What solving some zones gave.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Solved {
+    /// New end positions of all their vertices, zone by zone.
+    pub moved: Vec<Moved>,
+    /// Iterations of all descents.
+    pub iterations: u64,
+    /// Zones whose last descent ended at the limit on iterations.
+    pub unconverged: u64,
+}
+
+/// Sets new end positions.
+pub fn apply(moved: &[Moved], x_t1: &mut [f32]) {
+    for one in moved {
+        x_t1[3 * one.vertex as usize..][..3].copy_from_slice(&one.position);
+    }
+}
+
+/// A zone in descent.
+struct Descent<'a> {
+    zone: &'a Zone,
+    margin_m: f64,
+    /// Constraints found between passes.
+    more: Vec<Constraint>,
+    positions: Vec<[f32; 3]>,
+    converged: bool,
+}
+
+impl ImpactZones {
+    /// The rank that solves each of the [`ImpactZones::active`] zones: evenly by size.
+    pub fn owners(&self, ranks: usize) -> Vec<u32> {
+        let sizes: Vec<u64> = self.active().iter().map(|&zone| self.zones[zone as usize].size()).collect();
+        distribute(&sizes, ranks)
+    }
+
+    /// The active zones that `rank` solves.
+    pub fn share(&self, rank: usize, ranks: usize) -> Vec<u32> {
+        let owned = self.active().iter().zip(self.owners(ranks));
+        owned.filter(|(_, owner)| *owner as usize == rank).map(|(&zone, _)| zone).collect()
+    }
+
+    /// New end positions of the vertices of zones `which`. A zone's result depends on that zone alone, not on where or with
+    /// which others it is solved. On a device, ask [`Executor::take_fault`] afterwards.
+    pub fn solve(&self, executor: &Executor, step: &StepPositions, which: &[u32]) -> Solved {
+        let mut solved = Solved::default();
+        let mut descents = Vec::new();
+        for zone in which.iter().map(|&zone| &self.zones[zone as usize]) {
+            match self.stage(zone) {
+                Stage::Descent(attempt) => descents.push(Descent {
+                    zone,
+                    margin_m: self.settings.margin_m * f64::from(1 + attempt),
+                    more: Vec::new(),
+                    positions: Vec::new(),
+                    converged: true,
+                }),
+                Stage::Rigid => moved_as(zone, step, &momentum_preserving(zone, step), 0.0, &mut solved.moved),
+                Stage::Scaled(share) => moved_as(zone, step, &self.base(zone, step), share, &mut solved.moved),
+                Stage::Still => moved_as(zone, step, &self.base(zone, step), 0.0, &mut solved.moved),
+            }
+        }
+        let mut left: Vec<usize> = (0..descents.len()).collect();
+        for pass in 0..PASSES {
+            if left.is_empty() {
+                break;
+            }
+            let mut batch = Batch::new();
+            left.iter().for_each(|&i| descents[i].push_to(&mut batch, step));
+            for (&i, result) in left.iter().zip(solve(executor, &batch, self.settings.iterations)) {
+                solved.iterations += u64::from(result.iterations);
+                descents[i].take(&result.displacements, result.converged);
+            }
+            if pass + 1 < PASSES {
+                left.retain(|&i| descents[i].hits_again(step));
+            }
+        }
+        for descent in descents {
+            solved.unconverged += u64::from(!descent.converged);
+            let moved = descent.zone.vertices.iter().zip(descent.positions);
+            solved.moved.extend(moved.map(|(&vertex, position)| Moved { vertex, position }));
+        }
+        solved
+    }
+}
+
+impl Descent<'_> {
+    fn push_to(&self, batch: &mut Batch, step: &StepPositions) {
+        let zone = self.zone;
+        let row = |c: &Constraint| {
+            let places = c.candidate.vertices.map(|v| zone.place(v));
+            let positions = std::array::from_fn(|i| match places[i] {
+                Some(place) => zone.wanted_at(place),
+                None => step.end(c.candidate.vertices[i]),
+            });
+            let vertices = places.map(|place| place.map_or(IMMOVABLE, |p| p as u32));
+            Row::new(c.normal, c.weights, vertices, positions, self.margin_m)
+        };
+        let inverse_masses: Vec<f64> =
+            zone.vertices.iter().map(|&v| f64::from(step.inverse_masses[v as usize])).collect();
+        batch.push(&inverse_masses, zone.constraints.iter().chain(&self.more).map(row), TOLERANCE * self.margin_m);
+    }
+
+    fn take(&mut self, displacements: &[[f64; 3]], converged: bool) {
+        self.converged = converged;
+        self.positions = displacements
+            .iter()
+            .enumerate()
+            .map(|(place, &d)| {
+                let x = self.zone.wanted_at(place) + DVec3::from(d);
+                // Rows that contradict each other may drive vertices away; the next attempt starts anew.
+                if x.is_finite() && x.abs().max_element() < 1e18 {
+                    x.as_vec3().to_array()
+                } else {
+                    self.zone.wanted[place]
+                }
+            })
+            .collect();
+    }
+
+    /// Tests the zone's own pairs along their new paths; constraints from those that still hit are kept for the next pass.
+    fn hits_again(&mut self, step: &StepPositions) -> bool {
+        let before = self.more.len();
+        for candidate in self.zone.pairs() {
+            let x_t0 = candidate.vertices.map(|v| step.start(v));
+            let x_t1 = candidate.vertices.map(|v| match self.zone.place(v) {
+                Some(place) => at(self.positions[place].as_slice(), 0),
+                None => step.end(v),
+            });
+            let narrow = |x: [DVec3; 4]| x.map(|p| p.as_vec3());
+            let found = ccd(stencil_kind(&candidate), narrow(x_t0), narrow(x_t1), 0.0);
+            if let Some(toi) = found.toi {
+                self.more.push(Constraint::of_impact(&Impact { candidate, toi }, x_t0, x_t1));
+            }
+        }
+        self.more.len() > before
+    }
+}
+
+fn momentum_preserving(zone: &Zone, step: &StepPositions) -> RigidMotion {
+    let points: Vec<MovingPoint> = zone
+        .vertices
+        .iter()
+        .enumerate()
+        .map(|(place, &v)| (step.start(v), zone.wanted_at(place), 1.0 / f64::from(step.inverse_masses[v as usize])))
+        .collect();
+    rigid::momentum_preserving(&points)
+}
+
+/// Positions that follow `base` but for `share` of the way to the wanted ones.
+fn moved_as(zone: &Zone, step: &StepPositions, base: &RigidMotion, share: f64, moved: &mut Vec<Moved>) {
+    moved.extend(zone.vertices.iter().enumerate().map(|(place, &vertex)| {
+        let follows: Vec3 = {
+            let x = base.of(step.start(vertex));
+            (x + (zone.wanted_at(place) - x) * share).as_vec3()
+        };
+        Moved { vertex, position: follows.to_array() }
+    }));
+}

@@ -1,0 +1,324 @@
+//! The zones of a step: which impacts belong together, and how far each zone has come on the way from descent to standing
+//! still. Replicated: every rank makes the same zones from the same impacts.
+//!
+//! Zones are disjoint in movable vertices. A vertex that joins stays, and no zone's effort ever falls, so after finitely
+//! many rounds either nothing hits or everything that hits stands still. Vertices that stand still count as immovable for
+//! the zones around them, so standing still does not spread.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use super::constraint::Constraint;
+use super::group::DisjointSets;
+use super::rigid::{self, MovingPoint, RigidMotion};
+use super::{Impossible, StepPositions, ZoneSettings, at};
+use crate::collision::{Candidate, Impact};
+use crate::math::DVec3;
+
+/// Effort of a round in which a zone hits itself: a failed attempt.
+const FAILED: u32 = 3;
+/// Effort of a round in which a zone only meets others: its own solution may have been fine.
+const GROWN: u32 = 1;
+/// Stages of the fail-safe after the descents.
+const FALLBACKS: u32 = 4;
+/// How often standing vertices may be given another body to follow.
+const MOST_REBASES: u32 = 8;
+/// Shares of the wanted motion in the stages of the fail-safe, for zones that hit imposed vertices and for others, which
+/// try to move as a rigid body first.
+const SHARES: [f64; 4] = [0.5, 0.25, 0.125, 0.0];
+const SHARES_AFTER_RIGID: [f64; 3] = [0.5, 0.25, 0.0];
+
+/// How a zone is to be resolved in this round.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stage {
+    /// Smallest change that keeps all constraints; the number counts failed attempts.
+    Descent(u32),
+    /// All vertices move as one rigid body with their momentum.
+    Rigid,
+    /// This share of the wanted motion, relative to the body that the zone touches or to standing still.
+    Scaled(f64),
+    /// No motion relative to the body that the zone touches, or none at all.
+    Still,
+}
+
+/// Impacts that share movable vertices, and those vertices.
+#[derive(Clone, Debug)]
+pub struct Zone {
+    pub(super) vertices: Vec<u32>,
+    /// End positions without zones, in the order of the vertices.
+    pub(super) wanted: Vec<[f32; 3]>,
+    pub(super) constraints: Vec<Constraint>,
+    effort: u32,
+    rebases: u32,
+}
+
+impl Zone {
+    /// Movable vertices, ascending.
+    pub fn vertices(&self) -> &[u32] {
+        &self.vertices
+    }
+
+    /// Impacts so far, earlier rounds included.
+    pub fn impacts(&self) -> usize {
+        self.constraints.len()
+    }
+
+    /// The different pairs among its impacts, ascending.
+    pub fn pairs(&self) -> BTreeSet<Candidate> {
+        self.constraints.iter().map(|c| c.candidate).collect()
+    }
+
+    /// Place of a vertex in the zone.
+    pub(super) fn place(&self, vertex: u32) -> Option<usize> {
+        self.vertices.binary_search(&vertex).ok()
+    }
+
+    /// Vertices of its impacts that it cannot move, ascending.
+    pub(super) fn immovable(&self) -> BTreeSet<u32> {
+        let all = self.constraints.iter().flat_map(|c| c.candidate.vertices);
+        all.filter(|&v| self.place(v).is_none()).collect()
+    }
+
+    /// Estimate of the work of a solve.
+    pub(super) fn size(&self) -> u64 {
+        self.vertices.len() as u64 + 4 * self.constraints.len() as u64
+    }
+
+    pub(super) fn wanted_at(&self, place: usize) -> DVec3 {
+        at(self.wanted[place].as_slice(), 0)
+    }
+}
+
+/// What zones did in a step. The same on every rank.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ZoneCounts {
+    /// Calls of [`ImpactZones::add`] with impacts.
+    pub rounds: u32,
+    /// Impacts of all rounds.
+    pub impacts: u64,
+    /// Zones at the end.
+    pub zones: u64,
+    /// Vertices of the largest zone.
+    pub largest_vertices: u64,
+    /// Impacts of the largest zone.
+    pub largest_impacts: u64,
+    /// Times that a zone was to move as a rigid body.
+    pub rigid: u64,
+    /// Times that a zone's motion was scaled down.
+    pub scaled: u64,
+    /// Times that a zone was made to stand still.
+    pub still: u64,
+}
+
+/// The impact zones of one step.
+#[derive(Clone, Debug)]
+pub struct ImpactZones {
+    pub(super) settings: ZoneSettings,
+    pub(super) zones: Vec<Zone>,
+    /// Zone of every vertex in one. Never iterated.
+    zone_of: HashMap<u32, u32>,
+    active: Vec<u32>,
+    counts: ZoneCounts,
+}
+
+/// A zone being put together.
+#[derive(Default)]
+struct Parts {
+    vertices: Vec<(u32, [f32; 3])>,
+    constraints: Vec<Constraint>,
+    effort: u32,
+    rebases: u32,
+    olds: u32,
+    immovable_before: usize,
+    touched: bool,
+    failed: bool,
+}
+
+impl ImpactZones {
+    /// No impacts yet.
+    pub fn new(settings: ZoneSettings) -> ImpactZones {
+        ImpactZones {
+            settings,
+            zones: Vec::new(),
+            zone_of: HashMap::new(),
+            active: Vec::new(),
+            counts: ZoneCounts::default(),
+        }
+    }
+
+    /// All zones, by ascending smallest vertex.
+    pub fn zones(&self) -> &[Zone] {
+        &self.zones
+    }
+
+    /// Zones (places in [`ImpactZones::zones`]) that the last round's impacts touch: those to be solved, ascending.
+    pub fn active(&self) -> &[u32] {
+        &self.active
+    }
+
+    /// What happened so far.
+    pub fn counts(&self) -> ZoneCounts {
+        ZoneCounts {
+            zones: self.zones.len() as u64,
+            largest_vertices: self.zones.iter().map(|z| z.vertices.len() as u64).max().unwrap_or(0),
+            largest_impacts: self.zones.iter().map(|z| z.constraints.len() as u64).max().unwrap_or(0),
+            ..self.counts
+        }
+    }
+
+    /// Takes in the impacts of the motion from `x_t0` to `x_t1` as they stand: sorted by [`Impact::key`], the same on every
+    /// rank. Zones that share movable vertices become one. Vertices that are in no zone must still have the end positions
+    /// of the time step, to which their zone will stay as close as it can.
+    pub fn add(&mut self, step: &StepPositions, impacts: &[Impact]) -> Result<(), Impossible> {
+        self.active.clear();
+        if impacts.is_empty() {
+            return Ok(());
+        }
+        self.counts.rounds += 1;
+        self.counts.impacts += impacts.len() as u64;
+        let (mut sets, fresh, homes) = self.connect(step, impacts)?;
+        let mut parts: BTreeMap<u32, Parts> = BTreeMap::new();
+        for (node, zone) in std::mem::take(&mut self.zones).into_iter().enumerate() {
+            let part = parts.entry(sets.root(node as u32)).or_default();
+            part.olds += 1;
+            part.effort = part.effort.max(zone.effort);
+            part.rebases = part.rebases.max(zone.rebases);
+            part.immovable_before += zone.immovable().len();
+            part.vertices.extend(zone.vertices.iter().copied().zip(zone.wanted));
+            part.constraints.extend(zone.constraints);
+        }
+        for (node, vertex) in fresh {
+            let x = &step.x_t1[3 * vertex as usize..][..3];
+            parts.entry(sets.root(node)).or_default().vertices.push((vertex, [x[0], x[1], x[2]]));
+        }
+        for (impact, (node, failed)) in impacts.iter().zip(homes) {
+            let part = parts.entry(sets.root(node)).or_default();
+            part.touched = true;
+            part.failed |= failed;
+            let vertices = impact.candidate.vertices;
+            let (x_t0, x_t1) = (vertices.map(|v| step.start(v)), vertices.map(|v| step.end(v)));
+            part.constraints.push(Constraint::of_impact(impact, x_t0, x_t1));
+        }
+        self.rebuild(step, parts, impacts)
+    }
+
+    /// Sets of old zones (by their places) and vertices new in zones (by the numbers after them); the new vertices with
+    /// their numbers; per impact a number of its set, and whether it lies within one old zone.
+    #[allow(clippy::type_complexity)]
+    fn connect(
+        &self,
+        step: &StepPositions,
+        impacts: &[Impact],
+    ) -> Result<(DisjointSets, Vec<(u32, u32)>, Vec<(u32, bool)>), Impossible> {
+        let mut sets = DisjointSets::new(self.zones.len());
+        let mut fresh = Vec::new();
+        let mut node_of_fresh: HashMap<u32, u32> = HashMap::new();
+        let mut homes = Vec::with_capacity(impacts.len());
+        for impact in impacts {
+            let movable = impact.candidate.vertices.into_iter().filter(|&v| step.inverse_masses[v as usize] > 0.0);
+            let (mut free, mut standing) = (Vec::new(), Vec::new());
+            for vertex in movable {
+                match self.zone_of.get(&vertex) {
+                    Some(&zone) if self.stands(&self.zones[zone as usize]) => standing.push(zone),
+                    Some(&zone) => free.push(zone),
+                    None => free.push(*node_of_fresh.entry(vertex).or_insert_with(|| {
+                        let node = sets.push();
+                        fresh.push((node, vertex));
+                        node
+                    })),
+                }
+            }
+            let nodes = if free.is_empty() { standing } else { free };
+            let Some(&first) = nodes.first() else { return Err(impossible(step, [impact])) };
+            let failed = (first as usize) < self.zones.len() && nodes.iter().all(|&node| node == first);
+            nodes.iter().for_each(|&node| sets.join(first, node));
+            homes.push((first, failed));
+        }
+        Ok((sets, fresh, homes))
+    }
+
+    /// Makes zones of parts.
+    fn rebuild(
+        &mut self,
+        step: &StepPositions,
+        parts: BTreeMap<u32, Parts>,
+        impacts: &[Impact],
+    ) -> Result<(), Impossible> {
+        let mut made: Vec<(Zone, bool)> = Vec::with_capacity(parts.len());
+        for mut part in parts.into_values() {
+            part.vertices.sort_unstable_by_key(|&(vertex, _)| vertex);
+            let (vertices, wanted) = part.vertices.into_iter().unzip();
+            let mut zone =
+                Zone { vertices, wanted, constraints: part.constraints, effort: part.effort, rebases: part.rebases };
+            if part.touched && self.stands(&zone) {
+                // Standing vertices hit each other or imposed ones: they follow another body, or there is none to follow.
+                zone.rebases += 1;
+                let grown = part.olds > 1 || zone.immovable().len() > part.immovable_before;
+                if !grown || zone.rebases > MOST_REBASES {
+                    let inside = |i: &&Impact| i.candidate.vertices.iter().any(|&v| zone.place(v).is_some());
+                    return Err(impossible(step, impacts.iter().filter(inside)));
+                }
+            } else if part.touched && part.olds > 0 {
+                let most = FAILED * (self.settings.attempts + FALLBACKS - 1);
+                zone.effort = (zone.effort + if part.failed { FAILED } else { GROWN }).min(most);
+            }
+            made.push((zone, part.touched));
+        }
+        made.sort_by_key(|(zone, _)| zone.vertices[0]);
+        for (place, (zone, touched)) in made.into_iter().enumerate() {
+            for &vertex in &zone.vertices {
+                self.zone_of.insert(vertex, place as u32);
+            }
+            if touched {
+                self.active.push(place as u32);
+                match self.stage(&zone) {
+                    Stage::Descent(_) => {}
+                    Stage::Rigid => self.counts.rigid += 1,
+                    Stage::Scaled(_) => self.counts.scaled += 1,
+                    Stage::Still => self.counts.still += 1,
+                }
+            }
+            self.zones.push(zone);
+        }
+        Ok(())
+    }
+
+    fn stands(&self, zone: &Zone) -> bool {
+        zone.effort / FAILED >= self.settings.attempts + FALLBACKS - 1
+    }
+
+    /// How a zone is to be resolved.
+    pub fn stage(&self, zone: &Zone) -> Stage {
+        let tries = zone.effort / FAILED;
+        let Some(fallback) = tries.checked_sub(self.settings.attempts) else { return Stage::Descent(tries) };
+        let fallback = fallback.min(FALLBACKS - 1) as usize;
+        let share = match (fallback, zone.immovable().is_empty()) {
+            (0, true) => return Stage::Rigid,
+            (_, true) => SHARES_AFTER_RIGID[fallback - 1],
+            (_, false) => SHARES[fallback],
+        };
+        if share == 0.0 { Stage::Still } else { Stage::Scaled(share) }
+    }
+
+    /// The motion that a zone in the fail-safe is given, or is scaled down to: that of the one body it touches, if it does.
+    pub(super) fn base(&self, zone: &Zone, step: &StepPositions) -> RigidMotion {
+        let points: Vec<MovingPoint> =
+            zone.immovable().into_iter().map(|v| (step.start(v), step.end(v), 1.0)).collect();
+        if points.is_empty() {
+            return RigidMotion::STILL;
+        }
+        rigid::shared(&points, 0.1 * self.settings.margin_m).unwrap_or(RigidMotion::STILL)
+    }
+}
+
+/// The verdict on impacts that nothing resolves.
+fn impossible<'a>(step: &StepPositions, impacts: impl IntoIterator<Item = &'a Impact>) -> Impossible {
+    let (mut vertices, mut imposed) = (BTreeSet::new(), BTreeSet::new());
+    for vertex in impacts.into_iter().flat_map(|impact| impact.candidate.vertices) {
+        if step.inverse_masses[vertex as usize] > 0.0 {
+            vertices.insert(vertex)
+        } else {
+            imposed.insert(vertex)
+        };
+    }
+    Impossible { vertices: vertices.into_iter().collect(), imposed: imposed.into_iter().collect() }
+}
