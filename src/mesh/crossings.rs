@@ -5,6 +5,8 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use crate::math::Vec3;
 
 use super::intersect::{edge_crosses_triangle, edge_meets_face};
@@ -12,6 +14,8 @@ use super::{TriangleMesh, locality_order};
 
 /// Triangles of a leaf of a tree.
 const LEAF: usize = 4;
+/// Times the work is split before it is given to threads.
+const ROUNDS: usize = 8;
 /// Pairs that are listed; two sheets laid onto each other would have millions.
 const MOST_PAIRS: usize = 10_000;
 
@@ -46,7 +50,7 @@ pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -
     for (i, one) in groups.iter().enumerate() {
         if one.kind == GroupKind::Cloth {
             let tree = search.tree(one.triangles.clone().map(|t| t as u32).collect());
-            search.within(&tree, &mut found);
+            found.extend(search.pairs(&tree, &tree, false));
         }
         for (j, other) in groups.iter().enumerate().skip(i + 1) {
             if one.kind == GroupKind::Obstacle && other.kind == GroupKind::Obstacle {
@@ -58,11 +62,12 @@ pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -
             if parts.iter().all(|part| !part.is_empty()) {
                 let touching = one.kind == GroupKind::Obstacle || other.kind == GroupKind::Obstacle;
                 let [one, other] = parts.map(|part| search.tree(part));
-                search.between(&one, &other, touching, &mut found);
+                found.extend(search.pairs(&one, &other, touching));
             }
         }
     }
     found.sort_unstable();
+    found.truncate(MOST_PAIRS);
     found
 }
 
@@ -146,61 +151,36 @@ impl Search<'_> {
         Tree { order, boxes, nodes }
     }
 
-    /// Pairs within a tree.
-    fn within(&self, tree: &Tree, found: &mut Vec<[u32; 2]>) {
-        let root = tree.nodes.len() - 1;
-        let mut pairs = vec![(root, root)];
-        while let Some((a, b)) = pairs.pop() {
-            let (one, other) = (&tree.nodes[a], &tree.nodes[b]);
-            if a != b && !one.bounds.overlaps(&other.bounds) {
-                continue;
-            }
-            match (one.children, other.children) {
-                (Some([l, r]), _) if a == b => pairs.extend([(l, l), (r, r), (l, r)]),
-                (Some([l, r]), _) if other.children.is_none() || one.len >= other.len => pairs.extend([(l, b), (r, b)]),
-                (_, Some([l, r])) => pairs.extend([(a, l), (a, r)]),
-                _ => {
-                    for s in one.start..one.start + one.len {
-                        let first = if a == b { s + 1 } else { other.start };
-                        for t in first..other.start + other.len {
-                            if tree.boxes[s].overlaps(&tree.boxes[t]) {
-                                self.test(tree.order[s], tree.order[t], false, found);
-                            }
-                        }
-                    }
+    /// Pairs of one triangle of each tree, or of two of one tree, which is then given twice.
+    fn pairs(&self, one: &Tree, other: &Tree, touching: bool) -> Vec<[u32; 2]> {
+        // Split a few times, then every part on its own: what is found does not depend on who finds it.
+        let mut parts = vec![(one.nodes.len() - 1, other.nodes.len() - 1)];
+        for _ in 0..ROUNDS {
+            let split = |pair| split(one, other, pair).unwrap_or([Some(pair), None, None]).into_iter().flatten();
+            parts = parts.into_iter().flat_map(split).collect();
+        }
+        let found = parts.into_par_iter().map(|part| {
+            let (mut found, mut open) = (Vec::new(), vec![part]);
+            while let Some(pair) = open.pop().filter(|_| found.len() < MOST_PAIRS) {
+                match split(one, other, pair) {
+                    Some(parts) => open.extend(parts.into_iter().flatten()),
+                    None => self.leaves(one, other, pair, touching, &mut found),
                 }
             }
-            if found.len() >= MOST_PAIRS {
-                return;
-            }
-        }
+            found
+        });
+        found.collect::<Vec<_>>().concat()
     }
 
-    /// Pairs of one triangle of each tree.
-    fn between(&self, one: &Tree, other: &Tree, touching: bool, found: &mut Vec<[u32; 2]>) {
-        let mut pairs = vec![(one.nodes.len() - 1, other.nodes.len() - 1)];
-        while let Some((a, b)) = pairs.pop() {
-            let (left, right) = (&one.nodes[a], &other.nodes[b]);
-            if !left.bounds.overlaps(&right.bounds) {
-                continue;
-            }
-            match (left.children, right.children) {
-                (Some([l, r]), _) if right.children.is_none() || left.len >= right.len => {
-                    pairs.extend([(l, b), (r, b)])
+    /// Tests the triangles of two leaves.
+    fn leaves(&self, one: &Tree, other: &Tree, (a, b): (usize, usize), touching: bool, found: &mut Vec<[u32; 2]>) {
+        let (left, right) = (&one.nodes[a], &other.nodes[b]);
+        let itself = std::ptr::eq(left, right);
+        for s in left.start..left.start + left.len {
+            for t in if itself { s + 1 } else { right.start }..right.start + right.len {
+                if one.boxes[s].overlaps(&other.boxes[t]) {
+                    self.test(one.order[s], other.order[t], touching, found);
                 }
-                (_, Some([l, r])) => pairs.extend([(a, l), (a, r)]),
-                _ => {
-                    for s in left.start..left.start + left.len {
-                        for t in right.start..right.start + right.len {
-                            if one.boxes[s].overlaps(&other.boxes[t]) {
-                                self.test(one.order[s], other.order[t], touching, found);
-                            }
-                        }
-                    }
-                }
-            }
-            if found.len() >= MOST_PAIRS {
-                return;
             }
         }
     }
@@ -211,6 +191,23 @@ impl Search<'_> {
         if if touching { triangles_touch(a, b) } else { triangles_meet(a, b) } {
             found.push(pair);
         }
+    }
+}
+
+/// The pairs of nodes that a pair falls into: none where the boxes are apart, and `None` for two leaves.
+fn split(one: &Tree, other: &Tree, (a, b): (usize, usize)) -> Option<[Option<(usize, usize)>; 3]> {
+    let (left, right) = (&one.nodes[a], &other.nodes[b]);
+    if !left.bounds.overlaps(&right.bounds) {
+        return Some([None; 3]);
+    }
+    match (left.children, right.children) {
+        (None, None) => None,
+        (Some([l, r]), _) if std::ptr::eq(left, right) => Some([Some((l, l)), Some((r, r)), Some((l, r))]),
+        (Some([l, r]), _) if right.children.is_none() || left.len >= right.len => {
+            Some([Some((l, b)), Some((r, b)), None])
+        }
+        (_, Some([l, r])) => Some([Some((a, l)), Some((a, r)), None]),
+        (Some([l, r]), None) => Some([Some((l, b)), Some((r, b)), None]),
     }
 }
 

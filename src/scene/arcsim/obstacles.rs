@@ -24,7 +24,12 @@ pub(super) fn obstacles(
     let mut obstacles = Vec::new();
     for json in list.array()? {
         let mesh = json.required("mesh")?;
-        let mut surface = read_surface(&find(&mesh)?)?;
+        let Ok(path) = find(&mesh) else {
+            let (name, file) = (&json.name, mesh.text()?);
+            left_out.say(format!("{name}: left out, there is no file `{file}`"));
+            continue;
+        };
+        let mut surface = read_surface(&path)?;
         json.or("transform", UNMOVED, placement)?.move_points(&mut surface.positions);
         check_obstacle(&surface).map_err(|fault| mesh.error(format!("at its place in the scene: {fault}")))?;
         for key in ["start_time", "end_time"] {
