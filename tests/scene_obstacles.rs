@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
+use loomtree::cli::check::{CheckArgs, check};
 use loomtree::math::Vec3;
+use loomtree::mesh::read_surface;
 use loomtree::scene::{Obstacles, Overrides, Scene, SceneError, parse};
 
 const SHEET: &str = "[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8 }\n";
@@ -230,6 +232,27 @@ fn an_obstacle_in_the_cloth_is_refused_with_its_triangles() {
     read(&format!("[simulation]\ncollisions = false\n{}", ball.replace("0.29", "0.31"))).unwrap();
     // Obstacles may stand in each other.
     read(&format!("{ball}{ball}")).unwrap();
+}
+
+#[test]
+fn check_writes_a_mesh_of_the_crossings() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, mesh) = (folder.path().join("s.toml"), folder.path().join("c.obj"));
+    let floor = "[[obstacle]]\nname = \"floor\"\nplane = { point_m = [0, 0.25, 0], size_m = [9, 9], triangles = 12 }\n";
+    std::fs::write(&file, format!("{SHEET}{floor}")).unwrap();
+    let args = CheckArgs { file: file.clone(), resolution: None, write_crossings: Some(mesh.clone()) };
+    let error = check(&args, &mut Vec::new()).unwrap_err();
+    assert_eq!(error.exit_code, 2);
+    assert!(error.message.contains("of obstacle `floor`"), "{error}");
+    assert!(error.message.ends_with(&format!("; {} has been written", mesh.display())), "{error}");
+    let written = read_surface(&mesh).unwrap();
+    // The lower four triangles of the sheet and at least one of the floor.
+    assert!(written.triangles.len() >= 5);
+    let lower = written.triangles.iter().filter(|t| t.iter().all(|&v| written.positions[v as usize].z == 0.0)).count();
+    assert_eq!(lower, 4);
+    let unwritable = CheckArgs { write_crossings: Some(folder.path().join("no/such.obj")), ..args };
+    let error = check(&unwritable, &mut Vec::new()).unwrap_err();
+    assert!(error.exit_code == 2 && error.message.contains("cannot write "), "{error}");
 }
 
 #[test]
