@@ -172,8 +172,14 @@ fn cells(size: [f64; 2], triangles: f64) -> [u32; 2] {
 
 fn box_of(size: [f64; 3], triangles: f64) -> Surface {
     let area = 2.0 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0]);
-    let side = (2.0 * area / triangles).sqrt();
-    shapes::cuboid(size, size.map(|length| (length / side).round().clamp(1.0, triangles) as u32))
+    let mut side = (2.0 * area / triangles).sqrt();
+    let cells = |side: f64| size.map(|length| (length / side).round().clamp(1.0, triangles) as u32);
+    // The rim of a thin plate is at least one cell high: its triangles are missing elsewhere.
+    for _ in 0..3 {
+        let [x, y, z] = cells(side).map(f64::from);
+        side *= (4.0 * (x * y + y * z + z * x) / triangles).sqrt();
+    }
+    shapes::cuboid(size, cells(side))
 }
 
 /// A cone without its tip, its lower rim about the origin, with a spout below it.
