@@ -134,6 +134,8 @@ fn scene() -> Scene {
         max_iterations: 500,
         thickness_m: 0.001,
         friction: 0.3,
+        collisions: true,
+        contact_stiffness: 8.0,
     };
     Scene {
         name: "two triangles".to_string(),
@@ -147,6 +149,8 @@ fn scene() -> Scene {
         fabric_of_triangle: vec![0, 0],
         pins: vec![Pin { vertex: 0, motion: None, start_s: 0.0, end_s: f64::INFINITY }],
         motions: Vec::new(),
+        cloths: Vec::new(),
+        obstacles: Vec::new(),
         settings,
         left_out: Vec::new(),
     }

@@ -2,13 +2,21 @@
 
 use std::path::Path;
 
-use loomtree::scene::{Overrides, parse, parse_fabric};
+use loomtree::scene::{Obstacles, Overrides, parse, parse_fabric};
 use proptest::prelude::*;
 
 fn sane(text: &str) -> Result<(), TestCaseError> {
     for name in ["s.toml", "s.json"] {
         match parse(text, Path::new(name), &Overrides { resolution: None, frames: Some(1) }) {
-            Ok(scene) => prop_assert_eq!(scene.velocities.len(), scene.mesh.positions.len()),
+            Ok(scene) => {
+                prop_assert_eq!(scene.velocities.len(), scene.mesh.positions.len());
+                let (obstacles, mut positions) = (Obstacles::new(&scene.obstacles), Vec::new());
+                for time_s in [0.0, 0.7, 1.5, 1e6] {
+                    obstacles.positions_at(time_s, &mut positions);
+                    prop_assert_eq!(positions.len(), 3 * obstacles.vertices());
+                    prop_assert!(positions.iter().all(|x| x.is_finite()), "{} at {} s", text, time_s);
+                }
+            }
             Err(error) => prop_assert_eq!(error.to_string().lines().count(), 1, "{}", error),
         }
     }
@@ -40,6 +48,13 @@ fn toml_scene() -> impl Strategy<Value = String> {
         Just("9223372036854775807".to_owned()),
         Just("[]".to_owned()),
         Just("[90, 0, 0, 1]".to_owned()),
+        Just("{ center_m = [0, 0, 9], radius_m = 1, triangles = 20 }".to_owned()),
+        Just("{ center_m = [0, 0, 0], size_m = [1, 1, 1e-3], triangles = 12 }".to_owned()),
+        Just("{ center_m = [0, 3e38, 0], size_m = [1, 2], normal = [0, 0, -1] }".to_owned()),
+        Just("{ point_m = [0, 0, 9], size_m = [1, 1e9] }".to_owned()),
+        Just("{ center_m = [0, 0, 9], top_radius_m = 2, bottom_radius_m = 1, height_m = 1e-9 }".to_owned()),
+        Just("[{ time_s = 1, scale = 1e30 }, { time_s = 2, rotate_deg = [1e30, 0, 1, 0], translate_m = [3e38, 3e38, 0] }]".to_owned()),
+        Just("\"x%04d.obj\"".to_owned()),
     ];
     let key = prop::sample::select(vec![
         "\n[simulation]\nstep_s",
@@ -65,6 +80,16 @@ fn toml_scene() -> impl Strategy<Value = String> {
         "\nstretching_n_m",
         "\ncorners",
         "\nscale",
+        "\nfriction",
+        "\ncollisions",
+        "\ncontact_stiffness",
+        "\n[[obstacle]]\nsphere",
+        "\n[[obstacle]]\nbox",
+        "\n[[obstacle]]\nplate",
+        "\n[[obstacle]]\nplane",
+        "\n[[obstacle]]\nfunnel",
+        "\n[[obstacle]]\nsequence",
+        "\nframes_per_s",
     ]);
     prop::collection::vec((key, value), 0..8).prop_map(|fields| {
         let fields: String = fields.iter().map(|(key, value)| format!("{key} = {value}")).collect();
@@ -98,6 +123,10 @@ fn json_scene() -> impl Strategy<Value = String> {
             "wind",
             "magic",
             "disable",
+            "obstacles",
+            "motfile",
+            "fps",
+            "obs_friction",
             "density",
             "stretching",
             "bending",

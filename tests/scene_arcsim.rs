@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use loomtree::math::Vec3;
-use loomtree::scene::{Overrides, Scene, load, load_fabric};
+use loomtree::scene::{Obstacles, Overrides, Scene, load, load_fabric};
 
 const OBJ: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n";
 const FABRIC: &str = "// measured\n{\"density\": 0.2, \"stretching\": [[10,1,20,5],[10,1,20,5],[10,1,20,5],[10,1,20,5],[10,1,20,5],[10,1,20,5]],
@@ -40,7 +40,9 @@ fn every_field_arrives() {
         "handles": [{"nodes": [0]}, {"nodes": [3], "motion": 0, "end_time": 1.5}, {"type": "circle"}],
         "gravity": [0, 0, -9.8], "wind": {"velocity": [5, 0, 0], "drag": 0.5},
         "disable": ["popfilter"],
-        "obstacles": [{"mesh": "meshes/none.obj"}],
+        "obstacles": [{"mesh": "meshes/none.obj"},
+            {"mesh": "meshes/m.obj", "transform": {"translate": [9, 0, 0], "scale": 3}, "motion": 0, "end_time": 3}],
+        "obs_friction": 0.2,
         "magic": {"repulsion_thickness": 5e-3, "collision_stiffness": 1e6},
         "colour": "red",
         }"#,
@@ -64,13 +66,24 @@ fn every_field_arrives() {
     assert_eq!(pins, [(0, None, f64::INFINITY), (3, Some(0), 1.5)]);
     assert!(scene.motions[0].apply(1.0, Vec3::Z).distance(Vec3::new(1.0, 0.0, 1.0)) < 1e-6);
 
+    let [obstacle] = &scene.obstacles[..] else { panic!("one obstacle") };
+    assert_eq!((obstacle.name.as_str(), obstacle.friction, obstacle.moving()), ("obstacles[1]", 0.2, true));
+    assert_eq!(obstacle.positions[1], Vec3::new(12.0, 0.0, 0.0));
+    let (obstacles, mut positions) = (Obstacles::new(&scene.obstacles), Vec::new());
+    for (time_s, x) in [(0.0, 10.0), (1.0, 11.0)] {
+        obstacles.positions_at(time_s, &mut positions);
+        assert_eq!(positions[..3], [x, 0.0, 0.0], "the motion puts it into the world, at {time_s} s");
+    }
+    assert_eq!((settings.collisions, settings.contact_stiffness), (true, 8.0));
+
     assert_eq!(
         scene.left_out,
         [
             "strain_limits: left out, the cloth stretches as its stiffness allows",
             "remeshing: left out, the mesh keeps its triangles",
+            "obstacles[0]: left out, there is no file `meshes/none.obj`",
+            "obstacles[1].end_time: left out, an obstacle is there all the time",
             "handles[2]: left out, only handles with a list of `nodes` are known here",
-            "obstacles: 1 left out, collisions are not part of this release",
             "colour: left out, this importer does not know it",
             "collision_stiffness: left out, a number of ARCSim's own methods (magic)",
         ]
@@ -99,9 +112,91 @@ fn mistakes_name_the_field() {
         "conf/s.json: field `handles[0].nodes[0]`: `cloths[0]` has no vertex 4 (they count from 0)"
     );
     assert_eq!(
-        with("handles: [{nodes: [1], motion: 3}], motions: {motfile: 'meshes/gone.mot'}"),
-        "conf/s.json: field `handles[0].motion`: its motion is in the file `meshes/gone.mot`; motion files are not read, keyframes in `motions` are"
+        with("handles: [{nodes: [1], motion: 3}], motions: {motfile: 'meshes/gone.mot', fps: 25}"),
+        "conf/s.json: field `handles[0].motion`: its motion is in `meshes/gone.mot`, which is neither beside the scene, in the \
+         folder above nor in the working directory"
     );
+    assert_eq!(
+        with("obstacles: [{mesh: 'meshes/m.obj', transform: {translate: [5, 0, 0]}, motion: 2}]"),
+        "conf/s.json: field `obstacles[0].motion`: the scene has no `motions`"
+    );
+    assert_eq!(
+        with("obstacles: [{mesh: 'meshes/m.obj', transform: {scale: 0}}]"),
+        "conf/s.json: field `obstacles[0].mesh`: at its place in the scene: triangle 1 has no area in space: its corners lie on one line"
+    );
+    assert_eq!(
+        with("obstacles: 'meshes/body.obj'"),
+        "conf/s.json: field `obstacles`: `meshes/body.obj` must have one number in it, as in `body%04d.obj`"
+    );
+    assert_eq!(
+        with("obstacles: [{mesh: 'meshes/m.obj'}]"),
+        "conf/s.json: field `cloths`: triangle 1 of `cloths[0]` and triangle 1 of obstacle `obstacles[0]` cross or touch at the \
+         start, and 3 more pairs do; move them apart (`loomtree check conf/s.json --write-crossings crossings.obj` writes a mesh \
+         of them)"
+    );
+    assert!(
+        import(&format!(
+            "{{frame_time: 1, cloths: [{cloth}], disable: ['collision'], obstacles: [{{mesh: 'meshes/m.obj'}}]}}"
+        ))
+        .is_ok_and(|scene| !scene.settings.collisions)
+    );
+}
+
+#[test]
+fn body_parts_follow_the_motions_of_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let mot = "NumFrames: 3\nbody[0] position\n0 0 0\n0 0 1\n0 0 2\n\nbody[0] orientation\n1 0 0 0\n1 0 0 0\n1 0 0 0\n\n\
+        body[1] position\n0 0 0\n0 0 0\n0 0 0\n\nbody[1] orientation\n1 0 0 0\n0 0 0 1\n0 0 0 1\n";
+    let scene = r#"{"frame_time": 1, "end_time": 1, "cloths": [{"mesh": "m.obj", "materials": [{"data": "f.json"}]}],
+        "obstacles": "body%02d.obj", "motions": {"motfile": "parts.mot", "fps": 2, "transform": {"translate": [0, 0, 5]}},
+        "handles": [{"nodes": [2], "motion": 0}]}"#;
+    let files = [
+        ("s.json", scene),
+        ("m.obj", OBJ),
+        ("f.json", FABRIC),
+        ("body00.obj", OBJ),
+        ("body01.obj", OBJ),
+        ("parts.mot", mot),
+    ];
+    for (name, text) in files {
+        std::fs::write(folder.path().join(name), text).unwrap();
+    }
+    let scene = load(&folder.path().join("s.json"), &Overrides::default()).unwrap();
+    let names: Vec<&str> = scene.obstacles.iter().map(|obstacle| obstacle.name.as_str()).collect();
+    assert_eq!(names, ["body00.obj", "body01.obj"]);
+    let (obstacles, mut positions) = (Obstacles::new(&scene.obstacles), Vec::new());
+    let mut second_corner = |part: usize, time_s: f64| {
+        obstacles.positions_at(time_s, &mut positions);
+        Vec3::from_slice(&positions[12 * part + 3..])
+    };
+    for (part, time_s, expected) in
+        [(0, 0.0, [1.0, 0.0, 5.0]), (0, 0.5, [1.0, 0.0, 6.0]), (1, 0.5, [-1.0, 0.0, 5.0]), (0, 9.0, [1.0, 0.0, 7.0])]
+    {
+        let found = second_corner(part, time_s);
+        assert!(found.distance(Vec3::from(expected)) < 1e-6, "part {part} at {time_s} s: {found}");
+    }
+    // The handle moves by the change since it took hold.
+    assert!(scene.motions[0].apply(0.5, Vec3::ONE).distance(Vec3::new(1.0, 1.0, 2.0)) < 1e-6);
+}
+
+#[test]
+fn the_sphere_conf_keeps_its_obstacle() {
+    let Some(root) = std::env::var_os("LOOMTREE_TEST_DATA") else {
+        println!("skipped: LOOMTREE_TEST_DATA is not set");
+        return;
+    };
+    let scene = load(&Path::new(&root).join("arcsim/conf/sphere.json"), &Overrides::default()).unwrap();
+    let obstacles = Obstacles::new(&scene.obstacles);
+    assert_eq!((obstacles.len(), obstacles.triangles().len(), obstacles.friction(0)), (1, 1280, 0.3));
+    assert!(obstacles.moving() && scene.left_out.iter().all(|line| !line.contains("obstacle")));
+    let mut positions = Vec::new();
+    for (time_s, y) in [(0.0, 0.0), (3.0, -1.5), (5.0, 1.5), (9.0, -0.4)] {
+        obstacles.positions_at(time_s, &mut positions);
+        for p in positions.chunks_exact(3).map(Vec3::from_slice) {
+            let radius = p.distance(Vec3::new(0.0, y, 0.0));
+            assert!((radius - 0.1).abs() < 1e-3, "{radius} at {time_s} s");
+        }
+    }
 }
 
 fn files(folder: &str) -> Vec<PathBuf> {

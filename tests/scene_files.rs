@@ -128,7 +128,7 @@ fn mistakes_name_line_and_field() {
     assert_eq!(
         with("\ncolour = 1"),
         "line 4: field `cloth.colour`: unknown field; known here: name, sheet, mesh, material, plane, origin_m, rotate_deg, \
-         scale, fabric, thicken, damping_s, velocity_m_s"
+         scale, fabric, thicken, damping_s, velocity_m_s, friction"
     );
     assert_eq!(
         with("fabric = \"coton\""),
@@ -201,8 +201,10 @@ fn mistakes_of_pins_name_line_and_field() {
         "line 5: field `pin.motion[1].time_s`: must be later than that of the keyframe before"
     );
     assert_eq!(
-        with("edge = \"top\"\nmotion = [{ time_s = 1 }, { time_s = 2, rotate_deg = [360, 0, 1, 0] }]"),
-        "line 5: field `pin.motion[1].rotate_deg`: turns by 180 degrees or more since the keyframe before; add one between"
+        with(
+            "edge = \"top\"\nmotion = [{ time_s = 1, rotate_deg = [10, 1, 0, 0] }, { time_s = 2, rotate_deg = [360, 0, 1, 0] }]"
+        ),
+        "line 5: field `pin.motion[1].rotate_deg`: turns by 180 degrees or more since the keyframe before, about another axis; add one between"
     );
     assert_eq!(
         with("edge = \"top\"\n[[pin]]\ncorners = \"top-left\"\nmotion = [{ time_s = 1 }]"),
@@ -215,7 +217,8 @@ fn cloths_that_cross_at_the_start_are_refused() {
     let crossing = "[[cloth]]\nname = \"b\"\nsheet = { size_m = [1, 1], triangles = 8 }\nplane = \"xz\"\norigin_m = [0.2, 0.3, 0.1]\n";
     assert_eq!(
         fault(&format!("{SHEET}{crossing}")),
-        "line 1: field `cloth`: triangle 1 of `cloth 0` and triangle 1 of `b` cross or touch at the start; move them apart"
+        "line 1: field `cloth`: triangle 1 of `cloth 0` and triangle 1 of `b` cross or touch at the start, and 6 more pairs do; \
+         move them apart (`loomtree check scenes/x.toml --write-crossings crossings.obj` writes a mesh of them)"
     );
     read(&format!("{SHEET}{}", crossing.replace("0.1]", "-0.1]"))).unwrap();
 }

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::mesh::{MaterialSource, TriangleMesh, first_intersection, hinges, read_mesh};
-use crate::scene::{Overrides, Scene, load, load_fabric};
+use crate::scene::{Movement, Overrides, Scene, SceneError, load, load_fabric};
 
 use super::CliError;
 
@@ -16,6 +16,9 @@ pub struct CheckArgs {
     /// Triangles of all sheets together.
     #[arg(long, value_name = "TRIANGLES")]
     pub resolution: Option<u64>,
+    /// Where to write the triangles that cross or touch at the start, if there are any (.obj)
+    #[arg(long, value_name = "FILE")]
+    pub write_crossings: Option<PathBuf>,
 }
 
 /// Prints a summary of the file to `out`.
@@ -32,7 +35,10 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
         }
         _ => {
             let overrides = Overrides { resolution: args.resolution, frames: None };
-            scene_summary(&load(&args.file, &overrides).map_err(CliError::bad_input)?)
+            match load(&args.file, &overrides) {
+                Ok(scene) => scene_summary(&scene),
+                Err(error) => return Err(refusal(&error, args.write_crossings.as_deref())),
+            }
         }
     };
     match out.write_all(summary.as_bytes()) {
@@ -41,6 +47,24 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
             Err(CliError::failed(format!("cannot write the summary: {error}")))
         }
         _ => Ok(()),
+    }
+}
+
+/// The refusal of a scene; with a file named, the triangles that cross are written there.
+fn refusal(error: &SceneError, file: Option<&Path>) -> CliError {
+    let (SceneError::Crossing { crossings, .. }, Some(file)) = (error, file) else { return CliError::bad_input(error) };
+    let write = |out: &mut std::io::BufWriter<std::fs::File>| -> std::io::Result<()> {
+        for p in &crossings.positions {
+            writeln!(out, "v {} {} {}", p.x, p.y, p.z)?;
+        }
+        for t in crossings.triangles() {
+            writeln!(out, "f {} {} {}", t[0] + 1, t[1] + 1, t[2] + 1)?;
+        }
+        out.flush()
+    };
+    match std::fs::File::create(file).and_then(|out| write(&mut std::io::BufWriter::new(out))) {
+        Ok(()) => CliError::bad_input(format!("{error}; {} has been written", file.display())),
+        Err(fault) => CliError::bad_input(format!("{error}; cannot write {}: {fault}", file.display())),
     }
 }
 
@@ -89,6 +113,24 @@ fn scene_summary(scene: &Scene) -> String {
     text += &format!("  fabrics     {}\n", fabrics.join(", "));
     let moving = scene.pins.iter().filter(|pin| pin.motion.is_some()).count();
     text += &format!("  pins        {} ({moving} moving)\n", scene.pins.len());
+    if !scene.obstacles.is_empty() {
+        let triangles: usize = scene.obstacles.iter().map(|obstacle| obstacle.triangles.len()).sum();
+        let names: Vec<String> = scene
+            .obstacles
+            .iter()
+            .map(|obstacle| match &obstacle.movement {
+                Movement::Sequence { later, .. } => format!("{} ({} frames)", obstacle.name, later.len() + 1),
+                _ if obstacle.moving() => format!("{} (moving)", obstacle.name),
+                _ => obstacle.name.clone(),
+            })
+            .collect();
+        text += &format!("  obstacles   {}; {triangles} triangles\n", names.join(", "));
+    }
+    let contacts = match settings.collisions {
+        true => format!("within {} m, friction {}", settings.thickness_m, settings.friction),
+        false => "none (collisions = false)".into(),
+    };
+    text += &format!("  contacts    {contacts}\n");
     let seconds = settings.step_s * f64::from(settings.steps_per_frame) * f64::from(settings.frames);
     text += &format!(
         "  frames      {} of {} steps of {} s ({seconds:.3} s)\n",

@@ -12,6 +12,7 @@ use crate::output::{
     StageSeconds, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, state_hash,
 };
 use crate::protocol::WorkerReady;
+use crate::scene::Obstacles;
 use crate::step::{QueryStats, StepStats};
 use crate::telemetry::Event;
 
@@ -39,6 +40,7 @@ pub struct Recorder {
     fingerprint: u64,
     first: Option<Checkpoint>,
     frames: Option<FrameWriter>,
+    obstacles: Obstacles,
     report: Option<ReportWriter>,
     trace: Option<TraceWriter>,
     epochs: Vec<u64>,
@@ -85,6 +87,7 @@ impl Recorder {
             fingerprint,
             first: resumed.clone(),
             frames: None,
+            obstacles: Obstacles::new(&plan.scene.obstacles),
             report: None,
             trace: None,
             epochs: Vec::new(),
@@ -221,6 +224,12 @@ impl Recorder {
         let hash = state_hash(positions, velocities);
         if let Some(frames) = &mut self.frames {
             frames.write(frame, &plan.scene.mesh, positions).map_err(write_error)?;
+            if !self.obstacles.is_empty() {
+                let mut values = Vec::new();
+                self.obstacles.positions_at(step as f64 * plan.scene.settings.step_s, &mut values);
+                let positions = bytemuck::cast_slice(&values);
+                frames.write_obstacle(frame, positions, self.obstacles.triangles()).map_err(write_error)?;
+            }
         }
         if let Some(report) = &mut self.report {
             report

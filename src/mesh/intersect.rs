@@ -1,99 +1,11 @@
-//! Start-state check: do two triangles of a mesh cross or touch? Exact for the f32 coordinates it is given.
-//!
-//! Looks at the geometry only: two layers closer than the thickness of the cloth are not its business, and triangles
-//! folded flat onto each other along a shared edge are not found.
+//! Does a segment meet a triangle? Exact for the f32 coordinates it is given.
 
 use robust::{Coord, Coord3D, orient2d, orient3d};
 
 use crate::math::Vec3;
 
-use super::{TriangleMesh, locality_order};
-
-/// Triangles of a leaf of the tree.
-const LEAF: usize = 4;
-
-/// The first pair of triangles (smallest pair of indices) that share a point without sharing the vertex there.
-/// Vertices at the same place count as one vertex, so that unwelded seams are no fault.
-pub fn first_intersection(mesh: &TriangleMesh) -> Option<[u32; 2]> {
-    let corners = |t: u32| mesh.triangles[t as usize].map(|v| mesh.positions[v as usize]);
-    let centres: Vec<Vec3> = (0..mesh.triangles.len() as u32).map(|t| corners(t).iter().sum::<Vec3>() / 3.0).collect();
-    let order = locality_order(&centres);
-    let mut boxes = Vec::new();
-    let root = build(&order, 0, &mut boxes, &|t| corners(t));
-    let mut first: Option<[u32; 2]> = None;
-    let mut pairs = vec![(root, root)];
-    while let Some((a, b)) = pairs.pop() {
-        let (node_a, node_b) = (&boxes[a], &boxes[b]);
-        if !node_a.overlaps(node_b) {
-            continue;
-        }
-        match (node_a.children, node_b.children) {
-            (Some([l, r]), _) if a == b => pairs.extend([(l, l), (r, r), (l, r)]),
-            (Some([l, r]), _) if node_b.children.is_none() || node_a.len >= node_b.len => {
-                pairs.extend([(l, b), (r, b)])
-            }
-            (_, Some([l, r])) => pairs.extend([(a, l), (a, r)]),
-            _ => {
-                for &s in &order[node_a.start..node_a.start + node_a.len] {
-                    for &t in &order[node_b.start..node_b.start + node_b.len] {
-                        let pair = [s.min(t), s.max(t)];
-                        if s != t
-                            && first.is_none_or(|found| pair < found)
-                            && triangles_meet(corners(pair[0]), corners(pair[1]))
-                        {
-                            first = Some(pair);
-                        }
-                    }
-                }
-            }
-        }
-    }
-    first
-}
-
-/// A node over `order[start..start + len]`.
-struct Node {
-    low: Vec3,
-    high: Vec3,
-    start: usize,
-    len: usize,
-    children: Option<[usize; 2]>,
-}
-
-impl Node {
-    fn overlaps(&self, other: &Node) -> bool {
-        self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
-    }
-}
-
-/// Builds the tree over a slice of the order; returns its node. Depth is log2 of the number of triangles.
-fn build(order: &[u32], start: usize, nodes: &mut Vec<Node>, corners: &impl Fn(u32) -> [Vec3; 3]) -> usize {
-    let len = order.len();
-    let (mut low, mut high, mut children) = (Vec3::INFINITY, Vec3::NEG_INFINITY, None);
-    if len <= LEAF {
-        for point in order.iter().flat_map(|&t| corners(t)) {
-            (low, high) = (low.min(point), high.max(point));
-        }
-    } else {
-        let pair = [
-            build(&order[..len / 2], start, nodes, corners),
-            build(&order[len / 2..], start + len / 2, nodes, corners),
-        ];
-        low = nodes[pair[0]].low.min(nodes[pair[1]].low);
-        high = nodes[pair[0]].high.max(nodes[pair[1]].high);
-        children = Some(pair);
-    }
-    nodes.push(Node { low, high, start, len, children });
-    nodes.len() - 1
-}
-
-fn triangles_meet(a: [Vec3; 3], b: [Vec3; 3]) -> bool {
-    let meets = |edges: [Vec3; 3], face: [Vec3; 3]| (0..3).any(|i| edge_meets_face(edges[i], edges[(i + 1) % 3], face));
-    meets(a, b) || meets(b, a)
-}
-
 /// An edge that begins at a corner of the triangle does not count.
-fn edge_meets_face(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
+pub(super) fn edge_meets_face(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
     let [a, b, c] = face;
     !face.contains(&p) && !face.contains(&q) && edge_crosses_triangle(p, q, a, b, c)
 }
@@ -218,34 +130,6 @@ fn orient(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> f64 {
 mod tests {
     use super::*;
 
-    const FLOOR: [Vec3; 3] = [Vec3::ZERO, Vec3::new(4.0, 0.0, 0.0), Vec3::new(0.0, 4.0, 0.0)];
-
-    fn meets(other: [[f32; 3]; 3]) -> bool {
-        let other = other.map(Vec3::from);
-        assert_eq!(triangles_meet(FLOOR, other), triangles_meet(other, FLOOR));
-        triangles_meet(FLOOR, other)
-    }
-
-    #[test]
-    fn piercing_touching_and_missing() {
-        assert!(meets([[1., 1., -1.], [1., 1., 1.], [9., 9., 0.5]]), "an edge through the inside");
-        assert!(meets([[2., 2., -1.], [2., 2., 1.], [9., 9., 0.5]]), "an edge through an edge");
-        assert!(meets([[1., 1., 0.], [1., 2., 1.], [2., 1., 1.]]), "a corner on the inside");
-        assert!(!meets([[1., 1., 1e-30], [1., 2., 1.], [2., 1., 1.]]), "a corner just above");
-        assert!(!meets([[3., 3., -1.], [3., 3., 1.], [9., 9., 0.5]]), "beside");
-        assert!(!meets([[0., 0., 0.], [1., -1., 1.], [1., -2., 1.]]), "the same corner");
-        assert!(meets([[0., 0., 0.], [1., 1., 1.], [1., 1., -1.]]), "the same corner, but through");
-    }
-
-    #[test]
-    fn coplanar_triangles() {
-        assert!(meets([[1., 1., 0.], [1., 9., 0.], [9., 1., 0.]]), "overlapping");
-        assert!(meets([[1., 1., 0.], [1., 2., 0.], [2., 1., 0.]]), "inside");
-        assert!(meets([[-9., -9., 0.], [30., -9., 0.], [-9., 30., 0.]]), "around");
-        assert!(!meets([[4., 0., 0.], [4., 4., 0.], [0., 4., 0.]]), "sharing an unwelded edge");
-        assert!(!meets([[5., 5., 0.], [5., 6., 0.], [6., 5., 0.]]), "beside");
-    }
-
     #[test]
     fn edges_against_thin_and_collapsed_triangles() {
         let crosses = |p: [f32; 3], q: [f32; 3], a: [f32; 3], b: [f32; 3], c: [f32; 3]| {
@@ -272,22 +156,5 @@ mod tests {
         let third = [1.0 + f32::EPSILON, 1.0 + f32::EPSILON, 1.0];
         assert!(crosses([0.5, 0.5, 0.5], [0.5, 0.5, 2.], o, [1., 1., 1.], third), "a needle, touched");
         assert!(!crosses([0.25, 0.5, 0.5], [0.25, 0.5, 2.], o, [1., 1., 1.], third), "a needle, missed");
-    }
-
-    #[test]
-    fn two_sheets_that_cross_are_found_and_one_alone_is_not() {
-        let mut mesh = TriangleMesh::default();
-        for (sheet, lift) in [(0, 0.0), (1, -3.3)] {
-            let start = mesh.positions.len() as u32;
-            for (x, y) in (0..8).flat_map(|y| (0..8).map(move |x| (x as f32, y as f32))) {
-                // The second stands upright in the first.
-                mesh.positions.push(if sheet == 0 { Vec3::new(x, y, 0.0) } else { Vec3::new(x + 0.1, 3.4, y + lift) });
-            }
-            for (x, y) in (0..7).flat_map(|y| (0..7).map(move |x| (x, y))) {
-                let v = start + y * 8 + x;
-                mesh.triangles.extend([[v, v + 1, v + 9], [v, v + 9, v + 8]]);
-            }
-            assert_eq!(first_intersection(&mesh).is_some(), sheet == 1);
-        }
     }
 }

@@ -4,11 +4,13 @@
 //! file; no claim of a file is believed before the bytes behind it have been seen.
 
 mod adjacency;
+mod crossings;
 mod intersect;
 mod material;
 mod obj;
 mod order;
 mod ply;
+pub mod shapes;
 mod validate;
 
 use std::path::{Path, PathBuf};
@@ -16,12 +18,13 @@ use std::path::{Path, PathBuf};
 use crate::math::{Vec2, Vec3};
 
 pub use adjacency::{Hinge, hinges, unique_edges};
-pub use intersect::{edge_crosses_triangle, first_intersection};
+pub use crossings::{Group, GroupKind, crossings, first_intersection};
+pub use intersect::edge_crosses_triangle;
 pub use material::{flatten_triangle, flatten_triangles};
 pub use obj::parse_obj;
 pub use order::{locality_order, ordering_coordinates};
 pub use ply::parse_ply;
-pub use validate::{MeshFault, validate};
+pub use validate::{MeshFault, check_obstacle, validate};
 
 /// A triangle mesh of cloth in its start state. Counter-clockwise triangles; every vertex is used by a triangle.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -90,6 +93,20 @@ pub enum MaterialSource {
 ///
 /// Does not look for self-intersections: [`first_intersection`] does, once all pieces of a scene are in place.
 pub fn read_mesh(path: &Path, source: MaterialSource) -> Result<FileMesh, MeshReadError> {
+    read_file(path)?.into_mesh(source).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })
+}
+
+/// Reads an obstacle's surface from an OBJ or PLY file: every vertex of it, in its order, also those in no triangle.
+///
+/// Checked are indices, finite coordinates and areas. What only cloth needs is not: edges may have any number of
+/// triangles, wound in any way.
+pub fn read_surface(path: &Path) -> Result<Surface, MeshReadError> {
+    let surface = read_file(path)?;
+    check_obstacle(&surface).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })?;
+    Ok(surface)
+}
+
+fn read_file(path: &Path) -> Result<Surface, MeshReadError> {
     let unreadable = |error: std::io::Error| MeshReadError::Unreadable { path: path.into(), reason: error.to_string() };
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     if extension != "obj" && extension != "ply" {
@@ -102,8 +119,7 @@ pub fn read_mesh(path: &Path, source: MaterialSource) -> Result<FileMesh, MeshRe
     }
     let reader = std::io::BufReader::with_capacity(1 << 16, file);
     let parsed = if extension == "obj" { parse_obj(reader) } else { parse_ply(reader, metadata.len()) };
-    let surface = parsed.map_err(|fault| MeshReadError::Syntax { path: path.into(), fault })?;
-    surface.into_mesh(source).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })
+    parsed.map_err(|fault| MeshReadError::Syntax { path: path.into(), fault })
 }
 
 /// What a mesh file holds, with the file's own vertex numbering.

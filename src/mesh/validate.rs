@@ -4,7 +4,7 @@
 
 use crate::math::Vec3;
 
-use super::{TriangleMesh, material};
+use super::{Surface, TriangleMesh, material};
 
 /// Smallest doubled area over the square of the longest edge: about the height over the length of a needle triangle.
 /// Below it the inverse rest matrix has no correct digit in f32.
@@ -50,8 +50,19 @@ pub fn validate(mesh: &TriangleMesh) -> Result<(), MeshFault> {
     check_material(mesh)
 }
 
+/// What an obstacle's surface must be: finite, indices in range, every triangle with an area.
+pub fn check_obstacle(surface: &Surface) -> Result<(), MeshFault> {
+    check_triangles(&surface.positions, &surface.triangles).map(|_| ())
+}
+
 /// The part of [`validate`] that needs no material coordinates. Returns which vertices are used.
 pub(super) fn check_surface(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<bool>, MeshFault> {
+    let used = check_triangles(positions, triangles)?;
+    check_edges(triangles, positions.len())?;
+    Ok(used)
+}
+
+fn check_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<bool>, MeshFault> {
     if triangles.is_empty() {
         return Err(MeshFault::Empty);
     }
@@ -83,7 +94,6 @@ pub(super) fn check_surface(positions: &[Vec3], triangles: &[[u32; 3]]) -> Resul
     if let Some(t) = triangles.iter().position(is_flat) {
         return Err(MeshFault::ZeroArea(t + 1));
     }
-    check_edges(triangles, positions.len())?;
     Ok(used)
 }
 

@@ -8,7 +8,7 @@ use bytemuck::Pod;
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::math::Vec3;
-use crate::scene::Scene;
+use crate::scene::{Obstacles, Scene};
 
 /// 16 hexadecimal digits over the bits of positions, then velocities, both in the mesh's original vertex order.
 /// `-0.0` and `0.0` differ: equal hashes mean equal bits.
@@ -35,6 +35,12 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     // Debug prints the shortest digits that read back to the same bits, and covers fields added later.
     // The sink never fails, so neither does formatting into it.
     let _ = write!(TextSink(&mut hasher), "{:?} {:?} {:?} {settings:?}", scene.fabrics, scene.pins, scene.motions);
+    let obstacles = Obstacles::new(&scene.obstacles);
+    let (positions, triangles) = obstacles.arrays();
+    update_words(&mut hasher, positions);
+    update_words(&mut hasher, triangles);
+    let frictions: Vec<f64> = scene.cloths.iter().map(|cloth| cloth.friction).collect();
+    let _ = write!(TextSink(&mut hasher), "{:?} {frictions:?}", obstacles.header());
     hasher.digest()
 }
 

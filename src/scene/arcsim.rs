@@ -3,7 +3,9 @@
 //! What has no counterpart here is left out with one sentence each in `Scene::left_out`; a scene is refused only if its
 //! cloth or a handle of it cannot be had. Formats: ARCSim 0.2/0.3 [Narain et al. 2012, 2013].
 
+mod mot_file;
 mod motions;
+mod obstacles;
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +14,8 @@ use crate::mesh::MaterialSource;
 
 use super::json::{Json, parse_json};
 use super::pieces::{Piece, Placement, merge, placed_mesh};
-use super::{Fabric, Motion, Overrides, Pin, Scene, SceneError, Settings, load_fabric, pins};
+use super::start::find_crossings;
+use super::{CONTACT_STIFFNESS, Fabric, Motion, Overrides, Pin, Scene, SceneError, Settings, load_fabric, pins};
 
 /// ARCSim's limit of an endless scene is the user's patience; ours is this many seconds.
 const ENDLESS_S: f64 = 10.0;
@@ -35,20 +38,28 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
         return Err(root.required("cloths")?.error("a scene needs at least one cloth"));
     }
     let mut pieces = cloths.iter().map(|cloth| piece(cloth, &mut left_out)).collect::<Result<Vec<Piece>, _>>()?;
-    let merged =
-        merge(&mut pieces).map_err(|what| root.required("cloths").map_or_else(|e| e, |cloths| cloths.error(what)))?;
+    let mut settings = settings(&root, &mut left_out)?;
+    settings.frames = overrides.frames.unwrap_or(settings.frames);
+    let merged = merge(&mut pieces, settings.friction)
+        .map_err(|what| root.required("cloths").map_or_else(|e| e, |cloths| cloths.error(what)))?;
+    let motion_file = motions::MotionFile::of(&root)?;
+    let obstacles = obstacles::obstacles(&root, &motion_file, &mut left_out)?;
 
     let mut scene_motions = Vec::new();
     let mut held = Vec::new();
     for handle in root.entries("handles")? {
-        held.extend(handle_pins(&root, &handle, &pieces, &mut scene_motions, &mut left_out)?);
+        held.extend(handle_pins(&root, &motion_file, &handle, &pieces, &mut scene_motions, &mut left_out)?);
     }
     let pins = pins::without_conflicts(held).map_err(|vertex| {
         root.error(format!("vertex {vertex} is held by two handles at the same time that move it differently"))
     })?;
-    let mut settings = settings(&root, &mut left_out)?;
-    settings.frames = overrides.frames.unwrap_or(settings.frames);
-    left_out.whole_scene(&root)?;
+    left_out.whole_scene(&root);
+    if settings.collisions {
+        let flat = vec![false; merged.cloths.len()];
+        if let Some(crossings) = find_crossings(path, None, &merged.mesh, &merged.cloths, &flat, &obstacles) {
+            return Err(SceneError::Crossing { path: path.into(), line: None, field: "cloths".into(), crossings });
+        }
+    }
     left_out.lines.extend(pieces.into_iter().filter_map(|piece| piece.left_out));
     Ok(Scene {
         name: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),
@@ -58,6 +69,8 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
         fabric_of_triangle: merged.fabric_of_triangle,
         pins,
         motions: scene_motions,
+        cloths: merged.cloths,
+        obstacles,
         settings,
         left_out: left_out.lines,
     })
@@ -85,18 +98,7 @@ impl LeftOut<'_> {
         }
     }
 
-    fn whole_scene(&mut self, root: &Json) -> Result<(), SceneError> {
-        match root.get("obstacles") {
-            None => {}
-            Some(list) => match list.value.as_array() {
-                Some(list) => {
-                    self.say(format!("obstacles: {} left out, collisions are not part of this release", list.len()))
-                }
-                None => {
-                    self.say(format!("obstacles `{}`: left out, collisions are not part of this release", list.text()?))
-                }
-            },
-        }
+    fn whole_scene(&mut self, root: &Json) {
         self.module("popfilter", "popfilter: left out, the mesh keeps its triangles and nothing pops");
         if root.get("implicit").is_some_and(|value| value.value.as_bool() == Some(false)) {
             self.say("implicit = false: left out, every step is implicit here");
@@ -135,7 +137,6 @@ impl LeftOut<'_> {
                 self.say(format!("{name}: left out, {what}"));
             }
         }
-        Ok(())
     }
 }
 
@@ -200,6 +201,7 @@ fn piece(cloth: &Json, left_out: &mut LeftOut) -> Result<Piece, SceneError> {
         left_out: placed.left_out(&path),
         cloth: placed,
         fabric,
+        friction: None,
         sheet: None,
         first_vertex: 0,
     })
@@ -227,6 +229,7 @@ fn material(json: &Json, left_out: &mut LeftOut) -> Result<Fabric, SceneError> {
 
 fn handle_pins(
     root: &Json,
+    motion_file: &motions::MotionFile,
     handle: &Json,
     pieces: &[Piece],
     scene_motions: &mut Vec<Motion>,
@@ -254,7 +257,7 @@ fn handle_pins(
     let motion = match handle.get("motion") {
         None => None,
         Some(index) => {
-            let motion = motions::handle_motion(root, &index, start_s)?;
+            let motion = motions::handle_motion(root, motion_file, &index, start_s)?;
             if start_s > 0.0 {
                 let name = &handle.name;
                 left_out.say(format!(
@@ -298,6 +301,11 @@ fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError>
     let empty = serde_json::Value::Null;
     let table = |key: &str| root.get(key).unwrap_or_else(|| Json { file: root.file, name: key.into(), value: &empty });
     let (wind, magic) = (table("wind"), table("magic"));
+    let collisions = !left_out.disabled.contains(&"collision");
+    if collisions && left_out.disabled.contains(&"proximity") {
+        left_out
+            .say("disable proximity: left out, contacts push within the thickness wherever they are detected at all");
+    }
     Ok(Settings {
         step_s: frame_s / f64::from(steps_per_frame),
         steps_per_frame,
@@ -310,5 +318,7 @@ fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError>
         max_iterations: 500,
         thickness_m: magic.or("repulsion_thickness", 1e-3, Json::positive)?,
         friction: root.or("friction", 0.6, Json::not_negative)?,
+        collisions,
+        contact_stiffness: CONTACT_STIFFNESS,
     })
 }

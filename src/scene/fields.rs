@@ -10,7 +10,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::math::{DQuat, DVec3};
 
-use super::SceneError;
+use super::{Crossings, SceneError};
 
 /// The text that line numbers refer to.
 pub(super) struct Source<'a> {
@@ -21,8 +21,12 @@ pub(super) struct Source<'a> {
 impl Source<'_> {
     /// The fault at a byte of the text.
     pub fn error(&self, offset: Option<usize>, field: &str, what: impl Into<String>) -> SceneError {
-        let line = offset.map(|at| 1 + self.text.as_bytes().iter().take(at).filter(|&&c| c == b'\n').count());
+        let line = self.line(offset);
         SceneError::Field { path: self.path.into(), line, field: field.into(), what: what.into() }
+    }
+
+    fn line(&self, offset: Option<usize>) -> Option<usize> {
+        offset.map(|at| 1 + self.text.as_bytes().iter().take(at).filter(|&&c| c == b'\n').count())
     }
 }
 
@@ -67,6 +71,13 @@ impl<'a> Fields<'a> {
             Some(value) => value.error(what),
             None => self.source.error(self.offset, &self.name_of(key), what),
         }
+    }
+
+    /// The refusal of a start state that crosses itself, at a field.
+    pub fn crossing_at(&self, key: &str, crossings: Box<Crossings>) -> SceneError {
+        let offset = self.get(key).map(|value| value.value.span().start).or(self.offset);
+        let (path, line) = (self.source.path.into(), self.source.line(offset));
+        SceneError::Crossing { path, line, field: self.name_of(key), crossings }
     }
 
     /// The field, if it is there.
@@ -228,10 +239,24 @@ impl<'a> Value<'a> {
 
     /// A rotation `[degrees, axis x, axis y, axis z]`.
     pub fn rotation(&self) -> Result<DQuat, SceneError> {
+        let (axis, degrees) = self.turn()?;
+        Ok(DQuat::from_axis_angle(axis, degrees.to_radians()))
+    }
+
+    /// A rotation as unit axis and degrees.
+    pub fn turn(&self) -> Result<(DVec3, f64), SceneError> {
         let [degrees, x, y, z] = self.numbers::<4>()?;
         let axis = DVec3::new(x, y, z).try_normalize();
         let axis = axis.ok_or_else(|| self.error("the axis of `[degrees, x, y, z]` must not be zero"))?;
-        Ok(DQuat::from_axis_angle(axis, degrees.to_radians()))
+        Ok((axis, degrees))
+    }
+
+    /// True or false.
+    pub fn boolean(&self) -> Result<bool, SceneError> {
+        match self.value.get_ref() {
+            DeValue::Boolean(value) => Ok(*value),
+            _ => self.expected("true or false"),
+        }
     }
 
     /// A table that has `known` fields only.

@@ -8,8 +8,13 @@ use crate::math::{DQuat, DVec2, DVec3, Vec3};
 use crate::mesh::{FileMesh, MaterialSource, TriangleMesh};
 
 use super::fields::{Fields, Source, Value};
+use super::keyframes::motion;
+use super::obstacle_file::{OBSTACLE_FIELDS, obstacle};
 use super::pieces::{Piece, Placement, merge, placed_mesh};
-use super::{Fabric, Keyframe, Motion, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, pins, sheet_cells};
+use super::start::find_crossings;
+use super::{
+    CONTACT_STIFFNESS, Fabric, Motion, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, pins, sheet_cells,
+};
 
 /// Triangles of all sheets together where neither the scene nor the command line says.
 const DEFAULT_RESOLUTION: u64 = 10_000;
@@ -22,7 +27,7 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
             error.span().map(|span| 1 + text.as_bytes().iter().take(span.start).filter(|&&c| c == b'\n').count());
         SceneError::Syntax { path: path.into(), line, what: error.message().replace('\n', ", ") }
     })?;
-    let known = ["name", "resolution", "simulation", "air", "fabric", "cloth", "pin"];
+    let known = ["name", "resolution", "simulation", "air", "fabric", "cloth", "pin", "obstacle"];
     let root = Fields::root(&source, document.get_ref(), &known)?;
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let name = root.or("name", stem, |value| value.text().map(str::to_owned))?;
@@ -37,7 +42,13 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
     for (i, cloth) in cloths.iter().enumerate() {
         pieces.push(piece(cloth, i, triangles[i], &fabrics, path)?);
     }
-    let merged = merge(&mut pieces).map_err(|what| root.error_at("cloth", what))?;
+    let mut settings = settings(&root)?;
+    settings.frames = overrides.frames.unwrap_or(settings.frames);
+    let merged = merge(&mut pieces, settings.friction).map_err(|what| root.error_at("cloth", what))?;
+    let mut obstacles = Vec::new();
+    for (i, fields) in root.tables("obstacle", &OBSTACLE_FIELDS)?.iter().enumerate() {
+        obstacles.push(obstacle(fields, i, settings.friction, path)?);
+    }
 
     let mut motions = Vec::new();
     let mut held = Vec::new();
@@ -48,8 +59,13 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
         root.error_at("pin", format!("vertex {vertex} is held by two pins at the same time that move it differently"))
     })?;
 
-    let mut settings = settings(&root)?;
-    settings.frames = overrides.frames.unwrap_or(settings.frames);
+    if settings.collisions {
+        let flat: Vec<bool> = pieces.iter().map(|piece| piece.sheet.is_some()).collect();
+        let found = find_crossings(path, overrides.resolution, &merged.mesh, &merged.cloths, &flat, &obstacles);
+        if let Some(crossings) = found {
+            return Err(root.crossing_at("cloth", crossings));
+        }
+    }
     Ok(Scene {
         name,
         mesh: merged.mesh,
@@ -58,6 +74,8 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
         fabric_of_triangle: merged.fabric_of_triangle,
         pins,
         motions,
+        cloths: merged.cloths,
+        obstacles,
         settings,
         left_out: pieces.into_iter().filter_map(|piece| piece.left_out).collect(),
     })
@@ -74,6 +92,8 @@ fn settings(root: &Fields) -> Result<Settings, SceneError> {
         "max_iterations",
         "thickness_m",
         "friction",
+        "collisions",
+        "contact_stiffness",
     ];
     let simulation = root.table("simulation", &known)?;
     let step_s = simulation.or("step_s", 1.0 / 250.0, Value::positive)?;
@@ -112,6 +132,8 @@ fn settings(root: &Fields) -> Result<Settings, SceneError> {
         max_iterations: simulation.or("max_iterations", 500, |value| value.whole(1..=1_000_000))? as u32,
         thickness_m: simulation.or("thickness_m", 0.002, Value::positive)?,
         friction: simulation.or("friction", 0.3, Value::not_negative)?,
+        collisions: simulation.or("collisions", true, Value::boolean)?,
+        contact_stiffness: simulation.or("contact_stiffness", CONTACT_STIFFNESS, Value::positive)?,
     })
 }
 
@@ -141,7 +163,7 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-const CLOTH_FIELDS: [&str; 12] = [
+const CLOTH_FIELDS: [&str; 13] = [
     "name",
     "sheet",
     "mesh",
@@ -154,6 +176,7 @@ const CLOTH_FIELDS: [&str; 12] = [
     "thicken",
     "damping_s",
     "velocity_m_s",
+    "friction",
 ];
 
 /// Triangles of every cloth's sheet (0 where it is a mesh): shares of the resolution, by area unless given.
@@ -254,6 +277,7 @@ fn piece(cloth: &Fields, index: usize, triangles: u64, fabrics: &[Fabric], path:
         cloth: placed,
         left_out,
         fabric,
+        friction: cloth.optional("friction", Value::not_negative)?,
         sheet,
         first_vertex: 0,
     })
@@ -276,7 +300,7 @@ fn named_fabric(value: &Value, fabrics: &[Fabric], path: &Path) -> Result<Fabric
 }
 
 /// The file a scene names: beside the scene, or in the working directory.
-fn find(scene: &Path, name: &str) -> Result<PathBuf, String> {
+pub(super) fn find(scene: &Path, name: &str) -> Result<PathBuf, String> {
     let beside = scene.parent().unwrap_or(Path::new("")).join(name);
     let found = [beside, PathBuf::from(name)].into_iter().find(|path| path.is_file());
     found.ok_or_else(|| format!("no file `{name}` beside the scene or in the working directory"))
@@ -304,9 +328,10 @@ fn pins_of(pin: &Fields, pieces: &[Piece], motions: &mut Vec<Motion>) -> Result<
     if end_s <= start_s {
         return Err(pin.error_at("end_s", format!("must be after start_s = {start_s}")));
     }
-    let keyframes = keyframes(pin)?;
-    let motion = (!keyframes.is_empty()).then_some(motions.len() as u32);
-    motions.extend(motion.map(|_| Motion { keyframes }));
+    let motion = motion(pin)?.map(|motion| {
+        motions.push(motion);
+        motions.len() as u32 - 1
+    });
     Ok(vertices.into_iter().map(|v| Pin { vertex: piece.first_vertex + v, motion, start_s, end_s }).collect())
 }
 
@@ -376,31 +401,4 @@ fn selected(pin: &Fields, piece: &Piece) -> Result<Vec<u32>, SceneError> {
         return Err(value.error(format!("selects no vertex of `{}`", piece.name)));
     }
     Ok(vertices)
-}
-
-fn keyframes(pin: &Fields) -> Result<Vec<Keyframe>, SceneError> {
-    let known = ["time_s", "translate_m", "rotate_deg", "scale", "pivot_m"];
-    let mut keyframes: Vec<Keyframe> = Vec::new();
-    let mut turns: Vec<[f64; 4]> = Vec::new();
-    for fields in pin.tables("motion", &known)? {
-        let still = Keyframe::identity(fields.required("time_s")?.number()?);
-        if keyframes.last().is_some_and(|last| last.time_s >= still.time_s) {
-            return Err(fields.error_at("time_s", "must be later than that of the keyframe before"));
-        }
-        let turn = fields.or("rotate_deg", [0.0, 0.0, 0.0, 1.0], Value::numbers::<4>)?;
-        // Slerp takes the shorter way round, which beyond half a turn is not the way that was meant.
-        if turns.last().is_some_and(|last| (last[0] - turn[0]).abs() >= 180.0) {
-            return Err(fields
-                .error_at("rotate_deg", "turns by 180 degrees or more since the keyframe before; add one between"));
-        }
-        turns.push(turn);
-        keyframes.push(Keyframe {
-            translation_m: fields.or("translate_m", DVec3::ZERO, Value::vector)?,
-            rotation: fields.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?,
-            scale: fields.or("scale", 1.0, Value::not_negative)?,
-            pivot_m: fields.or("pivot_m", DVec3::ZERO, Value::vector)?,
-            ..still
-        });
-    }
-    Ok(keyframes)
 }

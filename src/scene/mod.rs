@@ -5,10 +5,15 @@ mod fabric;
 mod fields;
 mod file;
 mod json;
+mod keyframes;
 mod motion;
+mod obstacle;
+mod obstacle_file;
 mod pieces;
 mod pins;
+mod sequence;
 mod sheet;
+mod start;
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +21,9 @@ use crate::math::Vec3;
 use crate::mesh::{MeshReadError, TriangleMesh};
 
 pub use fabric::{load_fabric, parse_fabric};
+pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};
 pub use sheet::{Sheet, sheet_cells};
+pub use start::Crossings;
 
 /// What the command line changes in a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -29,6 +36,9 @@ pub struct Overrides {
 
 /// Resolutions that a sheet can be made in, triangles.
 pub const RESOLUTIONS: std::ops::RangeInclusive<u64> = 2..=20_000_000;
+
+/// Stiffness of contacts where a scene does not say.
+const CONTACT_STIFFNESS: f64 = 8.0;
 
 /// Longest scene text that is read; a scene is written by hand.
 const LONGEST_TEXT_BYTES: u64 = 16 << 20;
@@ -45,6 +55,9 @@ pub enum SceneError {
     /// A field has a value it must not have.
     #[error("{}{}: field `{field}`: {what}", path.display(), line_suffix(*line))]
     Field { path: PathBuf, line: Option<usize>, field: String, what: String },
+    /// The start state crosses itself or an obstacle.
+    #[error("{}{}: field `{field}`: {crossings}", path.display(), line_suffix(*line))]
+    Crossing { path: PathBuf, line: Option<usize>, field: String, crossings: Box<Crossings> },
     /// A mesh that the scene names is refused.
     #[error(transparent)]
     Mesh(#[from] MeshReadError),
@@ -106,8 +119,12 @@ pub struct Scene {
     pub fabric_of_triangle: Vec<u16>,
     /// Pinned vertices.
     pub pins: Vec<Pin>,
-    /// Rigid motions that pins (and obstacles) follow.
+    /// Rigid motions that pins follow.
     pub motions: Vec<Motion>,
+    /// The pieces of cloth, ascending by vertices and triangles; empty = one piece with the settings' friction.
+    pub cloths: Vec<Cloth>,
+    /// Obstacles; [`Obstacles::new`] makes one numbered surface of them.
+    pub obstacles: Vec<Obstacle>,
     /// Numbers of the run.
     pub settings: Settings,
     /// One sentence for every feature of an imported scene that is left out.
@@ -130,6 +147,28 @@ pub struct Fabric {
     pub damping_s: f64,
 }
 
+/// A piece of cloth: its place in the scene's mesh and what contacts need to know of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cloth {
+    /// Shown in messages.
+    pub name: String,
+    /// Its vertices.
+    pub vertices: std::ops::Range<u32>,
+    /// Its triangles.
+    pub triangles: std::ops::Range<u32>,
+    /// Coulomb friction coefficient of its contacts with cloth.
+    pub friction: f64,
+}
+
+impl Scene {
+    /// Friction coefficient of the cloth at a vertex. A contact of two cloths has the geometric mean of theirs, one with
+    /// an obstacle the obstacle's alone.
+    pub fn friction_of_vertex(&self, vertex: u32) -> f64 {
+        let after = self.cloths.partition_point(|cloth| cloth.vertices.end <= vertex);
+        self.cloths.get(after).map_or(self.settings.friction, |cloth| cloth.friction)
+    }
+}
+
 /// A vertex whose position is prescribed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pin {
@@ -143,7 +182,7 @@ pub struct Pin {
     pub end_s: f64,
 }
 
-/// A rigid (or scaling) motion by keyframes, linear between them (rotation: slerp), constant outside;
+/// A rigid (or scaling) motion by keyframes, linear between them (rotation: by angle, or slerp), constant outside;
 /// [`Motion::transform_at`] evaluates it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Motion {
@@ -157,6 +196,8 @@ pub struct Keyframe {
     pub time_s: f64,
     pub translation_m: crate::math::DVec3,
     pub rotation: crate::math::DQuat,
+    /// The rotation as unit axis and angle in radians, where it was given so: the angle may be more than a turn.
+    pub turn: Option<(crate::math::DVec3, f64)>,
     pub scale: f64,
     pub pivot_m: crate::math::DVec3,
 }
@@ -184,6 +225,10 @@ pub struct Settings {
     pub max_iterations: u32,
     /// Thickness of the cloth for contacts, metres.
     pub thickness_m: f64,
-    /// Coulomb friction coefficient of contacts.
+    /// Coulomb friction coefficient of contacts for everything that has none of its own.
     pub friction: f64,
+    /// Whether contacts are detected and answered at all.
+    pub collisions: bool,
+    /// Stiffness of contacts: multiplies (effective mass of the pair) / step_s^2.
+    pub contact_stiffness: f64,
 }

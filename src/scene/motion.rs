@@ -7,7 +7,37 @@ use super::{Keyframe, Motion};
 impl Keyframe {
     /// The keyframe that moves nothing.
     pub fn identity(time_s: f64) -> Keyframe {
-        Keyframe { time_s, translation_m: DVec3::ZERO, rotation: DQuat::IDENTITY, scale: 1.0, pivot_m: DVec3::ZERO }
+        Keyframe {
+            time_s,
+            translation_m: DVec3::ZERO,
+            rotation: DQuat::IDENTITY,
+            turn: None,
+            scale: 1.0,
+            pivot_m: DVec3::ZERO,
+        }
+    }
+
+    /// The keyframe turned by an angle of any size about a unit axis.
+    pub fn turned(self, axis: DVec3, angle_rad: f64) -> Keyframe {
+        Keyframe { rotation: DQuat::from_axis_angle(axis, angle_rad), turn: Some((axis, angle_rad)), ..self }
+    }
+
+    /// Its angle about an axis, if its rotation is one about this axis (or none at all).
+    fn angle_about(&self, axis: DVec3) -> Option<f64> {
+        match self.turn {
+            Some((own, angle)) => (own == axis).then_some(angle),
+            None => (self.rotation == DQuat::IDENTITY).then_some(0.0),
+        }
+    }
+
+    /// The rotation a share `s` of the way to `next`.
+    fn rotation_towards(&self, next: &Keyframe, s: f64) -> DQuat {
+        if let Some((axis, _)) = self.turn.or(next.turn)
+            && let (Some(from), Some(to)) = (self.angle_about(axis), next.angle_about(axis))
+        {
+            return DQuat::from_axis_angle(axis, from + s * (to - from));
+        }
+        self.rotation.slerp(next.rotation, s)
     }
 
     /// x -> pivot + rotation * (scale * (x - pivot)) + translation.
@@ -18,8 +48,9 @@ impl Keyframe {
 }
 
 impl Motion {
-    /// The transform at a time: translation, scale and pivot linear between the keyframes, rotation by slerp (the shorter
-    /// way round), constant before the first and after the last. No keyframes = no motion.
+    /// The transform at a time: translation, scale and pivot linear between the keyframes; rotation by angle where two
+    /// keyframes turn about one axis, so through any number of turns, else by slerp (the shorter way round); constant
+    /// before the first and after the last. No keyframes = no motion.
     pub fn transform_at(&self, time_s: f64) -> DAffine3 {
         let after = self.keyframes.partition_point(|key| key.time_s <= time_s);
         let (Some(a), Some(b)) = (self.keyframes.get(after.saturating_sub(1)), self.keyframes.get(after)) else {
@@ -32,7 +63,8 @@ impl Motion {
         Keyframe {
             time_s,
             translation_m: a.translation_m.lerp(b.translation_m, s),
-            rotation: a.rotation.slerp(b.rotation, s),
+            rotation: a.rotation_towards(b, s),
+            turn: None,
             scale: a.scale + s * (b.scale - a.scale),
             pivot_m: a.pivot_m.lerp(b.pivot_m, s),
         }
@@ -57,6 +89,27 @@ mod tests {
             assert_eq!(motion.apply(time_s, Vec3::ONE), Vec3::new(1.0 + x, 1.0, 1.0), "at {time_s} s");
         }
         assert_eq!(Motion { keyframes: vec![] }.apply(3.0, Vec3::ONE), Vec3::ONE);
+    }
+
+    #[test]
+    fn turns_about_one_axis_go_by_angle() {
+        let full = std::f64::consts::TAU;
+        let still = Keyframe::identity;
+        // 2.5 turns, then 1 back; the first keyframe has no rotation at all.
+        let keyframes =
+            vec![still(0.0), still(10.0).turned(DVec3::Y, 2.5 * full), still(14.0).turned(DVec3::Y, 1.5 * full)];
+        let motion = Motion { keyframes };
+        for (time_s, turns) in
+            [(0.0, 0.0), (1.0, 0.25), (3.0, 0.75), (8.0, 2.0), (10.0, 2.5), (13.0, 1.75), (99.0, 1.5)]
+        {
+            let (sin, cos) = (turns * full).sin_cos();
+            let expected = Vec3::new(cos as f32, 0.0, -sin as f32);
+            assert!(motion.apply(time_s, Vec3::X).distance(expected) < 1e-6, "at {time_s} s");
+        }
+        // Another axis: the shorter way.
+        let other = Motion { keyframes: vec![still(0.0).turned(DVec3::Y, 0.1), still(1.0).turned(DVec3::X, 0.1)] };
+        let slerp = DQuat::from_rotation_y(0.1).slerp(DQuat::from_rotation_x(0.1), 0.5);
+        assert!(other.apply(0.5, Vec3::Z).distance((slerp * DVec3::Z).as_vec3()) < 1e-6);
     }
 
     #[test]

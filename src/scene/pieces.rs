@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use crate::math::{DQuat, DVec3, Vec3};
-use crate::mesh::{FileMesh, MaterialSource, TriangleMesh, first_intersection, read_mesh, validate};
+use crate::mesh::{FileMesh, MaterialSource, TriangleMesh, read_mesh, validate};
 
-use super::{Fabric, SceneError, Sheet};
+use super::{Cloth, Fabric, SceneError, Sheet};
 
 /// One piece of cloth in its start state.
 pub(super) struct Piece {
@@ -17,6 +17,8 @@ pub(super) struct Piece {
     pub left_out: Option<String>,
     pub velocities: Vec<Vec3>,
     pub fabric: Fabric,
+    /// Friction coefficient of its own, if it has one.
+    pub friction: Option<f64>,
     /// Present if the piece is a generated sheet.
     pub sheet: Option<Sheet>,
     /// First vertex in the scene.
@@ -34,11 +36,16 @@ pub(super) struct Placement {
 impl Placement {
     /// Moves a mesh to its place.
     pub fn place(&self, mesh: &mut TriangleMesh) {
-        for p in &mut mesh.positions {
-            *p = (self.rotation * (p.as_dvec3() * self.scale) + self.translation_m).as_vec3();
-        }
+        self.move_points(&mut mesh.positions);
         if self.scale != 1.0 {
             mesh.material_uv.iter_mut().flatten().for_each(|uv| *uv *= self.scale as f32);
+        }
+    }
+
+    /// Moves points to their place.
+    pub fn move_points(&self, points: &mut [Vec3]) {
+        for p in points {
+            *p = (self.rotation * (p.as_dvec3() * self.scale) + self.translation_m).as_vec3();
         }
     }
 }
@@ -59,17 +66,18 @@ pub(super) struct Merged {
     pub velocities: Vec<Vec3>,
     pub fabrics: Vec<Fabric>,
     pub fabric_of_triangle: Vec<u16>,
+    pub cloths: Vec<Cloth>,
 }
 
-/// Merges pieces in their order; `Err` is the reason as half a sentence.
-pub(super) fn merge(pieces: &mut [Piece]) -> Result<Merged, String> {
+/// Merges pieces in their order; `Err` is the reason as half a sentence. `friction` = that of pieces without one of their own.
+pub(super) fn merge(pieces: &mut [Piece], friction: f64) -> Result<Merged, String> {
     let mut merged = Merged {
         mesh: TriangleMesh::default(),
         velocities: Vec::new(),
         fabrics: Vec::new(),
         fabric_of_triangle: Vec::new(),
+        cloths: Vec::new(),
     };
-    let mut first_triangles = Vec::new();
     for piece in pieces.iter_mut() {
         let first = merged.mesh.positions.len();
         if first + piece.cloth.mesh.positions.len() > i32::MAX as usize {
@@ -82,21 +90,18 @@ pub(super) fn merge(pieces: &mut [Piece]) -> Result<Merged, String> {
         }
         let fabric = u16::try_from(fabric).map_err(|_| "there are more than 65536 different fabrics".to_owned())?;
         piece.first_vertex = first as u32;
-        first_triangles.push(merged.mesh.triangles.len());
+        let first_triangle = merged.mesh.triangles.len() as u32;
         merged.mesh.positions.extend(&piece.cloth.mesh.positions);
         merged.mesh.material_uv.extend(&piece.cloth.mesh.material_uv);
         merged.mesh.triangles.extend(piece.cloth.mesh.triangles.iter().map(|t| t.map(|v| v + first as u32)));
         merged.velocities.extend(&piece.velocities);
         merged.fabric_of_triangle.resize(merged.mesh.triangles.len(), fabric);
-    }
-    // A sheet alone is flat and cannot meet itself.
-    let flat = pieces.len() == 1 && pieces[0].sheet.is_some();
-    if let Some(pair) = (!flat).then(|| first_intersection(&merged.mesh)).flatten() {
-        let [one, other] = pair.map(|t| {
-            let piece = first_triangles.partition_point(|&first| first <= t as usize) - 1;
-            format!("triangle {} of `{}`", t as usize - first_triangles[piece] + 1, pieces[piece].name)
+        merged.cloths.push(Cloth {
+            name: piece.name.clone(),
+            vertices: first as u32..merged.mesh.positions.len() as u32,
+            triangles: first_triangle..merged.mesh.triangles.len() as u32,
+            friction: piece.friction.unwrap_or(friction),
         });
-        return Err(format!("{one} and {other} cross or touch at the start; move them apart"));
     }
     Ok(merged)
 }

@@ -60,6 +60,8 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
         fabrics: vec![fabric],
         pins: pinned.iter().map(|&vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY }).collect(),
         motions: Vec::new(),
+        cloths: Vec::new(),
+        obstacles: Vec::new(),
         settings: Settings {
             step_s,
             steps_per_frame: 1,
@@ -72,6 +74,8 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
             max_iterations: 500,
             thickness_m: 1e-3,
             friction: 0.0,
+            collisions: false,
+            contact_stiffness: 8.0,
         },
         left_out: Vec::new(),
     }

@@ -3,7 +3,9 @@
 use crate::math::{DQuat, DVec3};
 
 use super::super::json::Json;
+use super::super::pieces::Placement;
 use super::super::{Keyframe, Motion, SceneError};
+use super::mot_file;
 
 /// Linear pieces per spline segment: a cubic is off by less than 1/500 of its bulge.
 const PIECES: u32 = 16;
@@ -35,22 +37,75 @@ struct Key {
     velocity: Option<Blend>,
 }
 
-/// The motion of a handle that takes hold at `start_s`: relative to where the motion is then.
-pub(super) fn handle_motion(root: &Json, index: &Json, start_s: f64) -> Result<Motion, SceneError> {
-    let number = index.whole(0)? as usize;
-    let motions = root.get("motions").ok_or_else(|| index.error("the scene has no `motions`"))?;
-    if let Some(file) = motions.get("motfile") {
-        let name = file.text()?;
-        return Err(index.error(format!(
-            "its motion is in the file `{name}`; motion files are not read, keyframes in `motions` are"
-        )));
+/// `motions: {motfile, fps, transform}`: the motions of a file in place of a list.
+pub(super) struct MotionFile<'a> {
+    /// Its name and what it holds; nothing if the scene has a list of motions, or none.
+    file: Option<(&'a str, Result<Vec<Motion>, String>)>,
+}
+
+impl<'a> MotionFile<'a> {
+    /// Reads the file if the scene names one. A file that is missing or broken is a fault only where a motion is used.
+    pub fn of(root: &Json<'a>) -> Result<MotionFile<'a>, SceneError> {
+        let Some(motions) = root.get("motions").filter(|motions| motions.get("motfile").is_some()) else {
+            return Ok(MotionFile { file: None });
+        };
+        let name = motions.required("motfile")?;
+        let frames_per_s = motions.required("fps")?.positive()?;
+        let overall = motions.or("transform", super::UNMOVED, super::placement)?;
+        let read = match super::find(&name) {
+            Ok(path) => match std::fs::read_to_string(&path) {
+                Ok(text) => {
+                    mot_file::parse(&text).map_err(|what| format!("its motion is in {}: {what}", path.display()))
+                }
+                Err(error) => Err(format!("its motion is in {}: {error}", path.display())),
+            },
+            Err(_) => Err(format!(
+                "its motion is in `{}`, which is neither beside the scene, in the folder above nor in the working directory",
+                name.text()?
+            )),
+        };
+        let motions = read.map(|bodies| bodies.iter().map(|body| body_motion(body, frames_per_s, &overall)).collect());
+        Ok(MotionFile { file: Some((name.text()?, motions)) })
     }
-    let list = motions.array()?;
+}
+
+/// The overall transform after each of the frames, as a spline through them.
+fn body_motion(frames: &[mot_file::BodyFrame], frames_per_s: f64, overall: &Placement) -> Motion {
+    let mut keys: Vec<Key> = Vec::with_capacity(frames.len());
+    for (i, frame) in frames.iter().enumerate() {
+        let mut rotation = overall.rotation * frame.orientation;
+        if keys.last().is_some_and(|last| last.value.rotation.dot(rotation) < 0.0) {
+            rotation = -rotation;
+        }
+        let translation = overall.translation_m + overall.rotation * (overall.scale * frame.position);
+        let value = Blend { translation, rotation, scale: overall.scale };
+        keys.push(Key { time_s: i as f64 / frames_per_s, value, velocity: None });
+    }
+    sample(&keys)
+}
+
+/// The motion that `index` names, in the world: of an obstacle.
+pub(super) fn world_motion(root: &Json, file: &MotionFile, index: &Json) -> Result<Motion, SceneError> {
+    motion_number(root, file, index.whole(0)? as usize, index)
+}
+
+/// The motion with a number; `at` is what a refusal names.
+pub(super) fn motion_number(root: &Json, file: &MotionFile, number: usize, at: &Json) -> Result<Motion, SceneError> {
+    if let Some((name, motions)) = &file.file {
+        let motions = motions.as_ref().map_err(|what| at.error(what))?;
+        let missing = || at.error(format!("there is no motion {number}; `{name}` has {}", motions.len()));
+        return motions.get(number).cloned().ok_or_else(missing);
+    }
+    let list = root.get("motions").ok_or_else(|| at.error("the scene has no `motions`"))?.array()?;
     let motion = list
         .get(number)
-        .ok_or_else(|| index.error(format!("there is no motion {number}; the scene has {}", list.len())))?;
-    let sampled = sample(&keys(motion)?);
-    let relative = relative_to(&sampled, start_s);
+        .ok_or_else(|| at.error(format!("there is no motion {number}; the scene has {}", list.len())))?;
+    Ok(sample(&keys(motion)?))
+}
+
+/// The motion of a handle that takes hold at `start_s`: relative to where the motion is then.
+pub(super) fn handle_motion(root: &Json, file: &MotionFile, index: &Json, start_s: f64) -> Result<Motion, SceneError> {
+    let relative = relative_to(&world_motion(root, file, index)?, start_s);
     relative.ok_or_else(|| index.error(format!("the motion has scale 0 at {start_s} s, when the handle takes hold")))
 }
 
@@ -155,7 +210,8 @@ mod tests {
     fn motion(text: &str, start_s: f64) -> Result<Motion, String> {
         let value = super::super::parse_json(text, Path::new("m.json")).unwrap();
         let root = Json::root(Path::new("m.json"), &value);
-        handle_motion(&root, &root.required("use").unwrap(), start_s).map_err(|error| error.to_string())
+        let file = MotionFile::of(&root).map_err(|error| error.to_string())?;
+        handle_motion(&root, &file, &root.required("use").unwrap(), start_s).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -181,8 +237,14 @@ mod tests {
         assert_eq!(fault("{use: 1}"), "m.json: field `use`: the scene has no `motions`");
         assert_eq!(fault("{use: 1, motions: [[]]}"), "m.json: field `use`: there is no motion 1; the scene has 1");
         assert_eq!(
-            fault("{use: 0, motions: {motfile: 'a.mot'}}"),
-            "m.json: field `use`: its motion is in the file `a.mot`; motion files are not read, keyframes in `motions` are"
+            fault("{use: 0, motions: {motfile: 'a.mot', fps: 1}}"),
+            "m.json: field `use`: its motion is in `a.mot`, which is neither beside the scene, in the folder above nor in the \
+             working directory"
+        );
+        assert_eq!(fault("{use: 0, motions: {motfile: 'a.mot'}}"), "m.json: field `motions.fps`: is missing");
+        assert_eq!(
+            fault("{use: 0, motions: {motfile: 'a.mot', fps: 0}}"),
+            "m.json: field `motions.fps`: must be a number above 0"
         );
         assert_eq!(
             fault("{use: 0, motions: [[{time: 1}, {time: 1}]]}"),

@@ -1,0 +1,346 @@
+//! Start-state check: which pairs of triangles of a scene cross or touch? Exact for the f32 coordinates it is given.
+//!
+//! Looks at the geometry only: two layers closer than the thickness of the cloth are not its business, and triangles
+//! folded flat onto each other along a shared edge are not found.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::math::Vec3;
+
+use super::intersect::{edge_crosses_triangle, edge_meets_face};
+use super::{TriangleMesh, locality_order};
+
+/// Triangles of a leaf of a tree.
+const LEAF: usize = 4;
+/// Times the work is split before it is given to threads.
+const ROUNDS: usize = 8;
+/// Pairs that are listed; two sheets laid onto each other would have millions.
+const MOST_PAIRS: usize = 10_000;
+
+/// Triangles that belong together, and what they need not be tested against.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Group {
+    /// Its triangles, a range of the whole list.
+    pub triangles: Range<usize>,
+    /// What it is.
+    pub kind: GroupKind,
+}
+
+/// What a group of triangles is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GroupKind {
+    /// Cloth of any shape.
+    Cloth,
+    /// A plane sheet, which cannot meet itself.
+    FlatCloth,
+    /// An obstacle: may meet itself and other obstacles.
+    Obstacle,
+}
+
+/// The pairs of triangles that share a point, each ascending, all in ascending order; at most 10,000 of them.
+///
+/// Cloth triangles that share a vertex there, be it by number or by place (an unwelded seam), do not count. Touching an
+/// obstacle always counts.
+pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -> Vec<[u32; 2]> {
+    let search = Search { positions, triangles };
+    let boxes: Vec<Bounds> = groups.iter().map(|group| search.bounds(group.triangles.clone())).collect();
+    let mut found = Vec::new();
+    for (i, one) in groups.iter().enumerate() {
+        if one.kind == GroupKind::Cloth {
+            let tree = search.tree(one.triangles.clone().map(|t| t as u32).collect());
+            found.extend(search.pairs(&tree, &tree, false));
+        }
+        for (j, other) in groups.iter().enumerate().skip(i + 1) {
+            if one.kind == GroupKind::Obstacle && other.kind == GroupKind::Obstacle {
+                continue;
+            }
+            // Most pairs of layers are apart as wholes, and of the others only the part that they share is looked at.
+            let shared = boxes[i].shared(&boxes[j]);
+            let parts = [one, other].map(|group| search.inside(group.triangles.clone(), &shared));
+            if parts.iter().all(|part| !part.is_empty()) {
+                let touching = one.kind == GroupKind::Obstacle || other.kind == GroupKind::Obstacle;
+                let [one, other] = parts.map(|part| search.tree(part));
+                found.extend(search.pairs(&one, &other, touching));
+            }
+        }
+    }
+    found.sort_unstable();
+    found.truncate(MOST_PAIRS);
+    found
+}
+
+/// The first pair of triangles that share a point without sharing the vertex there, of a mesh alone.
+pub fn first_intersection(mesh: &TriangleMesh) -> Option<[u32; 2]> {
+    let whole = Group { triangles: 0..mesh.triangles.len(), kind: GroupKind::Cloth };
+    crossings(&mesh.positions, &mesh.triangles, &[whole]).first().copied()
+}
+
+#[derive(Clone, Copy)]
+struct Bounds {
+    low: Vec3,
+    high: Vec3,
+}
+
+impl Bounds {
+    const NOTHING: Bounds = Bounds { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
+
+    fn of(points: impl IntoIterator<Item = Vec3>) -> Bounds {
+        points
+            .into_iter()
+            .fold(Bounds::NOTHING, |bounds, p| Bounds { low: bounds.low.min(p), high: bounds.high.max(p) })
+    }
+
+    fn with(&self, other: &Bounds) -> Bounds {
+        Bounds { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    fn shared(&self, other: &Bounds) -> Bounds {
+        Bounds { low: self.low.max(other.low), high: self.high.min(other.high) }
+    }
+
+    fn overlaps(&self, other: &Bounds) -> bool {
+        self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
+    }
+}
+
+/// A binary tree over triangles in locality order.
+struct Tree {
+    order: Vec<u32>,
+    /// Box of every triangle of `order`.
+    boxes: Vec<Bounds>,
+    nodes: Vec<Node>,
+}
+
+/// A node over `order[start..start + len]`; the root is the last.
+struct Node {
+    bounds: Bounds,
+    start: usize,
+    len: usize,
+    children: Option<[usize; 2]>,
+}
+
+struct Search<'a> {
+    positions: &'a [Vec3],
+    triangles: &'a [[u32; 3]],
+}
+
+impl Search<'_> {
+    fn corners(&self, t: u32) -> [Vec3; 3] {
+        self.triangles[t as usize].map(|v| self.positions[v as usize])
+    }
+
+    fn bounds(&self, triangles: Range<usize>) -> Bounds {
+        triangles.fold(Bounds::NOTHING, |bounds, t| bounds.with(&Bounds::of(self.corners(t as u32))))
+    }
+
+    fn inside(&self, triangles: Range<usize>, bounds: &Bounds) -> Vec<u32> {
+        if !bounds.overlaps(bounds) {
+            return Vec::new();
+        }
+        triangles.map(|t| t as u32).filter(|&t| Bounds::of(self.corners(t)).overlaps(bounds)).collect()
+    }
+
+    fn tree(&self, triangles: Vec<u32>) -> Tree {
+        let centres: Vec<Vec3> = triangles.iter().map(|&t| self.corners(t).iter().sum::<Vec3>() / 3.0).collect();
+        let order: Vec<u32> = locality_order(&centres).into_iter().map(|i| triangles[i as usize]).collect();
+        let boxes: Vec<Bounds> = order.iter().map(|&t| Bounds::of(self.corners(t))).collect();
+        let mut nodes = Vec::with_capacity(order.len());
+        build(&boxes, 0, &mut nodes);
+        Tree { order, boxes, nodes }
+    }
+
+    /// Pairs of one triangle of each tree, or of two of one tree, which is then given twice.
+    fn pairs(&self, one: &Tree, other: &Tree, touching: bool) -> Vec<[u32; 2]> {
+        // Split a few times, then every part on its own: what is found does not depend on who finds it.
+        let mut parts = vec![(one.nodes.len() - 1, other.nodes.len() - 1)];
+        for _ in 0..ROUNDS {
+            let split = |pair| split(one, other, pair).unwrap_or([Some(pair), None, None]).into_iter().flatten();
+            parts = parts.into_iter().flat_map(split).collect();
+        }
+        let found = parts.into_par_iter().map(|part| {
+            let (mut found, mut open) = (Vec::new(), vec![part]);
+            while let Some(pair) = open.pop().filter(|_| found.len() < MOST_PAIRS) {
+                match split(one, other, pair) {
+                    Some(parts) => open.extend(parts.into_iter().flatten()),
+                    None => self.leaves(one, other, pair, touching, &mut found),
+                }
+            }
+            found
+        });
+        found.collect::<Vec<_>>().concat()
+    }
+
+    /// Tests the triangles of two leaves.
+    fn leaves(&self, one: &Tree, other: &Tree, (a, b): (usize, usize), touching: bool, found: &mut Vec<[u32; 2]>) {
+        let (left, right) = (&one.nodes[a], &other.nodes[b]);
+        let itself = std::ptr::eq(left, right);
+        for s in left.start..left.start + left.len {
+            for t in if itself { s + 1 } else { right.start }..right.start + right.len {
+                if one.boxes[s].overlaps(&other.boxes[t]) {
+                    self.test(one.order[s], other.order[t], touching, found);
+                }
+            }
+        }
+    }
+
+    fn test(&self, s: u32, t: u32, touching: bool, found: &mut Vec<[u32; 2]>) {
+        let pair = [s.min(t), s.max(t)];
+        let [a, b] = pair.map(|t| self.corners(t));
+        if if touching { triangles_touch(a, b) } else { triangles_meet(a, b) } {
+            found.push(pair);
+        }
+    }
+}
+
+/// The pairs of nodes that a pair falls into: none where the boxes are apart, and `None` for two leaves.
+fn split(one: &Tree, other: &Tree, (a, b): (usize, usize)) -> Option<[Option<(usize, usize)>; 3]> {
+    let (left, right) = (&one.nodes[a], &other.nodes[b]);
+    if !left.bounds.overlaps(&right.bounds) {
+        return Some([None; 3]);
+    }
+    match (left.children, right.children) {
+        (None, None) => None,
+        (Some([l, r]), _) if std::ptr::eq(left, right) => Some([Some((l, l)), Some((r, r)), Some((l, r))]),
+        (Some([l, r]), _) if right.children.is_none() || left.len >= right.len => {
+            Some([Some((l, b)), Some((r, b)), None])
+        }
+        (_, Some([l, r])) => Some([Some((a, l)), Some((a, r)), None]),
+        (Some([l, r]), None) => Some([Some((l, b)), Some((r, b)), None]),
+    }
+}
+
+/// Builds the tree over a range of boxes; returns its node. Depth is log2 of the number of triangles.
+fn build(boxes: &[Bounds], start: usize, nodes: &mut Vec<Node>) -> usize {
+    let len = boxes.len();
+    let (bounds, children) = if len <= LEAF {
+        (boxes.iter().fold(Bounds::NOTHING, |all, one| all.with(one)), None)
+    } else {
+        let pair = [build(&boxes[..len / 2], start, nodes), build(&boxes[len / 2..], start + len / 2, nodes)];
+        (nodes[pair[0]].bounds.with(&nodes[pair[1]].bounds), Some(pair))
+    };
+    nodes.push(Node { bounds, start, len, children });
+    nodes.len() - 1
+}
+
+/// Do the closed triangles share a point where they do not share a corner?
+fn triangles_meet(a: [Vec3; 3], b: [Vec3; 3]) -> bool {
+    let shared = a.iter().filter(|corner| b.contains(corner)).count();
+    // With two shared corners every edge of one begins at a corner of the other.
+    if shared >= 2 || on_one_side(a, b) || on_one_side(b, a) {
+        return false;
+    }
+    let meets = |edges: [Vec3; 3], face: [Vec3; 3]| (0..3).any(|i| edge_meets_face(edges[i], edges[(i + 1) % 3], face));
+    meets(a, b) || meets(b, a)
+}
+
+/// Do the closed triangles share a point?
+fn triangles_touch(a: [Vec3; 3], b: [Vec3; 3]) -> bool {
+    let meets = |edges: [Vec3; 3], [a, b, c]: [Vec3; 3]| {
+        (0..3).any(|i| edge_crosses_triangle(edges[i], edges[(i + 1) % 3], a, b, c))
+    };
+    meets(a, b) || meets(b, a)
+}
+
+/// Do all corners of `other` but those shared lie on one side of the plane of `face`, by more than rounding? Then the
+/// triangles have at most the shared corners in common.
+fn on_one_side(face: [Vec3; 3], other: [Vec3; 3]) -> bool {
+    /// Generous against a few dozen roundings, each of relative size 2^-53.
+    const ROUNDING: f64 = 1e-14;
+    let origin = face[0].as_dvec3();
+    let [u, v] = [face[1].as_dvec3() - origin, face[2].as_dvec3() - origin];
+    let normal = u.cross(v);
+    let (mut above, mut below) = (true, true);
+    for corner in other {
+        if !face.contains(&corner) {
+            let offset = corner.as_dvec3() - origin;
+            let margin = ROUNDING * u.length() * v.length() * offset.length();
+            let side = normal.dot(offset);
+            above &= side > margin;
+            below &= side < -margin;
+        }
+    }
+    above || below
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FLOOR: [Vec3; 3] = [Vec3::ZERO, Vec3::new(4.0, 0.0, 0.0), Vec3::new(0.0, 4.0, 0.0)];
+
+    fn meets(other: [[f32; 3]; 3]) -> bool {
+        let other = other.map(Vec3::from);
+        assert_eq!(triangles_meet(FLOOR, other), triangles_meet(other, FLOOR));
+        triangles_meet(FLOOR, other)
+    }
+
+    #[test]
+    fn piercing_touching_and_missing() {
+        assert!(meets([[1., 1., -1.], [1., 1., 1.], [9., 9., 0.5]]), "an edge through the inside");
+        assert!(meets([[2., 2., -1.], [2., 2., 1.], [9., 9., 0.5]]), "an edge through an edge");
+        assert!(meets([[1., 1., 0.], [1., 2., 1.], [2., 1., 1.]]), "a corner on the inside");
+        assert!(!meets([[1., 1., 1e-30], [1., 2., 1.], [2., 1., 1.]]), "a corner just above");
+        assert!(!meets([[3., 3., -1.], [3., 3., 1.], [9., 9., 0.5]]), "beside");
+        assert!(!meets([[0., 0., 0.], [1., -1., 1.], [1., -2., 1.]]), "the same corner");
+        assert!(meets([[0., 0., 0.], [1., 1., 1.], [1., 1., -1.]]), "the same corner, but through");
+    }
+
+    #[test]
+    fn coplanar_triangles() {
+        assert!(meets([[1., 1., 0.], [1., 9., 0.], [9., 1., 0.]]), "overlapping");
+        assert!(meets([[1., 1., 0.], [1., 2., 0.], [2., 1., 0.]]), "inside");
+        assert!(meets([[-9., -9., 0.], [30., -9., 0.], [-9., 30., 0.]]), "around");
+        assert!(!meets([[4., 0., 0.], [4., 4., 0.], [0., 4., 0.]]), "sharing an unwelded edge");
+        assert!(!meets([[5., 5., 0.], [5., 6., 0.], [6., 5., 0.]]), "beside");
+    }
+
+    #[test]
+    fn a_shared_corner_excuses_cloth_but_no_obstacle() {
+        let other = [[0., 0., 0.], [1., -1., 1.], [1., -2., 1.]].map(Vec3::from);
+        assert!(!triangles_meet(FLOOR, other) && triangles_touch(FLOOR, other));
+        let above = other.map(|p| p + Vec3::Z * 1e-6);
+        assert!(!triangles_touch(FLOOR, above) && !triangles_touch(above, FLOOR));
+    }
+
+    /// Two sheets of 7 x 7 cells; the second stands upright in or below the first.
+    fn sheets(lift: f32) -> TriangleMesh {
+        let mut mesh = TriangleMesh::default();
+        for sheet in 0..2 {
+            let start = mesh.positions.len() as u32;
+            for (x, y) in (0..8).flat_map(|y| (0..8).map(move |x| (x as f32, y as f32))) {
+                mesh.positions.push(if sheet == 0 { Vec3::new(x, y, 0.0) } else { Vec3::new(x + 0.1, 3.4, y + lift) });
+            }
+            for (x, y) in (0..7).flat_map(|y| (0..7).map(move |x| (x, y))) {
+                let v = start + y * 8 + x;
+                mesh.triangles.extend([[v, v + 1, v + 9], [v, v + 9, v + 8]]);
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn all_groupings_find_what_brute_force_finds() {
+        for lift in [-3.3, 0.5, -7.0] {
+            let mesh = sheets(lift);
+            let corners = |t: usize| mesh.triangles[t].map(|v| mesh.positions[v as usize]);
+            let mut expected = Vec::new();
+            for s in 0..98 {
+                expected.extend(
+                    (98..196).filter(|&t| triangles_touch(corners(s), corners(t))).map(|t| [s as u32, t as u32]),
+                );
+            }
+            assert_eq!(expected.is_empty(), lift == 0.5);
+            assert_eq!(first_intersection(&mesh), expected.first().copied());
+            use GroupKind::{Cloth, FlatCloth, Obstacle};
+            for kinds in [[Cloth, Cloth], [FlatCloth, FlatCloth], [FlatCloth, Obstacle], [Obstacle, Cloth]] {
+                let groups = [(0..98, kinds[0]), (98..196, kinds[1])];
+                let groups = groups.map(|(triangles, kind)| Group { triangles, kind });
+                assert_eq!(crossings(&mesh.positions, &mesh.triangles, &groups), expected, "{kinds:?}");
+            }
+            let obstacles = [Group { triangles: 0..98, kind: Obstacle }, Group { triangles: 98..196, kind: Obstacle }];
+            assert!(crossings(&mesh.positions, &mesh.triangles, &obstacles).is_empty());
+        }
+    }
+}

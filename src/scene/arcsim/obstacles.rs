@@ -1,0 +1,93 @@
+//! ARCSim's obstacles: a list of meshes with motions, or a printf pattern of body parts whose i-th has the i-th motion.
+//! A motion puts an obstacle where it says in the world, also at time 0.
+
+use crate::mesh::{check_obstacle, read_surface};
+
+use super::super::json::Json;
+use super::super::keyframes::stays_finite;
+use super::super::sequence::Pattern;
+use super::super::{Motion, Movement, Obstacle, SceneError};
+use super::motions::{MotionFile, motion_number, world_motion};
+use super::{LeftOut, UNMOVED, find, placement};
+
+/// The obstacles of a scene.
+pub(super) fn obstacles(
+    root: &Json,
+    motions: &MotionFile,
+    left_out: &mut LeftOut,
+) -> Result<Vec<Obstacle>, SceneError> {
+    let friction = root.or("obs_friction", 0.3, Json::not_negative)?;
+    let Some(list) = root.get("obstacles") else { return Ok(Vec::new()) };
+    if list.value.is_string() {
+        return body_parts(root, &list, motions, friction, left_out);
+    }
+    let mut obstacles = Vec::new();
+    for json in list.array()? {
+        let mesh = json.required("mesh")?;
+        let Ok(path) = find(&mesh) else {
+            let (name, file) = (&json.name, mesh.text()?);
+            left_out.say(format!("{name}: left out, there is no file `{file}`"));
+            continue;
+        };
+        let mut surface = read_surface(&path)?;
+        json.or("transform", UNMOVED, placement)?.move_points(&mut surface.positions);
+        check_obstacle(&surface).map_err(|fault| mesh.error(format!("at its place in the scene: {fault}")))?;
+        for key in ["start_time", "end_time"] {
+            if json.get(key).is_some() {
+                left_out.say(format!("{}.{key}: left out, an obstacle is there all the time", json.name));
+            }
+        }
+        let motion = json.get("motion").map(|index| world_motion(root, motions, &index)).transpose()?;
+        let (positions, triangles) = (surface.positions, surface.triangles);
+        obstacles.push(Obstacle {
+            name: json.name.clone(),
+            friction,
+            movement: movement(motion, &positions, &json)?,
+            positions,
+            triangles,
+        });
+    }
+    Ok(obstacles)
+}
+
+fn body_parts(
+    root: &Json,
+    field: &Json,
+    motions: &MotionFile,
+    friction: f64,
+    left_out: &mut LeftOut,
+) -> Result<Vec<Obstacle>, SceneError> {
+    let text = field.text()?;
+    let pattern = Pattern::parse(text)
+        .ok_or_else(|| field.error(format!("`{text}` must have one number in it, as in `body%04d.obj`")))?;
+    let mut obstacles = Vec::new();
+    for number in 0.. {
+        let name = pattern.name(number);
+        let value = serde_json::Value::String(name.clone());
+        let Ok(path) = find(&Json { file: field.file, name: field.name.clone(), value: &value }) else { break };
+        let surface = read_surface(&path)?;
+        let motion = motion_number(root, motions, number as usize, field)?;
+        obstacles.push(Obstacle {
+            friction,
+            movement: movement(Some(motion), &surface.positions, field)?,
+            name,
+            positions: surface.positions,
+            triangles: surface.triangles,
+        });
+    }
+    if obstacles.is_empty() {
+        left_out.say(format!("obstacles: none, there is no file `{}`", pattern.name(0)));
+    }
+    Ok(obstacles)
+}
+
+fn movement(motion: Option<Motion>, positions: &[crate::math::Vec3], at: &Json) -> Result<Movement, SceneError> {
+    let Some(motion) = motion else { return Ok(Movement::Still) };
+    if !stays_finite(&motion, positions) {
+        return Err(at.error("its motion moves it to where no number can say"));
+    }
+    if motion.keyframes.iter().any(|key| key.scale <= 0.0) {
+        return Err(at.error("its motion has a scale that is not above 0"));
+    }
+    Ok(Movement::Keyframes(motion))
+}

@@ -1,0 +1,319 @@
+//! Obstacles: surfaces that cloth meets and that no cloth moves. Every rank evaluates where they are by itself, from the
+//! same numbers in the same order, so all ranks hold the same bits.
+
+use bytemuck::cast_slice;
+
+use crate::math::{DAffine3, Vec3};
+
+use super::Motion;
+
+/// An obstacle of a scene, validated.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Obstacle {
+    /// Shown in messages.
+    pub name: String,
+    /// Coulomb friction coefficient of cloth on it.
+    pub friction: f64,
+    /// World positions before any motion, metres.
+    pub positions: Vec<Vec3>,
+    /// Vertex indices of every triangle, from 0 within the obstacle. Vertices in no triangle may exist.
+    pub triangles: Vec<[u32; 3]>,
+    /// How it moves.
+    pub movement: Movement,
+}
+
+/// How an obstacle moves.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Movement {
+    /// Not at all.
+    Still,
+    /// As a whole: position(t) = motion(t) applied to `positions`.
+    Keyframes(Motion),
+    /// Vertex by vertex, linear from frame to frame, still before the first and after the last. The first frame, at
+    /// time 0, is the obstacle's `positions`.
+    Sequence {
+        /// Frames per second.
+        frames_per_s: f64,
+        /// The frames after the first; each has as many positions as the obstacle.
+        later: Vec<Vec<Vec3>>,
+    },
+}
+
+impl Obstacle {
+    /// Whether it ever moves.
+    pub fn moving(&self) -> bool {
+        match &self.movement {
+            Movement::Still => false,
+            Movement::Keyframes(motion) => motion
+                .keyframes
+                .windows(2)
+                .any(|pair| (pair[0].transform(), pair[0].turn) != (pair[1].transform(), pair[1].turn)),
+            Movement::Sequence { later, .. } => later.iter().any(|frame| *frame != self.positions),
+        }
+    }
+}
+
+/// All obstacles of a scene as one surface with one numbering: vertices and triangles obstacle by obstacle.
+///
+/// For the way to a worker it comes apart into a small header and bulk arrays ([`Obstacles::header`],
+/// [`Obstacles::arrays`]) and is put together again by [`Obstacles::from_parts`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Obstacles {
+    header: ObstacleHeader,
+    /// Positions of obstacle 0 (all frames of a sequence, one after the other), then of obstacle 1, .., xyz.
+    positions: Vec<f32>,
+    /// Numbered over all obstacles.
+    triangles: Vec<[u32; 3]>,
+}
+
+/// What is small of [`Obstacles`].
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ObstacleHeader {
+    parts: Vec<Part>,
+}
+
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+struct Part {
+    name: String,
+    friction: f64,
+    vertices: u32,
+    triangles: u32,
+    moving: bool,
+    motion: PartMotion,
+}
+
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+enum PartMotion {
+    Still,
+    Keyframes(Motion),
+    Sequence { frames_per_s: f64, frames: u32 },
+}
+
+impl Part {
+    fn frames(&self) -> u32 {
+        match self.motion {
+            PartMotion::Sequence { frames, .. } => frames,
+            _ => 1,
+        }
+    }
+
+    /// Values of all its positions.
+    fn values(&self) -> usize {
+        3 * self.vertices as usize * self.frames() as usize
+    }
+}
+
+impl Obstacles {
+    /// Numbers the obstacles of a scene.
+    pub fn new(obstacles: &[Obstacle]) -> Obstacles {
+        let mut all = Obstacles::default();
+        let mut first = 0;
+        for obstacle in obstacles {
+            all.positions.extend_from_slice(cast_slice(&obstacle.positions));
+            let motion = match &obstacle.movement {
+                Movement::Still => PartMotion::Still,
+                Movement::Keyframes(motion) => PartMotion::Keyframes(motion.clone()),
+                Movement::Sequence { frames_per_s, later } => {
+                    later.iter().for_each(|frame| all.positions.extend_from_slice(cast_slice(frame)));
+                    PartMotion::Sequence { frames_per_s: *frames_per_s, frames: 1 + later.len() as u32 }
+                }
+            };
+            all.triangles.extend(obstacle.triangles.iter().map(|corners| corners.map(|v| v + first)));
+            let vertices = obstacle.positions.len() as u32;
+            first += vertices;
+            all.header.parts.push(Part {
+                name: obstacle.name.clone(),
+                friction: obstacle.friction,
+                vertices,
+                triangles: obstacle.triangles.len() as u32,
+                moving: obstacle.moving(),
+                motion,
+            });
+        }
+        all
+    }
+
+    /// Puts together what [`Obstacles::header`] and [`Obstacles::arrays`] gave; none if they do not fit.
+    pub fn from_parts(header: ObstacleHeader, positions: Vec<f32>, triangles: Vec<[u32; 3]>) -> Option<Obstacles> {
+        let sum = |count: fn(&Part) -> usize| header.parts.iter().map(count).sum::<usize>();
+        let vertices = sum(|part| part.vertices as usize);
+        let fits = sum(Part::values) == positions.len()
+            && sum(|part| part.triangles as usize) == triangles.len()
+            && header.parts.iter().all(|part| part.frames() > 0)
+            && triangles.iter().flatten().all(|&v| (v as usize) < vertices);
+        fits.then_some(Obstacles { header, positions, triangles })
+    }
+
+    /// Metadata, for a message.
+    pub fn header(&self) -> &ObstacleHeader {
+        &self.header
+    }
+
+    /// Bulk arrays, for a message: positions (all frames of sequences included), xyz, and triangles.
+    pub fn arrays(&self) -> (&[f32], &[[u32; 3]]) {
+        (&self.positions, &self.triangles)
+    }
+
+    /// Number of obstacles.
+    pub fn len(&self) -> usize {
+        self.header.parts.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.header.parts.is_empty()
+    }
+
+    /// Number of vertices of all obstacles.
+    pub fn vertices(&self) -> usize {
+        self.header.parts.iter().map(|part| part.vertices as usize).sum()
+    }
+
+    /// Vertex indices of the triangles of all obstacles.
+    pub fn triangles(&self) -> &[[u32; 3]] {
+        &self.triangles
+    }
+
+    /// The obstacle that a vertex belongs to. Panics if there is no such vertex.
+    pub fn obstacle_of_vertex(&self, vertex: usize) -> usize {
+        let mut end = 0;
+        let found = self.header.parts.iter().position(|part| {
+            end += part.vertices as usize;
+            vertex < end
+        });
+        found.expect("a vertex of the obstacles")
+    }
+
+    /// Name of an obstacle.
+    pub fn name(&self, obstacle: usize) -> &str {
+        &self.header.parts[obstacle].name
+    }
+
+    /// Coulomb friction coefficient of cloth on an obstacle.
+    pub fn friction(&self, obstacle: usize) -> f64 {
+        self.header.parts[obstacle].friction
+    }
+
+    /// Whether any obstacle ever moves.
+    pub fn moving(&self) -> bool {
+        self.header.parts.iter().any(|part| part.moving)
+    }
+
+    /// Writes the positions of all vertices at a time to `out`, xyz, replacing what it held. Evaluated in f64 and rounded
+    /// once; depends on nothing but the obstacles and the time.
+    pub fn positions_at(&self, time_s: f64, out: &mut Vec<f32>) {
+        out.clear();
+        out.reserve(3 * self.vertices());
+        let mut rest = &self.positions[..];
+        for part in &self.header.parts {
+            let (own, others) = rest.split_at(part.values());
+            rest = others;
+            match &part.motion {
+                PartMotion::Still => out.extend_from_slice(own),
+                PartMotion::Keyframes(motion) => transformed(&motion.transform_at(time_s), own, out),
+                PartMotion::Sequence { frames_per_s, frames } => {
+                    interpolated(own, *frames as usize, time_s * frames_per_s, out);
+                }
+            }
+        }
+    }
+}
+
+fn transformed(transform: &DAffine3, positions: &[f32], out: &mut Vec<f32>) {
+    for p in cast_slice::<f32, Vec3>(positions) {
+        out.extend(transform.transform_point3(p.as_dvec3()).as_vec3().to_array());
+    }
+}
+
+/// `at` = place in the sequence, in frames.
+fn interpolated(values: &[f32], frames: usize, at: f64, out: &mut Vec<f32>) {
+    let length = values.len() / frames;
+    let frame = |i: usize| &values[i * length..(i + 1) * length];
+    let before = (at.floor().max(0.0) as usize).min(frames - 1);
+    let share = at - before as f64;
+    if before + 1 == frames || share <= 0.0 {
+        out.extend_from_slice(frame(before));
+        return;
+    }
+    let between = |(&a, &b): (&f32, &f32)| (f64::from(a) + share * (f64::from(b) - f64::from(a))) as f32;
+    out.extend(frame(before).iter().zip(frame(before + 1)).map(between));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::DVec3;
+    use crate::scene::Keyframe;
+
+    fn triangle(name: &str, at: f32, movement: Movement) -> Obstacle {
+        let positions = [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| p + at).to_vec();
+        Obstacle { name: name.into(), friction: f64::from(at), positions, triangles: vec![[0, 1, 2]], movement }
+    }
+
+    fn three() -> Obstacles {
+        let key = |time_s, x| Keyframe { translation_m: DVec3::new(x, 0.0, 0.0), ..Keyframe::identity(time_s) };
+        let moved = Motion { keyframes: vec![key(0.0, 1.0), key(2.0, 5.0)] };
+        let later = vec![vec![Vec3::splat(4.0); 3], vec![Vec3::splat(8.0); 3]];
+        Obstacles::new(&[
+            triangle("still", 7.0, Movement::Still),
+            triangle("moved", 0.0, Movement::Keyframes(moved)),
+            triangle("sequence", 0.0, Movement::Sequence { frames_per_s: 2.0, later }),
+        ])
+    }
+
+    #[test]
+    fn one_numbering_over_all() {
+        let all = three();
+        assert_eq!((all.len(), all.vertices(), all.triangles()), (3, 9, &[[0, 1, 2], [3, 4, 5], [6, 7, 8]][..]));
+        assert_eq!([0, 2, 3, 8].map(|v| all.obstacle_of_vertex(v)), [0, 0, 1, 2]);
+        assert_eq!((all.name(1), all.friction(0), all.moving()), ("moved", 7.0, true));
+        assert!(!Obstacles::new(&[triangle("a", 0.0, Movement::Still)]).moving());
+        let key = Motion { keyframes: vec![Keyframe::identity(0.0), Keyframe::identity(1.0)] };
+        assert!(!Obstacles::new(&[triangle("a", 0.0, Movement::Keyframes(key))]).moving());
+        assert!(Obstacles::default().is_empty() && !Obstacles::default().moving());
+    }
+
+    #[test]
+    fn a_ball_that_turns_whole_turns_moves() {
+        let whole = Motion {
+            keyframes: vec![Keyframe::identity(0.0), Keyframe::identity(1.0).turned(DVec3::Y, std::f64::consts::TAU)],
+        };
+        assert!(Obstacles::new(&[triangle("ball", 0.0, Movement::Keyframes(whole))]).moving());
+    }
+
+    #[test]
+    fn positions_at_any_time() {
+        let all = three();
+        let mut out = vec![9.0; 4];
+        for (time_s, moved, first, second) in [
+            (-1.0, 1.0, 0.0, 1.0),
+            (0.0, 1.0, 0.0, 1.0),
+            (0.25, 1.5, 2.0, 2.5),
+            (0.5, 2.0, 4.0, 4.0),
+            (0.75, 2.5, 6.0, 6.0),
+            (1.0, 3.0, 8.0, 8.0),
+            (9.0, 5.0, 8.0, 8.0),
+        ] {
+            all.positions_at(time_s, &mut out);
+            assert_eq!(out.len(), 27);
+            assert_eq!(out[..3], [7.0; 3], "the still one at {time_s} s");
+            assert_eq!(out[9..12], [moved, 0.0, 0.0], "the moved one at {time_s} s");
+            assert_eq!(out[18..22], [first, first, first, second], "the sequence at {time_s} s");
+        }
+    }
+
+    #[test]
+    fn apart_and_together_again() {
+        let all = three();
+        let (positions, triangles) = all.arrays();
+        assert_eq!(positions.len(), 3 * (3 + 3 + 9));
+        let config = bincode::config::standard();
+        let bytes = bincode::serde::encode_to_vec(all.header(), config).unwrap();
+        let (header, _): (ObstacleHeader, _) = bincode::serde::decode_from_slice(&bytes, config).unwrap();
+        let (positions, triangles) = (positions.to_vec(), triangles.to_vec());
+        assert_eq!(Obstacles::from_parts(header.clone(), positions.clone(), triangles.clone()).as_ref(), Some(&all));
+        assert_eq!(Obstacles::from_parts(header.clone(), positions[1..].to_vec(), triangles.clone()), None);
+        assert_eq!(Obstacles::from_parts(header.clone(), positions.clone(), triangles[1..].to_vec()), None);
+        assert_eq!(Obstacles::from_parts(header, positions, vec![[0, 1, 9]; 3]), None);
+    }
+}

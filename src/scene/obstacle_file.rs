@@ -1,0 +1,217 @@
+//! `[[obstacle]]` of the TOML scene format: shapes, meshes and sequences, placed and set in motion.
+
+use std::path::{Path, PathBuf};
+
+use crate::math::{DQuat, DVec3};
+use crate::mesh::{Surface, check_obstacle, read_surface, shapes};
+
+use super::fields::{Fields, Value};
+use super::file::find;
+use super::keyframes::{motion, stays_finite};
+use super::pieces::Placement;
+use super::sequence::{Pattern, read_frames};
+use super::{Movement, Obstacle, SceneError};
+
+pub(super) const OBSTACLE_FIELDS: [&str; 14] = [
+    "name",
+    "sphere",
+    "plane",
+    "box",
+    "plate",
+    "funnel",
+    "mesh",
+    "sequence",
+    "frames_per_s",
+    "origin_m",
+    "rotate_deg",
+    "scale",
+    "friction",
+    "motion",
+];
+
+/// Ways to say what an obstacle is.
+const FORMS: [&str; 7] = ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence"];
+/// Triangles of a shape where the scene does not say.
+const DEFAULT_TRIANGLES: u64 = 3_000;
+/// Triangles a shape can be made of.
+const TRIANGLES: std::ops::RangeInclusive<u64> = 12..=5_000_000;
+
+/// Reads an obstacle. `path` = the scene file, `friction` = that of the whole scene.
+pub(super) fn obstacle(fields: &Fields, index: usize, friction: f64, path: &Path) -> Result<Obstacle, SceneError> {
+    let given: Vec<&str> = FORMS.into_iter().filter(|form| fields.get(form).is_some()).collect();
+    let [form] = given[..] else {
+        let what = format!("an obstacle needs exactly one of {}, not {}", FORMS.join(", "), given.len());
+        return Err(fields.error(what));
+    };
+    let value = fields.required(form)?;
+    let from_file = form == "mesh" || form == "sequence";
+    if !from_file && let Some(key) = ["origin_m", "scale"].into_iter().find(|key| fields.get(key).is_some()) {
+        let what = format!("belongs to an obstacle with a `mesh` or `sequence`; a {form} has its place in itself");
+        return Err(fields.error_at(key, what));
+    }
+    if form != "sequence" && fields.get("frames_per_s").is_some() {
+        return Err(fields.error_at("frames_per_s", "belongs to an obstacle with a `sequence`"));
+    }
+    let rotation = fields.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?;
+    let placement = |center: DVec3| -> Result<Placement, SceneError> {
+        Ok(Placement { translation_m: center, rotation, scale: fields.or("scale", 1.0, Value::positive)? })
+    };
+    let mut movement = Movement::Still;
+    let surface = match form {
+        "sequence" => {
+            if fields.get("motion").is_some() {
+                return Err(fields.error_at("motion", "give either `motion` or a `sequence`"));
+            }
+            let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
+            let (surface, later) = read_frames(&sequence_files(&value, path)?, |points| placement.move_points(points))?;
+            let frames_per_s = fields.required("frames_per_s")?.positive()?;
+            movement = Movement::Sequence { frames_per_s, later };
+            surface
+        }
+        "mesh" => {
+            let found = find(path, value.text()?).map_err(|what| value.error(what))?;
+            let mut surface = read_surface(&found)?;
+            placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?.move_points(&mut surface.positions);
+            surface
+        }
+        _ => {
+            let (mut surface, center, own) = shape(form, &value)?;
+            Placement { rotation: rotation * own, ..placement(center)? }.move_points(&mut surface.positions);
+            surface
+        }
+    };
+    check_obstacle(&surface).map_err(|fault| value.error(format!("at its place in the scene: {fault}")))?;
+    if let Some(motion) = motion(fields)? {
+        if !stays_finite(&motion, &surface.positions) {
+            return Err(fields.error_at("motion", "moves it to where no number can say"));
+        }
+        if motion.keyframes.iter().any(|key| key.scale == 0.0) {
+            return Err(fields.error_at("motion", "scales to nothing; every `scale` of an obstacle must be above 0"));
+        }
+        movement = Movement::Keyframes(motion);
+    }
+    Ok(Obstacle {
+        name: fields.or("name", format!("{form} {index}"), |value| value.text().map(str::to_owned))?,
+        friction: fields.or("friction", friction, Value::not_negative)?,
+        positions: surface.positions,
+        triangles: surface.triangles,
+        movement,
+    })
+}
+
+fn sequence_files(value: &Value, scene: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    let text = value.text()?;
+    let pattern = Pattern::parse(text).ok_or_else(|| {
+        value.error(format!("`{text}` must have one number in it, as in `frame_%04d.obj` or `frame_%d.obj`"))
+    })?;
+    let files = pattern.files(|name| find(scene, name).ok());
+    if files.is_empty() {
+        let (zero, one) = (pattern.name(0), pattern.name(1));
+        return Err(value.error(format!(
+            "neither a file `{zero}` nor a file `{one}` beside the scene or in the working directory"
+        )));
+    }
+    Ok(files)
+}
+
+/// The shape about the origin, where its centre goes, and how its own directions turn it.
+fn shape(form: &str, value: &Value) -> Result<(Surface, DVec3, DQuat), SceneError> {
+    let known: &[&str] = match form {
+        "sphere" => &["center_m", "radius_m", "triangles"],
+        "plane" => &["point_m", "normal", "size_m", "triangles"],
+        "box" => &["center_m", "size_m", "triangles"],
+        "plate" => &["center_m", "normal", "size_m", "thickness_m", "triangles"],
+        _ => &["center_m", "axis", "top_radius_m", "bottom_radius_m", "height_m", "spout_m", "triangles"],
+    };
+    let fields = value.table(known)?;
+    let triangles = fields.or("triangles", DEFAULT_TRIANGLES, |value| value.whole(TRIANGLES))? as f64;
+    let center = fields.required(if form == "plane" { "point_m" } else { "center_m" })?.vector()?;
+    let towards = |key: &str| -> Result<DQuat, SceneError> {
+        match fields.get(key) {
+            None => Ok(DQuat::IDENTITY),
+            Some(value) => {
+                let direction = value.vector()?.try_normalize();
+                let direction = direction.ok_or_else(|| value.error("must not be zero"))?;
+                Ok(DQuat::from_rotation_arc(DVec3::Y, direction))
+            }
+        }
+    };
+    let (surface, turn) = match form {
+        "sphere" => {
+            let frequency = (triangles / 20.0).sqrt().round() as u32;
+            (shapes::sphere(fields.required("radius_m")?.positive()?, frequency), DQuat::IDENTITY)
+        }
+        "plane" => {
+            let size = sides(&fields.required("size_m")?)?;
+            (shapes::rectangle(size, cells(size, triangles)), towards("normal")?)
+        }
+        "box" => (box_of(sides(&fields.required("size_m")?)?, triangles), DQuat::IDENTITY),
+        "plate" => {
+            let [x, z] = sides(&fields.required("size_m")?)?;
+            let thickness = fields.or("thickness_m", 0.02, Value::positive)?;
+            (box_of([x, thickness, z], triangles), towards("normal")?)
+        }
+        _ => (funnel(&fields, triangles)?, towards("axis")?),
+    };
+    Ok((surface, center, turn))
+}
+
+/// Side lengths, each above 0.
+fn sides<const N: usize>(value: &Value) -> Result<[f64; N], SceneError> {
+    let sides = value.numbers::<N>()?;
+    let thin = || value.error("all sides must be above 0, and none more than 100000 times as long as another");
+    let (least, most) = sides.iter().fold((f64::INFINITY, 0.0f64), |(least, most), &s| (least.min(s), most.max(s)));
+    if least > 0.0 && most <= 1e5 * least { Ok(sides) } else { Err(thin()) }
+}
+
+/// Nearly square cells of about this many triangles, at least one each way.
+fn cells(size: [f64; 2], triangles: f64) -> [u32; 2] {
+    let side = (2.0 * size[0] * size[1] / triangles).sqrt();
+    size.map(|length| (length / side).round().clamp(1.0, triangles) as u32)
+}
+
+fn box_of(size: [f64; 3], triangles: f64) -> Surface {
+    let area = 2.0 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0]);
+    let mut side = (2.0 * area / triangles).sqrt();
+    let cells = |side: f64| size.map(|length| (length / side).round().clamp(1.0, triangles) as u32);
+    // The rim of a thin plate is at least one cell high: its triangles are missing elsewhere.
+    for _ in 0..3 {
+        let [x, y, z] = cells(side).map(f64::from);
+        side *= (4.0 * (x * y + y * z + z * x) / triangles).sqrt();
+    }
+    shapes::cuboid(size, cells(side))
+}
+
+/// A cone without its tip, its lower rim about the origin, with a spout below it.
+fn funnel(fields: &Fields, triangles: f64) -> Result<Surface, SceneError> {
+    let bottom = fields.required("bottom_radius_m")?.positive()?;
+    let height = fields.required("height_m")?.positive()?;
+    let top = fields.required("top_radius_m")?;
+    let spout = fields.or("spout_m", 0.0, Value::not_negative)?;
+    if top.positive()? <= bottom {
+        return Err(top.error(format!("must be above bottom_radius_m = {bottom}")));
+    }
+    let top = top.positive()?;
+    let lengths = [bottom, top, height, if spout > 0.0 { spout } else { height }];
+    let (least, most) = lengths.iter().fold((f64::INFINITY, 0.0f64), |(l, m), &x| (l.min(x), m.max(x)));
+    if most > 1e5 * least {
+        return Err(fields.error("none of its lengths may be more than 100000 times another"));
+    }
+    let slant = (top - bottom).hypot(height);
+    let mean_round = std::f64::consts::PI * (top + bottom);
+    let area = mean_round * slant + std::f64::consts::TAU * bottom * spout;
+    let side = (2.0 * area / triangles).sqrt();
+    let segments = (mean_round / side).round().clamp(8.0, triangles) as u32;
+    let rings = |length: f64| (length / side).round().clamp(1.0, triangles) as u32;
+    let mut profile = Vec::new();
+    if spout > 0.0 {
+        let n = rings(spout);
+        profile.extend((0..n).map(|i| [bottom, spout * (f64::from(i) / f64::from(n) - 1.0)]));
+    }
+    let n = rings(slant);
+    profile.extend((0..=n).map(|i| {
+        let s = f64::from(i) / f64::from(n);
+        [bottom + s * (top - bottom), s * height]
+    }));
+    Ok(shapes::revolution(&profile, segments))
+}
