@@ -163,7 +163,9 @@ fn assembly_equals_the_native_twins() {
     let (expected, found) = (assemble(&Executor::cpu(1), &part), assemble(&gpu, &part));
     assert_close("triangle records", &found.triangle_records, &expected.triangle_records, TRIANGLE_RECORD_FLOATS, 1e-5);
     assert_close("hinge records", &found.hinge_records, &expected.hinge_records, HINGE_RECORD_FLOATS, 1e-5);
-    assert!(found.index == expected.index && found.index[2].len() > 13 * part.plan.own.len());
+    assert!(found.index == expected.index);
+    // Inner rows have 13 blocks.
+    assert!(found.index[2].len() > 12 * part.plan.own.len(), "{} slots", found.index[2].len());
     assert_close("values", &found.values, &expected.values, 1, 1e-5);
     assert_close("right-hand side", &found.rhs, &expected.rhs, 3, 1e-5);
     assert_close("inverse diagonal", &found.inverse_diagonal, &expected.inverse_diagonal, 6, 1e-4);
