@@ -1,8 +1,15 @@
 //! Collision detection [Li et al. 2020, Sec. 4.2]: triangle hash table, workload table, proximity, continuous collision
-//! detection. Stages pass [`Candidate`]s: pairs of features that may touch, not pairs that do.
+//! detection. [`Detector`] is what a step asks; `broad` and `elementary` are its stages. Stages pass [`Candidate`]s: pairs of
+//! features that may touch, not pairs that do.
 
+mod around;
 pub mod broad;
+mod contact;
+mod detector;
 pub mod elementary;
+mod narrow;
+
+pub use detector::{ContactParams, DetectionStats, Detector, DetectorError, merge_contacts, merge_impacts, smallest_altitudes};
 
 use bytemuck::{Pod, Zeroable};
 
@@ -47,5 +54,23 @@ impl Candidate {
     #[inline]
     pub fn is_vertex_face(&self) -> bool {
         self.kind == CandidateKind::VertexFace as u32
+    }
+}
+
+/// A pair that continuous collision detection found to touch within a step: plain data, the same on every executor.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Impact {
+    /// The pair.
+    pub candidate: Candidate,
+    /// A lower bound of the first time of contact, in [0, 1] over the step; the pair is apart before it.
+    pub toi: f32,
+}
+
+impl Impact {
+    /// Sort key: one order of all impacts of a step, whoever found them.
+    #[inline]
+    pub fn key(&self) -> (Candidate, u32) {
+        (self.candidate, self.toi.to_bits())
     }
 }
