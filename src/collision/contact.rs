@@ -100,7 +100,7 @@ impl Surfaces<'_> {
             && self.is_end(vertex, -offset, LEVEL, length);
         minimal.then(|| {
             let faces = self.around.faces(self.mesh, a).filter(|face| face.contains(&b));
-            let normal = self.direction(offset, length, faces);
+            let normal = self.direction(offset, length, self.normal_sum(faces));
             Pair {
                 vertices: [vertex, a, b, NO_VERTEX],
                 kind: 0,
@@ -115,12 +115,17 @@ impl Surfaces<'_> {
     fn vertex_vertex(&self, one: u32, other: u32) -> Option<Pair> {
         let offset = self.at(one) - self.at(other);
         let minimal = self.is_end(other, offset, ROUNDING, 0.0) && self.is_end(one, -offset, ROUNDING, 0.0);
-        minimal.then(|| Pair {
-            vertices: [one, other, NO_VERTEX, NO_VERTEX],
-            kind: 0,
-            weights: [1.0, -1.0, 0.0, 0.0],
-            normal: self.direction(offset, 0.0, self.around.faces(self.mesh, other)),
-            distance_m: offset.length(),
+        minimal.then(|| {
+            // Where they coincide, the flatter or finer surface says what is up.
+            let [a, b] = [one, other].map(|v| self.normal_sum(self.around.faces(self.mesh, v)));
+            let normal = if a.length_squared() > b.length_squared() { a } else { b };
+            Pair {
+                vertices: [one, other, NO_VERTEX, NO_VERTEX],
+                kind: 0,
+                weights: [1.0, -1.0, 0.0, 0.0],
+                normal: self.direction(offset, 0.0, normal),
+                distance_m: offset.length(),
+            }
         })
     }
 
@@ -130,13 +135,17 @@ impl Surfaces<'_> {
         self.around.neighbours(self.mesh, vertex).all(|other| level(offset, self.at(other) - x, cosine, extent))
     }
 
+    /// Sum of the unit normals of faces.
+    fn normal_sum(&self, faces: impl Iterator<Item = [u32; 3]>) -> Vec3 {
+        let normal = |[a, b, c]: [u32; 3]| (self.at(b) - self.at(a)).cross(self.at(c) - self.at(a));
+        faces.map(|face| normal(face).normalize_or_zero()).sum()
+    }
+
     /// The direction of an offset, or the normal of the surface at its foot where the offset says nothing.
-    fn direction(&self, offset: Vec3, extent: f32, faces: impl Iterator<Item = [u32; 3]>) -> Vec3 {
+    fn direction(&self, offset: Vec3, extent: f32, normal: Vec3) -> Vec3 {
         let distance = offset.length();
         let own = (distance > NOISE * extent).then(|| offset.try_normalize()).flatten();
         own.unwrap_or_else(|| {
-            let area = |[a, b, c]: [u32; 3]| (self.at(b) - self.at(a)).cross(self.at(c) - self.at(a));
-            let normal = faces.map(area).sum::<Vec3>();
             let normal = if normal.dot(offset) < 0.0 { -normal } else { normal };
             normal.try_normalize().or_else(|| offset.try_normalize()).unwrap_or(Vec3::Z)
         })
