@@ -63,11 +63,15 @@ fn true_pairs_are_found_and_kinds_are_recognised() {
     let (report, error) = files.ask("i0,i1,i2,i3,hit_f32,toi_f32\n3,2,0,1,1,0.5\n5,0,1,2,0,\n", &[]);
     let report = report.expect("a report");
     assert_eq!(error, None);
-    let counts = ["pairs", "hits", "found", "missed", "late", "false_hits"].map(|name| report[name].as_u64().expect("a count"));
+    let counts =
+        ["pairs", "hits", "found", "missed", "late", "false_hits"].map(|name| report[name].as_u64().expect("a count"));
     assert_eq!((counts, &report["kind"]), ([2, 1, 1, 0, 0, 0], &"vf".into()));
     let (report, error) = files.ask("i0,i1,i2,i3,hit\n4,3,1,0,1\n", &[]);
     let report = report.expect("a report");
-    assert_eq!((error, &report["kind"], &report["found"], &report["truth"]), (None, &"ee".into(), &1.into(), &"unrounded".into()));
+    assert_eq!(
+        (error, &report["kind"], &report["found"], &report["truth"]),
+        (None, &"ee".into(), &1.into(), &"unrounded".into())
+    );
     // A contact that there is none of, and one that is later than the truth: exit code 1.
     let (report, error) = files.ask("i0,i1,i2,i3,hit_f32,toi_f32\n5,0,1,2,1,\n3,0,1,2,1,0.25\n", &["--kind", "vf"]);
     let report = report.expect("a report");
@@ -92,7 +96,10 @@ fn bad_input_gets_one_sentence() {
     ] {
         let (report, error) = files.ask(&pairs, more);
         let (code, message) = error.expect("an error");
-        assert!(report.is_none() && code == 2 && message.contains(wanted) && message.contains("pairs.csv"), "{message}");
+        assert!(
+            report.is_none() && code == 2 && message.contains(wanted) && message.contains("pairs.csv"),
+            "{message}"
+        );
         assert!(!message.contains('\n'));
     }
     let good = format!("{header}3,0,1,2,1\n");
@@ -122,7 +129,8 @@ fn public_frames() {
     let mut asked = 0;
     for scene in scenes.map(|entry| entry.expect("an entry").path()).filter(|path| path.join("frames").is_dir()) {
         let frames = std::fs::read_dir(scene.join("frames")).expect("frames");
-        let mut frames: Vec<String> = frames.map(|entry| entry.expect("a frame").path().display().to_string()).collect();
+        let mut frames: Vec<String> =
+            frames.map(|entry| entry.expect("a frame").path().display().to_string()).collect();
         frames.sort();
         for table in ["vf_pairs.csv", "ee_pairs.csv"] {
             let pairs = scene.join(table).display().to_string();

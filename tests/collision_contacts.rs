@@ -250,13 +250,16 @@ fn folded_layers_and_obstacles() {
     model.x0.iter_mut().for_each(|x| *x += 1e-3 * random.vec());
     for thickness_m in [0.0, 0.004, 0.02] {
         let contacts = check(&model, thickness_m);
-        let with_obstacle = contacts.iter().filter(|c| {
-            c.vertices.iter().any(|&v| v != NO_VERTEX && v as usize >= cloth)
-        });
+        let with_obstacle =
+            contacts.iter().filter(|c| c.vertices.iter().any(|&v| v != NO_VERTEX && v as usize >= cloth));
         let with_obstacle: Vec<_> = with_obstacle.collect();
         assert!(with_obstacle.iter().all(|c| c.friction == 0.9), "the obstacle's coefficient");
         if thickness_m == 0.02 {
-            assert!(with_obstacle.len() > 20 && contacts.len() > with_obstacle.len() + 50, "{} contacts", contacts.len());
+            assert!(
+                with_obstacle.len() > 20 && contacts.len() > with_obstacle.len() + 50,
+                "{} contacts",
+                contacts.len()
+            );
             assert!(contacts.iter().any(|c| c.kind == 1) && contacts.iter().any(|c| c.kind == 0));
         }
     }

@@ -71,7 +71,9 @@ fn check(model: &Model, separation_m: f32) -> Vec<Impact> {
     }
     let vertices = model.x0.len();
     let subsets: [&dyn Fn(usize) -> bool; 5] =
-        [&|_| false, &|_| true, &|v| v == vertices / 2, &|v| v % 97 == 5, &|v| v > vertices / 3 && v < vertices / 3 + 40];
+        [&|_| false, &|_| true, &|v| v == vertices / 2, &|v| v % 97 == 5, &|v| {
+            v > vertices / 3 && v < vertices / 3 + 40
+        }];
     for subset in subsets {
         let touched: Vec<bool> = (0..vertices).map(subset).collect();
         let hit = |i: &&Impact| i.candidate.vertices.iter().any(|&v| touched[v as usize]);
@@ -99,11 +101,17 @@ fn crumpled_cloth_and_obstacles() {
     let impacts = check(&crumpled(3, 0.02), 0.0);
     assert!(impacts.len() > 100, "{} impacts", impacts.len());
     assert!(check(&crumpled(4, 0.001), 0.0005).len() > 10);
-    assert_eq!(check(&{
-        let mut still = Model::default();
-        still.sheet(21, 21, folded, |x| x);
-        still
-    }, 0.0), []);
+    assert_eq!(
+        check(
+            &{
+                let mut still = Model::default();
+                still.sheet(21, 21, folded, |x| x);
+                still
+            },
+            0.0
+        ),
+        []
+    );
 }
 
 #[test]
@@ -123,14 +131,30 @@ fn few_touched_vertices_need_few_tests() {
 }
 
 #[test]
+fn a_rank_holds_its_share_only() {
+    let mut model = Model::default();
+    model.sheet(150, 150, folded, |x| x + Vec3::new(0.0, 0.0, 1e-4));
+    let cpu = CpuExecutor::new(1);
+    // A detector each, as in a process each: buffers keep their size from query to query.
+    let bytes = |rank, ranks| {
+        let (x_t0, x_t1) = (flat(&model.x0), flat(&model.x1));
+        let stats = detector(&model, 0.0).impacts(&cpu, x_t0, x_t1, None, rank, ranks, None, &mut vec![]);
+        stats.expect("impacts").bytes as f64
+    };
+    for rank in 0..4 {
+        let share = bytes(rank, 4) / bytes(0, 1);
+        assert!(share <= 0.35, "rank {rank} of 4 holds {share} of what one rank holds alone");
+    }
+}
+
+#[test]
 fn a_memory_limit_changes_nothing() {
     let model = crumpled(5, 0.01);
     let mut detector = detector(&model, 0.0);
     let free = found(&mut detector, &model, None, (1, 1), None);
     let cpu = CpuExecutor::new(1);
-    let stats = detector
-        .impacts(&cpu, flat(&model.x0), flat(&model.x1), None, 0, 1, None, &mut vec![])
-        .expect("impacts");
+    let stats =
+        detector.impacts(&cpu, flat(&model.x0), flat(&model.x1), None, 0, 1, None, &mut vec![]).expect("impacts");
     let limit = stats.broad.bytes - 32 * stats.broad.entries / 2;
     assert_eq!(found(&mut detector, &model, None, (1, 1), Some(limit)), free);
     assert_eq!(found(&mut detector, &model, None, (3, 1), Some(limit)), free);
@@ -139,7 +163,9 @@ fn a_memory_limit_changes_nothing() {
 /// Lanes from one stencil and three that are far apart.
 fn lanes(x: [Vec3; 4]) -> [Lanes; 4] {
     let far = |i: usize| Vec3::splat(100.0 * i as f32);
-    std::array::from_fn(|i| std::array::from_fn(|axis| Vec4::new(x[i][axis], far(i)[axis], far(i + 1)[axis], x[i][axis])))
+    std::array::from_fn(|i| {
+        std::array::from_fn(|axis| Vec4::new(x[i][axis], far(i)[axis], far(i + 1)[axis], x[i][axis]))
+    })
 }
 
 fn random_stencil(random: &mut Random) -> ([Vec3; 4], [Vec3; 4]) {
@@ -158,6 +184,7 @@ proptest! {
     #[test]
     fn lanes_reject_only_what_is_apart(seed in any::<u64>()) {
         let mut random = Random(seed);
+        let mut rejected = [0; 2];
         for kind in [StencilKind::VertexFace, StencilKind::EdgeEdge] {
             for _ in 0..200 {
                 let (x_t0, x_t1) = random_stencil(&mut random);
@@ -165,13 +192,16 @@ proptest! {
                 let left = undecided(kind, &lanes(x_t0), &lanes(x_t1), Vec4::splat(separation));
                 prop_assert_eq!(left & 1, left >> 3 & 1);
                 if left & 1 == 0 {
+                    rejected[0] += 1;
                     prop_assert_eq!(ccd(kind, x_t0, x_t1, separation).toi, None, "{:?} {:?} {:?}", kind, x_t0, x_t1);
                 }
                 let left = undecided_at_rest(kind, &lanes(x_t0), Vec4::splat(separation));
                 if left & 1 == 0 {
+                    rejected[1] += 1;
                     prop_assert_eq!(proximity(kind, x_t0, separation), None, "{:?} {:?}", kind, x_t0);
                 }
             }
         }
+        prop_assert!(rejected.iter().all(|&count| count > 100), "{:?} of 400 rejected", rejected);
     }
 }

@@ -119,8 +119,7 @@ fn search(
     let (x_t0, x_t1) = (bytemuck::cast_slice(&first.positions), bytemuck::cast_slice(&second.positions));
     let started = Instant::now();
     let mut impacts: Vec<Impact> = Vec::new();
-    let stats =
-        detector.impacts(&cpu, x_t0, x_t1, None, 0, 1, None, &mut impacts).map_err(CliError::bad_input)?;
+    let stats = detector.impacts(&cpu, x_t0, x_t1, None, 0, 1, None, &mut impacts).map_err(CliError::bad_input)?;
     let seconds = started.elapsed().as_secs_f64();
     let found = |pair: &TruePair| {
         let wanted = features.candidate(pair, kind)?;
@@ -150,7 +149,8 @@ fn search(
 
 /// A frame as it is: not validated, since frames of others may be no sheet and may hold vertices without triangles.
 fn read_frame(path: &Path) -> Result<Surface, CliError> {
-    let unreadable = |error: std::io::Error| CliError::bad_input(format!("{}: cannot be read: {error}", path.display()));
+    let unreadable =
+        |error: std::io::Error| CliError::bad_input(format!("{}: cannot be read: {error}", path.display()));
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     if extension != "obj" && extension != "ply" {
         return Err(CliError::bad_input(format!("{}: a frame ends in .obj or .ply", path.display())));
@@ -202,14 +202,21 @@ impl Features {
     /// The kind of all pairs of a table: the one asked for, or the only one that fits.
     fn kind_of(&self, table: &[TruePair], asked: Option<CcdKind>) -> Result<CcdKind, CsvFault> {
         let stranger = |kind: CcdKind| table.iter().find(|pair| self.candidate(pair, kind).is_none());
-        let fault = |pair: &TruePair, what: &str| CsvFault { line: pair.line, what: format!("{:?} {what}", pair.vertices) };
+        let fault =
+            |pair: &TruePair, what: &str| CsvFault { line: pair.line, what: format!("{:?} {what}", pair.vertices) };
         match (asked, stranger(CcdKind::Vf), stranger(CcdKind::Ee)) {
-            (Some(CcdKind::Vf), Some(pair), _) => Err(fault(pair, "is not a vertex and the corners of a face of the frames")),
-            (Some(CcdKind::Ee), _, Some(pair)) => Err(fault(pair, "is not two edges of the frames without a common vertex")),
+            (Some(CcdKind::Vf), Some(pair), _) => {
+                Err(fault(pair, "is not a vertex and the corners of a face of the frames"))
+            }
+            (Some(CcdKind::Ee), _, Some(pair)) => {
+                Err(fault(pair, "is not two edges of the frames without a common vertex"))
+            }
             (Some(kind), _, _) => Ok(kind),
             (None, None, Some(_)) => Ok(CcdKind::Vf),
             (None, Some(_), None) => Ok(CcdKind::Ee),
-            (None, Some(pair), Some(_)) => Err(fault(pair, "is neither a vertex and a face nor two edges of the frames")),
+            (None, Some(pair), Some(_)) => {
+                Err(fault(pair, "is neither a vertex and a face nor two edges of the frames"))
+            }
             (None, None, None) => {
                 Err(CsvFault { line: 1, what: "the pairs fit both kinds; say which with --kind vf or ee".into() })
             }
@@ -224,7 +231,8 @@ impl Features {
 /// A column is missing or a row has no proper entry in it.
 pub fn parse_pairs(bytes: &[u8]) -> Result<(Vec<TruePair>, &'static str), CsvFault> {
     let mut lines = lines(bytes);
-    let missing = |line, column: &str| CsvFault { line, what: format!("no column {column}; the first line names the columns") };
+    let missing =
+        |line, column: &str| CsvFault { line, what: format!("no column {column}; the first line names the columns") };
     let (line, header) = lines.next().ok_or_else(|| missing(1, "i0"))?;
     let names = columns(header).map_err(|what| CsvFault { line, what })?;
     let column = |name: &str| names.iter().position(|&other| other == name);
@@ -243,7 +251,8 @@ pub fn parse_pairs(bytes: &[u8]) -> Result<(Vec<TruePair>, &'static str), CsvFau
         let mut pair = TruePair { line, vertices: [0; 4], hit: parse_flag(entry(hit)).map_err(fault)?, toi: None };
         for (vertex, &at) in pair.vertices.iter_mut().zip(&vertices) {
             let text = entry(at);
-            *vertex = text.parse().map_err(|_| fault(format!("{} is no vertex; write its number from 0", shown(text))))?;
+            *vertex =
+                text.parse().map_err(|_| fault(format!("{} is no vertex; write its number from 0", shown(text))))?;
         }
         let time = toi.map(entry).filter(|text| pair.hit && !text.is_empty());
         pair.toi = time.map(parse_time).transpose().map_err(fault)?;

@@ -5,11 +5,15 @@
 mod around;
 pub mod broad;
 mod contact;
+// What is no number must be refused: conditions are negated where that needs it.
+#[allow(clippy::neg_cmp_op_on_partial_ord)]
 mod detector;
 pub mod elementary;
 mod narrow;
 
-pub use detector::{ContactParams, DetectionStats, Detector, DetectorError, merge_contacts, merge_impacts, smallest_altitudes};
+pub use detector::{
+    ContactParams, DetectionStats, Detector, DetectorError, merge_contacts, merge_impacts, smallest_altitudes,
+};
 
 use bytemuck::{Pod, Zeroable};
 

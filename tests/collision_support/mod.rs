@@ -38,7 +38,13 @@ pub struct Model {
 
 impl Model {
     /// A grid of n x m vertices at `place(u, v)`, u and v in 0..=1; moves by `motion(start)`.
-    pub fn sheet(&mut self, n: usize, m: usize, place: impl Fn(f32, f32) -> Vec3, mut motion: impl FnMut(Vec3) -> Vec3) {
+    pub fn sheet(
+        &mut self,
+        n: usize,
+        m: usize,
+        place: impl Fn(f32, f32) -> Vec3,
+        mut motion: impl FnMut(Vec3) -> Vec3,
+    ) {
         let first = self.x0.len() as u32;
         for i in 0..n * m {
             let at = place((i % n) as f32 / (n - 1) as f32, (i / n) as f32 / (m - 1) as f32);

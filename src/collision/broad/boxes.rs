@@ -80,7 +80,8 @@ impl<'a> Motion<'a> {
         }
         // Rounding of the shrunk bounds is within what inflating added.
         let within_piece = choice.piece_radius_m.filter(|&radius_m| radius_m < query.radius_m);
-        let within_piece = within_piece.map(|radius_m| Vec3A::splat((query.radius_m - radius_m.max(0.0)) * (1.0 - SLACK)));
+        let within_piece =
+            within_piece.map(|radius_m| Vec3A::splat((query.radius_m - radius_m.max(0.0)) * (1.0 - SLACK)));
         let pad = Vec3A::splat(0.5 * query.radius_m * (1.0 + SLACK));
         Ok(Motion { start: query.x_t0, end: query.x_t1, pad, within_piece })
     }

@@ -67,8 +67,15 @@ pub(super) struct Features {
 }
 
 impl Features {
-    pub const UNKNOWN: Features =
-        Features { corners: [0; 3], ends: [[0; 2]; 6], boxes: [NOWHERE; 2], vertices: 0, edges: 0, piece: 0, known: false };
+    pub const UNKNOWN: Features = Features {
+        corners: [0; 3],
+        ends: [[0; 2]; 6],
+        boxes: [NOWHERE; 2],
+        vertices: 0,
+        edges: 0,
+        piece: 0,
+        known: false,
+    };
 
     #[inline(always)]
     pub fn set(&mut self, input: &Input, triangle: u32) {

@@ -152,9 +152,9 @@ pub struct Broad {
 }
 
 /// Hands all candidates to one closure.
-struct Locked<'a, 'b>(&'a Mutex<&'b mut (dyn FnMut(&[Candidate]) + Send)>);
+struct Locked<'a, E: ?Sized>(&'a Mutex<&'a mut E>);
 
-impl Sink for Locked<'_, '_> {
+impl<E: FnMut(&[Candidate]) + Send + ?Sized> Sink for Locked<'_, E> {
     fn take(&mut self, found: &[Candidate]) {
         if let Ok(mut emit) = self.0.lock() {
             emit(found);
@@ -169,7 +169,12 @@ fn nanoseconds(since: Instant) -> u64 {
 impl Broad {
     /// A broad phase over `mesh`.
     pub fn new(mesh: CollisionMesh) -> Broad {
-        Broad { mesh: Arc::new(mesh), table: Table::default(), workload: Workload::default(), entries: Entries::default() }
+        Broad {
+            mesh: Arc::new(mesh),
+            table: Table::default(),
+            workload: Workload::default(),
+            entries: Entries::default(),
+        }
     }
 
     /// The mesh.

@@ -141,7 +141,9 @@ impl Marked {
             let wanted = input.tag(triangle) != 0;
             let Some(aabb) = wanted.then(|| input.aabb(triangle)).flatten() else { continue };
             match input.grid.finest(&aabb) {
-                Some(cells) => first.for_each(&cells, |bucket, _| marked.bits[bucket as usize / 64] |= 1 << (bucket % 64)),
+                Some(cells) => {
+                    first.for_each(&cells, |bucket, _| marked.bits[bucket as usize / 64] |= 1 << (bucket % 64))
+                }
                 None => marked.coarse = true,
             }
         }
