@@ -21,7 +21,8 @@ fn scratch(name: &str) -> PathBuf {
 }
 
 fn ask(queries: PathBuf, kind: CcdKind, truth: Option<PathBuf>) -> (Option<Value>, Option<(u8, String)>) {
-    let args = CcdArgs { queries, kind, minimum_separation: 0.0, truth };
+    let args =
+        CcdArgs { queries: Some(queries), kind: Some(kind), frames: None, pairs: None, minimum_separation: 0.0, truth };
     let mut out = Vec::new();
     let error = write_ccd(&args, &mut out).err().map(|error| (error.exit_code, error.message));
     (serde_json::from_slice(&out).ok(), error)

@@ -6,6 +6,8 @@
 //! queries; `KIND_pairs.csv` in the folder above (both with a column `hit_f32`, one row per query in the same order). Failing
 //! these, the seventh column of the queries counts, which answers the question before rounding: then "truth" in the output
 //! is "unrounded", and a miss may be the rounding's. Without any truth, "missed" and "false_hits" are null.
+//!
+//! With `--frames` the question is another one: see `ccd_frames`.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -15,6 +17,7 @@ use clap::ValueEnum;
 use serde::Serialize;
 
 use super::CliError;
+use super::ccd_frames::write_frames;
 use crate::collision::elementary::{DecidedBy, StencilKind, ccd};
 use crate::math::Vec3;
 
@@ -25,15 +28,22 @@ const ROWS: usize = 8;
 #[derive(Clone, Debug, clap::Args)]
 pub struct CcdArgs {
     /// CSV, 8 rows per query: x, y, z as numerator, denominator each, then optionally the truth (0 or 1)
-    pub queries: PathBuf,
-    /// vf = rows are vertex, face corners; ee = first edge, second edge
-    #[arg(long)]
-    pub kind: CcdKind,
+    #[arg(required_unless_present = "frames", conflicts_with = "frames")]
+    pub queries: Option<PathBuf>,
+    /// vf = rows are vertex, face corners; ee = first edge, second edge; needed for queries, for pairs only if both fit
+    #[arg(long, required_unless_present = "frames")]
+    pub kind: Option<CcdKind>,
+    /// Two frames of a mesh (PLY or OBJ): run the whole detection between them instead
+    #[arg(long, num_args = 2, value_names = ["START", "END"], requires = "pairs")]
+    pub frames: Option<Vec<PathBuf>>,
+    /// CSV with columns i0, i1, i2, i3 (vertices of the frames from 0) and hit_f32: every true pair must be found
+    #[arg(long, value_name = "CSV", requires = "frames")]
+    pub pairs: Option<PathBuf>,
     /// Distance that counts as contact, metres
     #[arg(long, value_name = "METRES", default_value_t = 0.0, value_parser = separation)]
     pub minimum_separation: f32,
     /// CSV with a column hit_f32 (and toi_f32): the truth for coordinates rounded to f32, one row per query
-    #[arg(long, value_name = "CSV")]
+    #[arg(long, value_name = "CSV", conflicts_with = "frames")]
     pub truth: Option<PathBuf>,
 }
 
@@ -122,21 +132,32 @@ pub fn run(args: CcdArgs) -> Result<(), CliError> {
 /// # Errors
 /// As [`run`].
 pub fn write_ccd(args: &CcdArgs, out: &mut impl Write) -> Result<(), CliError> {
-    let queries = parse_queries(&read(&args.queries)?).map_err(|fault| in_file(&args.queries, &fault))?;
-    let (truth, truth_name) = truth_of(args, &queries)?;
-    let kind = if args.kind == CcdKind::Vf { StencilKind::VertexFace } else { StencilKind::EdgeEdge };
-    let report = check(kind, &queries, truth.as_deref(), truth_name, args.minimum_separation);
-    let text = serde_json::to_string_pretty(&report).map_err(CliError::failed)?;
-    match writeln!(out, "{text}") {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => return Err(CliError::failed(error)),
-        _ => {}
+    if let (Some([start, end]), Some(pairs)) = (args.frames.as_deref(), &args.pairs) {
+        return write_frames([start, end], pairs, args.kind, args.minimum_separation, out);
     }
+    let (Some(file), Some(kind)) = (&args.queries, args.kind) else {
+        return Err(CliError::bad_input("give a file of queries with --kind, or --frames with --pairs"));
+    };
+    let queries = parse_queries(&read(file)?).map_err(|fault| in_file(file, &fault))?;
+    let (truth, truth_name) = truth_of(args, file, kind, &queries)?;
+    let kind = if kind == CcdKind::Vf { StencilKind::VertexFace } else { StencilKind::EdgeEdge };
+    let report = check(kind, &queries, truth.as_deref(), truth_name, args.minimum_separation);
+    write_json(&report, out)?;
     let (missed, late) = (report.missed.unwrap_or(0), report.late.unwrap_or(0));
     if missed + late > 0 {
-        let name = args.queries.display();
+        let name = file.display();
         return Err(CliError::failed(format!("{name}: {missed} contacts missed, {late} found later than they happen")));
     }
     Ok(())
+}
+
+/// Prints a report; a reader that went away is no error.
+pub(super) fn write_json(report: &impl Serialize, out: &mut impl Write) -> Result<(), CliError> {
+    let text = serde_json::to_string_pretty(report).map_err(CliError::failed)?;
+    match writeln!(out, "{text}") {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(CliError::failed(error)),
+        _ => Ok(()),
+    }
 }
 
 /// Tests all queries and compares with the truth; `truth` has one entry per query.
@@ -177,24 +198,29 @@ pub fn check(
     }
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, CliError> {
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, CliError> {
     std::fs::read(path).map_err(|error| CliError::bad_input(format!("{}: cannot be read: {error}", path.display())))
 }
 
-fn in_file(path: &Path, fault: &CsvFault) -> CliError {
+pub(super) fn in_file(path: &Path, fault: &CsvFault) -> CliError {
     CliError::bad_input(format!("{}, {fault}", path.display()))
 }
 
 /// The truth and its name in the report.
-fn truth_of(args: &CcdArgs, queries: &[Query]) -> Result<(Option<Vec<Truth>>, &'static str), CliError> {
-    let kind = if args.kind == CcdKind::Vf { "vf" } else { "ee" };
-    let beside = args.queries.with_extension("exact.csv");
-    let above = args.queries.parent().and_then(Path::parent).map(|folder| folder.join(format!("{kind}_pairs.csv")));
+fn truth_of(
+    args: &CcdArgs,
+    name: &Path,
+    kind: CcdKind,
+    queries: &[Query],
+) -> Result<(Option<Vec<Truth>>, &'static str), CliError> {
+    let kind = if kind == CcdKind::Vf { "vf" } else { "ee" };
+    let beside = name.with_extension("exact.csv");
+    let above = name.parent().and_then(Path::parent).map(|folder| folder.join(format!("{kind}_pairs.csv")));
     let file = args.truth.clone().or_else(|| [Some(beside), above].into_iter().flatten().find(|path| path.is_file()));
     if let Some(path) = file {
         let truth = parse_truth(&read(&path)?).map_err(|fault| in_file(&path, &fault))?;
         if truth.len() != queries.len() {
-            let (path, name, rows, wanted) = (path.display(), args.queries.display(), truth.len(), queries.len());
+            let (path, name, rows, wanted) = (path.display(), name.display(), truth.len(), queries.len());
             return Err(CliError::bad_input(format!("{path}: {rows} rows of truth, but {name} has {wanted} queries")));
         }
         return Ok((Some(truth), "rounded"));
@@ -239,7 +265,7 @@ pub fn parse_queries(bytes: &[u8]) -> Result<Vec<Query>, CsvFault> {
 }
 
 /// Lines that are not blank, with their numbers.
-fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
+pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     bytes
         .split(|&b| b == b'\n')
         .map(<[u8]>::trim_ascii)
@@ -248,7 +274,7 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
         .map(|(t, n)| (n, t))
 }
 
-fn columns(text: &[u8]) -> Result<Vec<&str>, String> {
+pub(super) fn columns(text: &[u8]) -> Result<Vec<&str>, String> {
     let text = std::str::from_utf8(text).map_err(|_| "not text; a row is numbers with commas between".to_string())?;
     Ok(text.split(',').map(str::trim).collect())
 }
@@ -264,7 +290,7 @@ fn parse_vertex(text: &[u8]) -> Result<(Vec3, Option<bool>), String> {
     Ok((Vec3::new(component(0)?, component(1)?, component(2)?), hit))
 }
 
-fn parse_flag(text: &str) -> Result<bool, String> {
+pub(super) fn parse_flag(text: &str) -> Result<bool, String> {
     match text {
         "0" => Ok(false),
         "1" => Ok(true),
@@ -273,7 +299,7 @@ fn parse_flag(text: &str) -> Result<bool, String> {
 }
 
 /// At most a few characters of a field, for an error sentence.
-fn shown(text: &str) -> String {
+pub(super) fn shown(text: &str) -> String {
     let start: String = text.chars().take(24).collect();
     format!("{start:?}")
 }
@@ -322,6 +348,13 @@ fn nearest_f32(n: u64, d: u64) -> f32 {
     (head as f64 * 2f64.powi(cut as i32 - 1 - shift as i32)) as f32
 }
 
+pub(super) fn parse_time(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(time) if (0.0..=1.0).contains(&time) => Ok(time),
+        _ => Err(format!("{} is no time; write a number from 0 to 1", shown(text))),
+    }
+}
+
 /// Reads a table of truth: a header line with the columns `hit_f32` and optionally `toi_f32`, then a row per query.
 ///
 /// # Errors
@@ -340,10 +373,7 @@ pub fn parse_truth(bytes: &[u8]) -> Result<Vec<Truth>, CsvFault> {
             let hit = parse_flag(row.get(hit).copied().unwrap_or_default()).map_err(fault)?;
             let toi = match toi.and_then(|c| row.get(c)).filter(|text| hit && !text.is_empty()) {
                 None => None,
-                Some(text) => match text.parse::<f64>() {
-                    Ok(time) if (0.0..=1.0).contains(&time) => Some(time),
-                    _ => return Err(fault(format!("{} is no time; write a number from 0 to 1", shown(text)))),
-                },
+                Some(text) => Some(parse_time(text).map_err(fault)?),
             };
             Ok(Truth { hit, toi })
         })

@@ -1,8 +1,19 @@
 //! Collision detection [Li et al. 2020, Sec. 4.2]: triangle hash table, workload table, proximity, continuous collision
-//! detection. Stages pass [`Candidate`]s: pairs of features that may touch, not pairs that do.
+//! detection. [`Detector`] is what a step asks; `broad` and `elementary` are its stages. Stages pass [`Candidate`]s: pairs of
+//! features that may touch, not pairs that do.
 
+mod around;
 pub mod broad;
+mod contact;
+// What is no number must be refused: conditions are negated where that needs it.
+#[allow(clippy::neg_cmp_op_on_partial_ord)]
+mod detector;
 pub mod elementary;
+mod narrow;
+
+pub use detector::{
+    ContactParams, DetectionStats, Detector, DetectorError, merge_contacts, merge_impacts, smallest_altitudes,
+};
 
 use bytemuck::{Pod, Zeroable};
 

@@ -3,7 +3,7 @@
 
 use glam::Vec3A;
 
-use super::{BroadError, CollisionMesh, Query};
+use super::{BroadError, Choice, CollisionMesh, Query};
 
 /// Relative widening of every bound: more than the rounding of a few f32 operations on the coordinates, so that a test
 /// that decides with rounded numbers is still handed the pair.
@@ -38,6 +38,12 @@ impl Aabb {
         (self.lo.cmple(other.hi) & other.lo.cmple(self.hi)).all()
     }
 
+    /// Each bound moved inwards by `by`; may end up inside out, then it overlaps what holds all of it at most.
+    #[inline(always)]
+    pub fn shrink(self, by: Vec3A) -> Aabb {
+        Aabb { lo: self.lo + by, hi: self.hi - by }
+    }
+
     /// Longest side.
     #[inline(always)]
     pub fn extent(&self) -> f32 {
@@ -50,11 +56,13 @@ pub(super) struct Motion<'a> {
     start: &'a [f32],
     end: &'a [f32],
     pad: Vec3A,
+    /// How much a box may shrink before it is tested with one of the same piece.
+    pub within_piece: Option<Vec3A>,
 }
 
 impl<'a> Motion<'a> {
     /// Refuses positions and radii that boxes cannot be built from.
-    pub fn new(mesh: &CollisionMesh, query: &Query<'a>) -> Result<Motion<'a>, BroadError> {
+    pub fn new(mesh: &CollisionMesh, query: &Query<'a>, choice: &Choice) -> Result<Motion<'a>, BroadError> {
         for (which, positions) in [("start", query.x_t0), ("end", query.x_t1)] {
             if positions.len() != 3 * mesh.vertices {
                 return Err(BroadError::PositionCount { which, values: positions.len(), vertices: mesh.vertices });
@@ -70,7 +78,12 @@ impl<'a> Motion<'a> {
         if !(query.radius_m >= 0.0 && query.radius_m <= MOST_M) {
             return Err(BroadError::Radius { radius_m: query.radius_m });
         }
-        Ok(Motion { start: query.x_t0, end: query.x_t1, pad: Vec3A::splat(0.5 * query.radius_m * (1.0 + SLACK)) })
+        // Rounding of the shrunk bounds is within what inflating added.
+        let within_piece = choice.piece_radius_m.filter(|&radius_m| radius_m < query.radius_m);
+        let within_piece =
+            within_piece.map(|radius_m| Vec3A::splat((query.radius_m - radius_m.max(0.0)) * (1.0 - SLACK)));
+        let pad = Vec3A::splat(0.5 * query.radius_m * (1.0 + SLACK));
+        Ok(Motion { start: query.x_t0, end: query.x_t1, pad, within_piece })
     }
 
     /// Box of the path of a vertex, not inflated.

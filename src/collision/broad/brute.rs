@@ -2,12 +2,12 @@
 //! Shares the boxes with the hashed search and nothing else.
 
 use super::boxes::Motion;
-use super::{BroadError, CollisionMesh, Query};
+use super::{BroadError, Choice, CollisionMesh, Query};
 use crate::collision::Candidate;
 
 /// All pairs of features with overlapping boxes, sorted: what all ranks of [`super::Broad::candidates`] report together.
 pub fn brute_force(mesh: &CollisionMesh, query: &Query) -> Result<Vec<Candidate>, BroadError> {
-    let motion = Motion::new(mesh, query)?;
+    let motion = Motion::new(mesh, query, &Choice::default())?;
     let obstacle = |vertex: u32| vertex as usize >= mesh.cloth_vertices;
     let mut found = Vec::new();
     let faces: Vec<_> = mesh.triangles.iter().map(|&t| motion.triangle(t)).collect();

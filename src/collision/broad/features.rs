@@ -26,6 +26,17 @@ impl Spread {
     }
 }
 
+impl Spread {
+    /// As [`Aabb::shrink`].
+    #[inline(always)]
+    pub fn shrink(&mut self, by: f32) {
+        for axis in 0..3 {
+            self.lo[axis] += by;
+            self.hi[axis] -= by;
+        }
+    }
+}
+
 /// Overlaps nothing.
 const NOWHERE: Four = Four { lo: [Vec4::INFINITY; 3], hi: [Vec4::NEG_INFINITY; 3] };
 
@@ -49,13 +60,22 @@ pub(super) struct Features {
     pub vertices: u32,
     /// Bits of the slots that hold edges.
     pub edges: u32,
+    /// The triangle's piece.
+    pub piece: u32,
     /// Set once the rest is.
     pub known: bool,
 }
 
 impl Features {
-    pub const UNKNOWN: Features =
-        Features { corners: [0; 3], ends: [[0; 2]; 6], boxes: [NOWHERE; 2], vertices: 0, edges: 0, known: false };
+    pub const UNKNOWN: Features = Features {
+        corners: [0; 3],
+        ends: [[0; 2]; 6],
+        boxes: [NOWHERE; 2],
+        vertices: 0,
+        edges: 0,
+        piece: 0,
+        known: false,
+    };
 
     #[inline(always)]
     pub fn set(&mut self, input: &Input, triangle: u32) {
@@ -63,6 +83,7 @@ impl Features {
         let owned = u32::from(input.mesh.owned[triangle as usize]);
         let vertices = corners.map(|v| input.motion.vertex(v));
         self.corners = corners;
+        self.piece = input.mesh.pieces[corners[0] as usize];
         self.known = true;
         self.boxes = [NOWHERE; 2];
         let count = (owned & 7).count_ones();

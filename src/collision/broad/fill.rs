@@ -50,14 +50,16 @@ impl Entries {
             // SAFETY: within the vector, and this slot is handed out only here and now.
             unsafe { slots.0.add(slot).write(entry) };
         };
-        cpu.for_ranges(input.mesh.triangles.len(), 256, |range| {
-            for triangle in range {
+        cpu.for_ranges(table.triangles(input), 256, |range| {
+            for at in range {
+                let triangle = table.triangle(at);
+                let wanted = input.tag(triangle);
                 let Some(aabb) = input.aabb(triangle) else { continue };
                 let Some((own, home, cells)) = table.home(input, &aabb) else { continue };
                 home.for_each(&cells, |bucket, tag| {
                     let at = (bucket as usize).wrapping_sub(first);
                     if at < buckets {
-                        write(resident, at, Entry::new(&aabb, tag, triangle as u32));
+                        write(resident, at, Entry::new(&aabb, tag | wanted, triangle as u32));
                     }
                 });
                 if visiting.is_empty() {
@@ -66,7 +68,7 @@ impl Entries {
                 table.for_each_visited(input, triangle, &aabb, own, |bucket, tag| {
                     let at = (bucket as usize).wrapping_sub(first_visited);
                     if at < visiting.len() {
-                        write(visiting, at, Entry::new(&aabb, tag, triangle as u32));
+                        write(visiting, at, Entry::new(&aabb, tag | wanted, triangle as u32));
                     }
                 });
             }

@@ -138,6 +138,9 @@ impl Buckets {
     }
 }
 
+/// Bit of a tag: pairs of this triangle are wanted whatever the other is.
+pub(super) const WANTED: u32 = 0x40;
+
 /// Whether two boxes *that overlap* and met in a bucket met in the cell of the lower corner of their intersection, which
 /// is the one place where the pair is reported.
 ///
@@ -145,9 +148,11 @@ impl Buckets {
 /// holds if both are here for the same cell. If they are here for two cells of one bucket, these are equal in the lowest
 /// bits (the place in the block) and, as the boxes overlap and cover two cells per axis, at most two apart: then they
 /// differ in the second lowest bits.
+///
+/// False as well if neither of the two is [`WANTED`].
 #[inline(always)]
 pub(super) fn same_cell_first(tag: u32, other: u32) -> bool {
-    ((tag | other) & 7 == 7) & ((tag ^ other) & 0x38 == 0)
+    ((tag | other) & (7 | WANTED) == 7 | WANTED) & ((tag ^ other) & 0x38 == 0)
 }
 
 /// A triangle in a bucket: its box, negated above so that an overlap is one comparison of eight numbers.

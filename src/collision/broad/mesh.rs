@@ -68,6 +68,8 @@ pub struct CollisionMesh {
     pub edges: Vec<[u32; 2]>,
     /// Per triangle: bit k (0..3) is set if it owns corner k, bit 3 + k if it owns the edge from corner k to k + 1.
     pub owned: Vec<u8>,
+    /// Per vertex: the smallest vertex of its piece. A piece is a connected component, of cloth or of an obstacle.
+    pub pieces: Vec<u32>,
 }
 
 /// Edge from corner `k` to the next one, smaller vertex first.
@@ -114,6 +116,7 @@ impl CollisionMesh {
             vertices,
             cloth_vertices,
             owned: vec![0; triangles.len()],
+            pieces: pieces(vertices, &triangles),
             triangles,
             cloth_triangles,
             edges: Vec::new(),
@@ -153,6 +156,30 @@ impl CollisionMesh {
 
     /// Bytes of the mesh; every rank holds all of it.
     pub fn bytes(&self) -> u64 {
-        (size_of_val(&self.triangles[..]) + size_of_val(&self.edges[..]) + size_of_val(&self.owned[..])) as u64
+        let lists = size_of_val(&self.triangles[..]) + size_of_val(&self.edges[..]) + size_of_val(&self.owned[..]);
+        (lists + size_of_val(&self.pieces[..])) as u64
     }
+}
+
+/// Per vertex the smallest vertex that triangles connect it with.
+fn pieces(vertices: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
+    let mut parent: Vec<u32> = (0..vertices as u32).collect();
+    fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
+        while parent[vertex as usize] != vertex {
+            parent[vertex as usize] = parent[parent[vertex as usize] as usize];
+            vertex = parent[vertex as usize];
+        }
+        vertex
+    }
+    for &[a, b, c] in triangles {
+        for other in [b, c] {
+            let (one, other) = (root(&mut parent, a), root(&mut parent, other));
+            parent[one.max(other) as usize] = one.min(other);
+        }
+    }
+    // Parents are never larger than their children, so they are final when a child asks.
+    for vertex in 0..vertices {
+        parent[vertex] = parent[parent[vertex] as usize];
+    }
+    parent
 }

@@ -15,7 +15,7 @@ mod pairs;
 mod table;
 mod workload;
 
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use thiserror::Error;
@@ -29,7 +29,7 @@ use boxes::Motion;
 use fill::Entries;
 use pairs::Tester;
 use table::{Input, Table};
-use workload::Workload;
+use workload::{Batch, Workload};
 
 /// Buckets per unit of work of the test pass.
 const GRAIN: usize = 256;
@@ -75,6 +75,14 @@ pub enum BroadError {
         /// The radius.
         radius_m: f32,
     },
+    /// Not one mark per vertex.
+    #[error("{values} vertices are marked as touched or not, but the mesh has {vertices} vertices")]
+    TouchedCount {
+        /// Marks given.
+        values: usize,
+        /// Vertices of the mesh.
+        vertices: usize,
+    },
     /// No such rank.
     #[error("rank {rank} of {ranks} ranks does not exist")]
     Rank {
@@ -116,16 +124,42 @@ pub struct BroadStats {
     pub count_ns: u64,
     /// Time of the fill passes.
     pub fill_ns: u64,
-    /// Time of the tests, `emit` included.
+    /// Time of the tests, the work on candidates included.
     pub test_ns: u64,
+}
+
+/// What a search leaves out of a query's pairs.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Choice<'a> {
+    /// Per vertex: pairs of triangles of which none has a vertex that is set here are left out. None keeps all.
+    pub touched: Option<&'a [bool]>,
+    /// Distance beyond which pairs within one piece may be left out, metres. None stands for the query's radius.
+    pub piece_radius_m: Option<f32>,
+}
+
+/// Takes the candidates that one thread finds.
+pub trait Sink: Send {
+    /// Takes candidates; called again and again with at most a few thousand.
+    fn take(&mut self, found: &[Candidate]);
 }
 
 /// The broad phase of one mesh. Keeps its buffers from query to query.
 pub struct Broad {
-    mesh: CollisionMesh,
+    mesh: Arc<CollisionMesh>,
     table: Table,
     workload: Workload,
     entries: Entries,
+}
+
+/// Hands all candidates to one closure.
+struct Locked<'a, E: ?Sized>(&'a Mutex<&'a mut E>);
+
+impl<E: FnMut(&[Candidate]) + Send + ?Sized> Sink for Locked<'_, E> {
+    fn take(&mut self, found: &[Candidate]) {
+        if let Ok(mut emit) = self.0.lock() {
+            emit(found);
+        }
+    }
 }
 
 fn nanoseconds(since: Instant) -> u64 {
@@ -135,11 +169,16 @@ fn nanoseconds(since: Instant) -> u64 {
 impl Broad {
     /// A broad phase over `mesh`.
     pub fn new(mesh: CollisionMesh) -> Broad {
-        Broad { mesh, table: Table::default(), workload: Workload::default(), entries: Entries::default() }
+        Broad {
+            mesh: Arc::new(mesh),
+            table: Table::default(),
+            workload: Workload::default(),
+            entries: Entries::default(),
+        }
     }
 
     /// The mesh.
-    pub fn mesh(&self) -> &CollisionMesh {
+    pub fn mesh(&self) -> &Arc<CollisionMesh> {
         &self.mesh
     }
 
@@ -158,28 +197,36 @@ impl Broad {
         memory_limit_bytes: Option<u64>,
         emit: &mut (dyn FnMut(&[Candidate]) + Send),
     ) -> Result<BroadStats, BroadError> {
+        let emit = Mutex::new(emit);
+        let start = || Locked(&emit);
+        self.search(cpu, query, &Choice::default(), (rank, ranks), memory_limit_bytes, &start, &mut |_| ())
+    }
+
+    /// As [`Broad::candidates`], less what `choice` leaves out, with the work on candidates done by the threads that find
+    /// them: `start` makes a sink for a part of the tests, `finish` gets it back, one at a time. Which candidates a sink
+    /// gets, and how many sinks there are, depends on the number of threads.
+    pub fn search<S: Sink>(
+        &mut self,
+        cpu: &CpuExecutor,
+        query: &Query,
+        choice: &Choice,
+        (rank, ranks): (usize, usize),
+        memory_limit_bytes: Option<u64>,
+        start: &(dyn Fn() -> S + Sync),
+        finish: &mut (dyn FnMut(S) + Send),
+    ) -> Result<BroadStats, BroadError> {
         if rank >= ranks {
             return Err(BroadError::Rank { rank, ranks });
         }
+        if let Some(touched) = choice.touched.filter(|touched| touched.len() != self.mesh.vertices) {
+            return Err(BroadError::TouchedCount { values: touched.len(), vertices: self.mesh.vertices });
+        }
         let started = Instant::now();
-        let input = Input::new(&self.mesh, Motion::new(&self.mesh, query)?);
+        let input = Input::new(&self.mesh, Motion::new(&self.mesh, query, choice)?, *choice);
         self.table.count(cpu, &input);
         self.workload.scan(&self.table);
-        let share = self.workload.share(rank, ranks);
-        let fixed = self.table.bytes() + self.workload.bytes() + cpu.threads() as u64 * Tester::bytes();
-        if memory_limit_bytes.is_some_and(|limit| fixed + self.entries.bytes() > limit) {
-            // What an earlier, unlimited query left must not count against this one.
-            self.entries = Entries::default();
-        }
-        let room = memory_limit_bytes.map_or(u64::MAX / 4, |limit| limit.saturating_sub(fixed));
-        let (most_entries, most_buckets) = Entries::fit(room);
-        let batches = self.workload.batches(&self.table, &share, most_entries, most_buckets);
-        let fullest = batches.iter().map(|b| b.entries).max().unwrap_or(0);
-        if let Some(limit_bytes) = memory_limit_bytes.filter(|&limit| fixed > limit || fullest > most_entries) {
-            let singles = self.workload.batches(&self.table, &share, 0, 0);
-            let fullest = singles.iter().map(|b| b.entries).max().unwrap_or(0);
-            return Err(BroadError::MemoryLimit { needs_bytes: fixed + Entries::bytes_for(fullest), limit_bytes });
-        }
+        let parts = (&self.table, &self.workload, &mut self.entries);
+        let (batches, fixed) = plan(parts, cpu.threads(), (rank, ranks), memory_limit_bytes)?;
         let mut stats = BroadStats {
             tests_total: self.workload.tests,
             cells: self.workload.busy,
@@ -189,7 +236,7 @@ impl Broad {
             ..BroadStats::default()
         };
         let totals = Mutex::new((0, 0));
-        let emit = Mutex::new(emit);
+        let finish = Mutex::new(finish);
         for batch in &batches {
             let started = Instant::now();
             self.entries.fill(cpu, &input, &self.table, batch);
@@ -200,12 +247,11 @@ impl Broad {
             cpu.for_ranges(batch.buckets.len(), GRAIN, |range| {
                 let mut tester = Tester::new();
                 let buckets = batch.buckets.start + range.start..batch.buckets.start + range.end;
-                let mut locked = |found: &[Candidate]| {
-                    if let Ok(mut emit) = emit.lock() {
-                        emit(found);
-                    }
-                };
-                tester.run(input, table, entries, batch, buckets, &mut locked);
+                let mut sink = start();
+                tester.run(input, table, entries, batch, buckets, &mut |found| sink.take(found));
+                if let Ok(mut finish) = finish.lock() {
+                    finish(sink);
+                }
                 if let Ok(mut totals) = totals.lock() {
                     totals.0 += tester.tested;
                     totals.1 += tester.found;
@@ -217,4 +263,29 @@ impl Broad {
         (stats.tests, stats.candidates) = totals.into_inner().unwrap_or_default();
         Ok(stats)
     }
+}
+
+/// The batches of a rank's share within the limit, and the bytes that are needed besides their entries.
+fn plan(
+    (table, workload, entries): (&Table, &Workload, &mut Entries),
+    threads: usize,
+    (rank, ranks): (usize, usize),
+    memory_limit_bytes: Option<u64>,
+) -> Result<(Vec<Batch>, u64), BroadError> {
+    let share = workload.share(rank, ranks);
+    let fixed = table.bytes() + workload.bytes() + threads as u64 * Tester::bytes();
+    if memory_limit_bytes.is_some_and(|limit| fixed + entries.bytes() > limit) {
+        // What an earlier, unlimited query left must not count against this one.
+        *entries = Entries::default();
+    }
+    let room = memory_limit_bytes.map_or(u64::MAX / 4, |limit| limit.saturating_sub(fixed));
+    let (most_entries, most_buckets) = Entries::fit(room);
+    let batches = workload.batches(table, &share, most_entries, most_buckets);
+    let fullest = batches.iter().map(|b| b.entries).max().unwrap_or(0);
+    if let Some(limit_bytes) = memory_limit_bytes.filter(|&limit| fixed > limit || fullest > most_entries) {
+        let singles = workload.batches(table, &share, 0, 0);
+        let fullest = singles.iter().map(|b| b.entries).max().unwrap_or(0);
+        return Err(BroadError::MemoryLimit { needs_bytes: fixed + Entries::bytes_for(fullest), limit_bytes });
+    }
+    Ok((batches, fixed))
 }

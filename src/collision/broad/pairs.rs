@@ -138,9 +138,19 @@ impl Tester {
     /// Pairs of features that two triangles own.
     #[inline(always)]
     fn pair(&mut self, input: &Input, entries: &[Entry], one: usize, other: usize) {
-        let (one, box_a) = (self.features(input, &entries[one], one, 0), Spread::of(&entries[one].aabb()));
-        let (other, box_b) = (self.features(input, &entries[other], other, 1), Spread::of(&entries[other].aabb()));
+        let (mut box_a, mut box_b) = (entries[one].aabb(), entries[other].aabb());
+        let full_b = box_b;
+        let one = self.features(input, &entries[one], one, 0);
+        let other = self.features(input, &entries[other], other, 1);
         let (a, b) = (&self.features[one], &self.features[other]);
+        let within_piece = input.motion.within_piece.filter(|_| a.piece == b.piece);
+        if let Some(by) = within_piece {
+            (box_a, box_b) = (box_a.shrink(by), box_b.shrink(by));
+            if !box_a.overlaps(&full_b) {
+                return;
+            }
+        }
+        let (box_a, box_b) = (Spread::of(&box_a), Spread::of(&box_b));
         let (reach_a, reach_b) = (a.reach(&box_b), b.reach(&box_a));
         for (of, reach, face) in [(a, reach_a, b), (b, reach_b, a)] {
             for slot in bits(reach & of.vertices) {
@@ -156,7 +166,11 @@ impl Tester {
         }
         for slot in bits(reach_a & a.edges) {
             let edge = a.ends[slot];
-            for slot in bits(others & b.reach(&a.spread(slot))) {
+            let mut own = a.spread(slot);
+            if let Some(by) = within_piece {
+                own.shrink(by.x);
+            }
+            for slot in bits(others & b.reach(&own)) {
                 let other = b.ends[slot];
                 let shared =
                     (edge[0] == other[0]) | (edge[0] == other[1]) | (edge[1] == other[0]) | (edge[1] == other[1]);

@@ -4,9 +4,9 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-use super::CollisionMesh;
 use super::boxes::{Aabb, Motion};
-use super::grid::{Buckets, Cells, Grid, LEVELS};
+use super::grid::{Buckets, Cells, Grid, LEVELS, WANTED};
+use super::{Choice, CollisionMesh};
 use crate::gpu::CpuExecutor;
 
 /// Triangles per unit of work of a pass over triangles.
@@ -37,21 +37,44 @@ pub(super) struct Input<'a> {
     pub mesh: &'a CollisionMesh,
     pub motion: Motion<'a>,
     pub grid: Grid,
+    /// What the query leaves out.
+    pub choice: Choice<'a>,
+    /// Obstacles are cut to these bounds.
     cloth: Aabb,
+    /// Triangles outside have no partner.
+    reach: Option<Aabb>,
 }
 
 impl<'a> Input<'a> {
-    pub fn new(mesh: &'a CollisionMesh, motion: Motion<'a>) -> Input<'a> {
+    pub fn new(mesh: &'a CollisionMesh, motion: Motion<'a>, choice: Choice<'a>) -> Input<'a> {
         let grid = Grid::new(mesh, &motion);
         let cloth = motion.cloth_bounds(mesh);
-        Input { mesh, motion, grid, cloth }
+        let mut input = Input { mesh, motion, grid, choice, cloth, reach: None };
+        if choice.touched.is_some() {
+            let wanted = (0..mesh.triangles.len()).filter(|&t| input.tag(t) != 0);
+            input.reach = Some(wanted.fold(Aabb::EMPTY, |all, t| all.join(input.motion.triangle(mesh.triangles[t]))));
+        }
+        input
+    }
+
+    /// [`WANTED`], or 0 for a triangle that is of interest only as partner of such a one.
+    #[inline(always)]
+    pub fn tag(&self, triangle: usize) -> u32 {
+        let Some(touched) = self.choice.touched else { return WANTED };
+        let [a, b, c] = self.mesh.triangles[triangle];
+        if touched[a as usize] | touched[b as usize] | touched[c as usize] { WANTED } else { 0 }
     }
 
     /// Box of a triangle; that of an obstacle is cut to the cloth's bounds, which changes no intersection with cloth.
-    /// None for an obstacle out of reach.
+    /// None for a triangle out of reach of all that could be its partner.
     #[inline(always)]
     pub fn aabb(&self, triangle: usize) -> Option<Aabb> {
         let aabb = self.motion.triangle(self.mesh.triangles[triangle]);
+        if let Some(reach) = &self.reach
+            && !aabb.overlaps(reach)
+        {
+            return None;
+        }
         if triangle < self.mesh.cloth_triangles {
             return Some(aabb);
         }
@@ -72,6 +95,8 @@ pub(super) struct Table {
     first: usize,
     /// Bytes of the list of triangles that do not reside in the first grid.
     large_bytes: u64,
+    /// In a search among touched vertices: the triangles that have entries, ascending.
+    pub few: Option<Vec<u32>>,
 }
 
 /// Who is in a bucket. Entries are in this order.
@@ -101,6 +126,36 @@ impl Load {
     }
 }
 
+/// Buckets of the first grid where wanted triangles reside.
+struct Marked {
+    bits: Vec<u64>,
+    /// A wanted triangle may visit coarser grids, or reside there and be visited from anywhere.
+    coarse: bool,
+}
+
+impl Marked {
+    fn new(input: &Input, first: &Buckets) -> Marked {
+        let mut marked = Marked { bits: vec![0; first.end().div_ceil(64)], coarse: false };
+        for triangle in 0..input.mesh.triangles.len() {
+            // Any triangle, as a large one may be the partner of a wanted one.
+            let wanted = input.tag(triangle) != 0;
+            let Some(aabb) = wanted.then(|| input.aabb(triangle)).flatten() else { continue };
+            match input.grid.finest(&aabb) {
+                Some(cells) => {
+                    first.for_each(&cells, |bucket, _| marked.bits[bucket as usize / 64] |= 1 << (bucket % 64))
+                }
+                None => marked.coarse = true,
+            }
+        }
+        marked
+    }
+
+    #[inline(always)]
+    fn contains(&self, bucket: u32) -> bool {
+        self.bits[bucket as usize / 64] >> (bucket % 64) & 1 != 0
+    }
+}
+
 fn clear(counts: &mut Vec<AtomicU32>, len: usize) {
     counts.truncate(len);
     counts.iter_mut().for_each(|count| *count.get_mut() = 0);
@@ -115,27 +170,48 @@ impl Table {
         self.first = first.end();
         self.levels = vec![Level { level: 0, buckets: first, bounds: Aabb::EMPTY }];
         clear(&mut self.resident, 2 * self.first);
-        let large = Mutex::new(Vec::new());
+        let marked = input.choice.touched.is_some().then(|| Marked::new(input, &first));
+        let found = Mutex::new((Vec::new(), Vec::new()));
         let resident = &self.resident;
         cpu.for_ranges(input.mesh.triangles.len(), GRAIN, |range| {
-            let mut found = Vec::new();
+            let (mut large, mut few) = (Vec::new(), Vec::new());
             for triangle in range {
                 let Some(aabb) = input.aabb(triangle) else { continue };
                 let Some(cells) = input.grid.finest(&aabb) else {
-                    found.push((triangle, aabb));
+                    large.push((triangle, aabb));
+                    few.push(triangle as u32);
                     continue;
                 };
                 let role = usize::from(triangle >= input.mesh.cloth_triangles);
+                let Some(marked) = &marked else {
+                    first.for_each(&cells, |bucket, _| {
+                        bump(&resident[2 * bucket as usize + role], shared);
+                    });
+                    continue;
+                };
+                let mut any = marked.coarse;
                 first.for_each(&cells, |bucket, _| {
-                    bump(&resident[2 * bucket as usize + role], shared);
+                    if marked.contains(bucket) {
+                        bump(&resident[2 * bucket as usize + role], shared);
+                        any = true;
+                    }
                 });
+                if any {
+                    few.push(triangle as u32);
+                }
             }
-            if let Ok(mut large) = large.lock() {
-                large.append(&mut found);
+            if let Ok(mut found) = found.lock() {
+                found.0.append(&mut large);
+                found.1.append(&mut few);
             }
         });
-        let large = large.into_inner().unwrap_or_default();
-        self.large_bytes = size_of_val(&large[..]) as u64;
+        let (large, mut few) = found.into_inner().unwrap_or_default();
+        self.few = marked.is_some().then(|| {
+            few.sort_unstable();
+            few
+        });
+        let few = self.few.as_ref().map_or(0, |few| size_of_val(&few[..]));
+        self.large_bytes = (size_of_val(&large[..]) + few) as u64;
         self.count_coarse(input, &large);
         self.count_visitors(cpu, input);
     }
@@ -173,8 +249,9 @@ impl Table {
         if self.levels.len() == 1 {
             return;
         }
-        cpu.for_ranges(input.mesh.triangles.len(), GRAIN, |range| {
-            for triangle in range {
+        cpu.for_ranges(self.triangles(input), GRAIN, |range| {
+            for at in range {
+                let triangle = self.triangle(at);
                 let Some(aabb) = input.aabb(triangle) else { continue };
                 let role = usize::from(triangle >= input.mesh.cloth_triangles);
                 let own = if input.grid.finest(&aabb).is_some() { 0 } else { input.grid.coarse(&aabb).0 };
@@ -183,6 +260,17 @@ impl Table {
                 });
             }
         });
+    }
+
+    /// Number of triangles that may have entries.
+    pub fn triangles(&self, input: &Input) -> usize {
+        self.few.as_ref().map_or(input.mesh.triangles.len(), Vec::len)
+    }
+
+    /// Triangle with number `at` among those that may have entries.
+    #[inline(always)]
+    pub fn triangle(&self, at: usize) -> usize {
+        self.few.as_ref().map_or(at, |few| few[at] as usize)
     }
 
     /// Calls `visit(bucket, tag)` for the buckets that a triangle of grid `own` visits: those of coarser grids where

@@ -9,6 +9,7 @@
 mod ccd;
 #[allow(clippy::neg_cmp_op_on_partial_ord)]
 mod closest;
+pub mod lanes;
 #[allow(clippy::neg_cmp_op_on_partial_ord)]
 mod planes;
 mod real;

@@ -1,0 +1,159 @@
+//! From a stencil to the pair of closest features: which one it is, in one form whatever stencil led to it, and whether it
+//! is a contact at all.
+//!
+//! A vertex inside the reach of a face, or two edges that cross when seen along their normal, are contacts. What is closest
+//! at an edge or a vertex of a surface is a contact only if it is a local minimum of the distance between both surfaces:
+//! otherwise a vertex above a flat sheet would be pushed sideways by all the edges around. A vertex-edge or vertex-vertex
+//! pair is seen by the vertex-face stencils of all faces there, so edge-edge stencils speak for crossing edges only; edges
+//! that are nearly parallel are left to their ends, since the place where they cross is rounding noise.
+
+use super::Candidate;
+use super::around::Around;
+use super::broad::CollisionMesh;
+use super::elementary::{StencilKind, closest_points, proximity};
+use crate::forces::NO_VERTEX;
+use crate::math::Vec3;
+
+/// Squared sine of the angle between edges below which they count as parallel.
+const PARALLEL: f32 = 1e-5;
+/// Cosine up to which an edge beyond the end of a pair may come closer: above the sine of [`PARALLEL`] edges, so that the
+/// ends of those are kept.
+const LEVEL: f32 = 4e-3;
+/// The same for rounding alone.
+const ROUNDING: f32 = 16.0 * f32::EPSILON;
+/// Distance over size below which an offset is rounding noise and surfaces give the direction.
+const NOISE: f32 = 1e-5;
+
+/// Two closest features.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pair {
+    /// As in a contact element.
+    pub vertices: [u32; 4],
+    /// As in a contact element.
+    pub kind: u32,
+    /// Signed, as in a contact element.
+    pub weights: [f32; 4],
+    /// Unit vector from the second feature to the first.
+    pub normal: Vec3,
+    pub distance_m: f32,
+}
+
+/// What pairs are formed from.
+pub(super) struct Surfaces<'a> {
+    pub mesh: &'a CollisionMesh,
+    pub around: &'a Around,
+    /// Positions, three values per vertex.
+    pub x: &'a [f32],
+}
+
+impl Surfaces<'_> {
+    #[inline(always)]
+    pub fn at(&self, vertex: u32) -> Vec3 {
+        Vec3::from_slice(&self.x[3 * vertex as usize..])
+    }
+
+    /// The pair of closest features of a stencil if it is a contact, at whatever distance.
+    pub fn closest(&self, candidate: &Candidate) -> Option<Pair> {
+        let x = candidate.vertices.map(|v| self.at(v));
+        if !candidate.is_vertex_face() {
+            let (u, v) = (x[1] - x[0], x[3] - x[2]);
+            let crossing = u.cross(v).length_squared() > PARALLEL * u.length_squared() * v.length_squared();
+            return if crossing { self.whole(StencilKind::EdgeEdge, candidate, x) } else { None };
+        }
+        let [vertex, corners @ ..] = candidate.vertices;
+        let closest = closest_points(StencilKind::VertexFace, x).feature;
+        let mut near = (0..3).filter(|k| closest.vertices >> (k + 1) & 1 != 0).map(|k| corners[k]);
+        match (near.next(), near.next(), near.next()) {
+            (Some(_), Some(_), Some(_)) => self.whole(StencilKind::VertexFace, candidate, x),
+            (Some(a), Some(b), None) => self.vertex_edge(vertex, [a.min(b), a.max(b)]),
+            (Some(a), None, None) => self.vertex_vertex(vertex.min(a), vertex.max(a)),
+            _ => None,
+        }
+    }
+
+    /// The insides of both parts of a stencil.
+    fn whole(&self, kind: StencilKind, candidate: &Candidate, x: [Vec3; 4]) -> Option<Pair> {
+        let found = proximity(kind, x, f32::MAX).filter(|found| found.feature.is_interior())?;
+        Some(Pair {
+            vertices: candidate.vertices,
+            kind: candidate.kind,
+            weights: found.weights,
+            normal: found.normal,
+            distance_m: found.distance,
+        })
+    }
+
+    /// A vertex and the inside of an edge; the nearer end where the vertex is beyond it.
+    fn vertex_edge(&self, vertex: u32, [a, b]: [u32; 2]) -> Option<Pair> {
+        let (x, x_a, x_b) = (self.at(vertex), self.at(a), self.at(b));
+        let edge = x_b - x_a;
+        let (from_a, from_b) = ((x - x_a).dot(edge), (x_b - x).dot(edge));
+        if !(from_a > 0.0 && from_b > 0.0) {
+            let end = if from_a > 0.0 { b } else { a };
+            return self.vertex_vertex(vertex.min(end), vertex.max(end));
+        }
+        let t = from_a / (from_a + from_b);
+        let offset = if t <= 0.5 { (x - x_a) - t * edge } else { (x - x_b) + (1.0 - t) * edge };
+        let length = edge.length();
+        let over_faces = self.around.opposite(self.mesh, [a, b]);
+        let minimal = over_faces.map(|c| self.at(c) - x_a).all(|side| level(offset, side, ROUNDING, length))
+            && self.is_end(vertex, -offset, LEVEL, length);
+        minimal.then(|| {
+            let faces = self.around.faces(self.mesh, a).filter(|face| face.contains(&b));
+            let normal = self.direction(offset, length, self.normal_sum(faces));
+            Pair {
+                vertices: [vertex, a, b, NO_VERTEX],
+                kind: 0,
+                weights: [1.0, -(1.0 - t), -t, 0.0],
+                normal,
+                distance_m: offset.length(),
+            }
+        })
+    }
+
+    /// Two vertices, the smaller first.
+    fn vertex_vertex(&self, one: u32, other: u32) -> Option<Pair> {
+        let offset = self.at(one) - self.at(other);
+        let minimal = self.is_end(other, offset, ROUNDING, 0.0) && self.is_end(one, -offset, ROUNDING, 0.0);
+        minimal.then(|| {
+            // Where they coincide, the flatter or finer surface says what is up.
+            let [a, b] = [one, other].map(|v| self.normal_sum(self.around.faces(self.mesh, v)));
+            let normal = if a.length_squared() > b.length_squared() { a } else { b };
+            Pair {
+                vertices: [one, other, NO_VERTEX, NO_VERTEX],
+                kind: 0,
+                weights: [1.0, -1.0, 0.0, 0.0],
+                normal: self.direction(offset, 0.0, normal),
+                distance_m: offset.length(),
+            }
+        })
+    }
+
+    /// Whether a point `offset` away from a vertex has no point of the surface around the vertex that is closer.
+    fn is_end(&self, vertex: u32, offset: Vec3, cosine: f32, extent: f32) -> bool {
+        let x = self.at(vertex);
+        self.around.neighbours(self.mesh, vertex).all(|other| level(offset, self.at(other) - x, cosine, extent))
+    }
+
+    /// Sum of the unit normals of faces.
+    fn normal_sum(&self, faces: impl Iterator<Item = [u32; 3]>) -> Vec3 {
+        let normal = |[a, b, c]: [u32; 3]| (self.at(b) - self.at(a)).cross(self.at(c) - self.at(a));
+        faces.map(|face| normal(face).normalize_or_zero()).sum()
+    }
+
+    /// The direction of an offset, or the normal of the surface at its foot where the offset says nothing.
+    fn direction(&self, offset: Vec3, extent: f32, normal: Vec3) -> Vec3 {
+        let distance = offset.length();
+        let own = (distance > NOISE * extent).then(|| offset.try_normalize()).flatten();
+        own.unwrap_or_else(|| {
+            let normal = if normal.dot(offset) < 0.0 { -normal } else { normal };
+            normal.try_normalize().or_else(|| offset.try_normalize()).unwrap_or(Vec3::Z)
+        })
+    }
+}
+
+/// Whether going along `side` from the foot of `offset` leads away from its tip, up to a cosine and the rounding of a foot on
+/// an edge of length `extent`.
+fn level(offset: Vec3, side: Vec3, cosine: f32, extent: f32) -> bool {
+    offset.dot(side) <= (cosine * offset.length() + f32::EPSILON * extent) * side.length()
+}

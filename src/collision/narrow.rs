@@ -1,0 +1,151 @@
+//! The narrow phase as the threads of the broad phase run it: candidates in groups of four of a kind through the
+//! separating-axis test, what is left one by one through the elementary tests.
+
+use glam::Vec4;
+
+use super::broad::Sink;
+use super::contact::Surfaces;
+use super::detector::{Rules, nanoseconds};
+use super::elementary::lanes::{Lanes, undecided, undecided_at_rest};
+use super::elementary::{StencilKind, ccd};
+use super::{Candidate, Impact};
+use crate::forces::ContactElement;
+use crate::math::Vec3;
+use bytemuck::Zeroable;
+use std::time::Instant;
+
+/// What the threads found and did.
+pub(super) struct Found<T> {
+    pub items: Vec<T>,
+    /// Stencils that the elementary tests looked at.
+    pub tested: u64,
+    pub smallest_gap_m: f32,
+    /// Time of the narrow phase, added over threads.
+    pub ns: u64,
+}
+
+impl<T> Found<T> {
+    pub fn new() -> Found<T> {
+        Found { items: Vec::new(), tested: 0, smallest_gap_m: f32::INFINITY, ns: 0 }
+    }
+
+    /// Adds what another thread found.
+    pub fn append(&mut self, mut other: Found<T>) {
+        if self.items.is_empty() {
+            std::mem::swap(&mut self.items, &mut other.items);
+        }
+        self.items.append(&mut other.items);
+        self.tested += other.tested;
+        self.smallest_gap_m = self.smallest_gap_m.min(other.smallest_gap_m);
+        self.ns += other.ns;
+    }
+}
+
+/// Calls `test(kind, group, count)` with groups of four candidates of one kind; of the last ones only `count` are new.
+#[inline(always)]
+fn in_fours(
+    found: &[Candidate],
+    wanted: impl Fn(&Candidate) -> bool,
+    mut test: impl FnMut(StencilKind, &[Candidate; 4], usize),
+) {
+    let mut groups = [[Candidate::zeroed(); 4]; 2];
+    let mut counts = [0; 2];
+    let kinds = [StencilKind::VertexFace, StencilKind::EdgeEdge];
+    for candidate in found.iter().filter(|candidate| wanted(candidate)) {
+        let kind = usize::from(!candidate.is_vertex_face());
+        groups[kind][counts[kind]] = *candidate;
+        counts[kind] += 1;
+        if counts[kind] == 4 {
+            test(kinds[kind], &groups[kind], 4);
+            counts[kind] = 0;
+        }
+    }
+    for kind in 0..2 {
+        let count = counts[kind];
+        if count > 0 {
+            for rest in count..4 {
+                groups[kind][rest] = groups[kind][0];
+            }
+            test(kinds[kind], &groups[kind], count);
+        }
+    }
+}
+
+/// Positions of the vertices of four stencils.
+#[inline(always)]
+fn gather(x: &[f32], group: &[Candidate; 4]) -> [Lanes; 4] {
+    std::array::from_fn(|i| {
+        let at = |k: usize| {
+            let start = 3 * group[k].vertices[i] as usize;
+            let x = &x[start..start + 3];
+            [x[0], x[1], x[2]]
+        };
+        let [a, b, c, d] = [at(0), at(1), at(2), at(3)];
+        std::array::from_fn(|axis| Vec4::new(a[axis], b[axis], c[axis], d[axis]))
+    })
+}
+
+/// The set bits of a mask of four, below `count`.
+#[inline(always)]
+fn left(mask: u32, count: usize) -> impl Iterator<Item = usize> {
+    (0..count).filter(move |&i| mask >> i & 1 != 0)
+}
+
+/// Finds contacts.
+pub(super) struct ContactSink<'a> {
+    pub surfaces: &'a Surfaces<'a>,
+    pub rules: &'a Rules,
+    pub found: Found<ContactElement>,
+}
+
+impl Sink for ContactSink<'_> {
+    fn take(&mut self, found: &[Candidate]) {
+        let started = Instant::now();
+        let (surfaces, rules, own) = (self.surfaces, self.rules, &mut self.found);
+        in_fours(
+            found,
+            |_| true,
+            |kind, group, count| {
+                let reach = Vec4::from_array(group.each_ref().map(|candidate| rules.reach_m(candidate)));
+                for i in left(undecided_at_rest(kind, &gather(surfaces.x, group), reach), count) {
+                    own.tested += 1;
+                    let Some(pair) = surfaces.closest(&group[i]).filter(|pair| rules.is_near(pair)) else { continue };
+                    own.smallest_gap_m = own.smallest_gap_m.min(pair.distance_m);
+                    own.items.extend(rules.element(&pair));
+                }
+            },
+        );
+        own.ns += nanoseconds(started);
+    }
+}
+
+/// Finds impacts.
+pub(super) struct ImpactSink<'a> {
+    pub x_t0: &'a [f32],
+    pub x_t1: &'a [f32],
+    pub separation_m: f32,
+    pub touched: Option<&'a [bool]>,
+    pub found: Found<Impact>,
+}
+
+impl Sink for ImpactSink<'_> {
+    fn take(&mut self, found: &[Candidate]) {
+        let started = Instant::now();
+        let (x_t0, x_t1, separation_m, own) = (self.x_t0, self.x_t1, self.separation_m, &mut self.found);
+        let touched = self.touched;
+        let wanted = |c: &Candidate| touched.is_none_or(|touched| c.vertices.iter().any(|&v| touched[v as usize]));
+        let at = |x: &[f32], vertex: u32| Vec3::from_slice(&x[3 * vertex as usize..]);
+        in_fours(found, wanted, |kind, group, count| {
+            let (start, end) = (gather(x_t0, group), gather(x_t1, group));
+            for i in left(undecided(kind, &start, &end, Vec4::splat(separation_m)), count) {
+                own.tested += 1;
+                let candidate = group[i];
+                let (start, end) = (candidate.vertices.map(|v| at(x_t0, v)), candidate.vertices.map(|v| at(x_t1, v)));
+                if let Some(toi) = ccd(kind, start, end, separation_m).toi {
+                    own.items.push(Impact { candidate, toi });
+                }
+            }
+        });
+        own.ns += nanoseconds(started);
+    }
+}
