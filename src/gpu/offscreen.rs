@@ -419,7 +419,7 @@ mod tests {
             near: [0.1, 0.0, 0.0, 0.0],
             coloring: [0, SWATCHES as u32, 0, 0],
             fronts: [gray(0.5); SWATCHES],
-            backs: [gray(0.1); SWATCHES],
+            backs: [gray(1.0); SWATCHES],
             scale: [gray(1.0); 5],
         }
     }
