@@ -8,6 +8,7 @@ use std::path::Path;
 use clap::Parser;
 use loomtree::cli::CliError;
 use loomtree::cli::render::{self, RenderArgs};
+use loomtree::gpu::test_support;
 use loomtree::math::Vec3;
 use loomtree::mesh::TriangleMesh;
 use loomtree::output::{Existing, FrameFormat, FrameWriter, ReportHeader, ReportWriter, RunDirectory, Status};
@@ -228,6 +229,147 @@ fn broken_positions_are_left_out_and_broken_files_named() {
     let error = render(folder.path(), &SMALL).unwrap_err();
     let expected = "frame_000001.ply: it is cut off: shorter than its 4 vertices and 2 triangles need";
     assert!(error.message.ends_with(expected) && error.exit_code == 2, "{error}");
+}
+
+/// `first` and `second` in one mesh, not connected.
+fn joined(first: &TriangleMesh, second: &TriangleMesh) -> TriangleMesh {
+    let offset = first.positions.len() as u32;
+    let moved = second.triangles.iter().map(|t| t.map(|i| i + offset));
+    TriangleMesh {
+        positions: first.positions.iter().chain(&second.positions).copied().collect(),
+        triangles: first.triangles.iter().copied().chain(moved).collect(),
+        material_uv: Vec::new(),
+    }
+}
+
+/// A square that reaches `half` metres to each side of the origin, at height `z`.
+fn floor(half: f32, z: f32) -> TriangleMesh {
+    let mut mesh = square(Vec3::X * 2.0 * half, Vec3::Y * 2.0 * half);
+    mesh.positions.iter_mut().for_each(|p| *p += Vec3::new(-half, -half, z));
+    mesh
+}
+
+#[test]
+fn pieces_of_cloth_have_colours_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    // Side by side with a gap; both fronts are seen.
+    let mut right = square(Vec3::X, Vec3::Z);
+    right.positions.iter_mut().for_each(|p| *p += Vec3::X * 1.2);
+    let mesh = joined(&square(Vec3::X, Vec3::Z), &right);
+    let run = run_of(folder.path(), &mesh, 1, Vec3::ZERO, FrameFormat::Ply);
+    let view = |azimuth| {
+        render(folder.path(), &[&SMALL[..], &["--azimuth", azimuth, "--elevation", "0"]].concat()).unwrap();
+        let picture = frame(&run, 0);
+        [40, 120].map(|x| picture.at(x, 60))
+    };
+    let [left, right] = view("-90");
+    assert!(is_red(left) && is_blue(right), "{left:?} {right:?}");
+    // From behind they change sides, and each is a paler shade of its own colour.
+    let [left, right] = view("90");
+    let tint = |[r, _, b]: [i32; 3]| r - b;
+    assert!(tint(left) < -20 && tint(right) > 20, "{left:?} {right:?}");
+}
+
+#[test]
+fn a_floor_far_larger_than_the_cloth_does_not_shrink_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = square(Vec3::X, Vec3::Z);
+    let run = run_of(folder.path(), &mesh, 1, Vec3::ZERO, FrameFormat::Ply);
+    render(folder.path(), &SMALL).unwrap();
+    let alone = frame(&run, 0);
+    let floor = floor(1000.0, -0.1);
+    let mut writer = FrameWriter::new(&run, &[FrameFormat::Ply], &mesh, 0).unwrap();
+    writer.write_obstacle(0, &floor.positions, &floor.triangles).unwrap();
+    render(folder.path(), &SMALL).unwrap();
+    let with_floor = frame(&run, 0);
+    assert_eq!(with_floor.red_box(), alone.red_box());
+    // It reaches past the picture's lower edge, which is nearer than its corners, and behind the camera.
+    for x in [2, 80, 157] {
+        assert!(is_gray(with_floor.at(x, 118)) && !is_gray(alone.at(x, 118)), "{:?}", with_floor.at(x, 118));
+    }
+    let sheet = Picture::load(&run.pictures().join("contact_sheet.png"));
+    assert!(is_gray(sheet.at(6 + 80, 6 + 118)), "{:?}", sheet.at(6 + 80, 6 + 118));
+}
+
+/// A sheet of waves over a smaller flat one.
+fn two_sheets() -> TriangleMesh {
+    let cells = 24;
+    let grid = |size: f32, z: &dyn Fn(f32, f32) -> f32| {
+        let at = |i: u32| size * (i as f32 / cells as f32 - 0.5);
+        let corner = |i: u32| (at(i % (cells + 1)), at(i / (cells + 1)));
+        let positions = (0..(cells + 1) * (cells + 1)).map(corner).map(|(x, y)| Vec3::new(x, y, z(x, y))).collect();
+        let cell = |i: u32| {
+            let first = i / cells * (cells + 1) + i % cells;
+            [[first, first + 1, first + cells + 2], [first, first + cells + 2, first + cells + 1]]
+        };
+        TriangleMesh { positions, triangles: (0..cells * cells).flat_map(cell).collect(), material_uv: Vec::new() }
+    };
+    joined(&grid(2.0, &|x, y| 0.3 + 0.2 * (5.0 * x + y).sin()), &grid(1.4, &|_, _| -0.1))
+}
+
+/// Why two drawings of one scene differ by more than roundings and edges do.
+fn difference(one: &Picture, other: &Picture) -> Option<String> {
+    assert_eq!((one.width, one.height), (other.width, other.height));
+    let far = |a: [i32; 3], b: [i32; 3]| (0..3).map(|c| (a[c] - b[c]).abs()).max().unwrap();
+    let (mut sum, mut edges) = (0, 0);
+    for (x, y) in (0..one.width * one.height).map(|i| (i % one.width, i / one.width)) {
+        let apart = far(one.at(x, y), other.at(x, y));
+        sum += apart;
+        if apart > 3 {
+            // An edge: something else is seen right beside the pixel.
+            let near = |v: usize, size: usize| v.saturating_sub(1)..=(v + 1).min(size - 1);
+            let beside = near(x, one.width).flat_map(|i| near(y, one.height).map(move |j| (i, j)));
+            let contrast = beside.map(|(i, j)| far(one.at(x, y), one.at(i, j))).max().unwrap();
+            if contrast + 3 < apart {
+                let colors = (one.at(x, y), other.at(x, y));
+                return Some(format!("{colors:?} at {x}, {y}, where the picture is smooth ({contrast})"));
+            }
+            edges += 1;
+        }
+    }
+    let (pixels, mean) = (one.width * one.height, sum as f64 / (one.width * one.height) as f64);
+    println!("mean difference {mean:.3} of 255, {edges} of {pixels} pixels differ at edges");
+    (mean > 0.5 || edges * 100 > pixels).then(|| format!("mean {mean}, {edges} pixels at edges"))
+}
+
+#[test]
+fn device_and_processor_draw_the_same() {
+    if test_support::executor().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = two_sheets();
+    let run = run_of(folder.path(), &mesh, 1, Vec3::ZERO, FrameFormat::Ply);
+    let mut writer = FrameWriter::new(&run, &[FrameFormat::Ply], &mesh, 0).unwrap();
+    // Frame 1 has shrunk to a point: nothing can be drawn of it.
+    writer.write(1, &mesh, &vec![Vec3::ZERO; mesh.positions.len()]).unwrap();
+    let mut block = square(Vec3::X * 0.5, Vec3::Z * 0.4);
+    block.positions.iter_mut().for_each(|p| *p += Vec3::new(-0.2, -1.1, -0.2));
+    let obstacle = joined(&floor(500.0, -0.3), &block);
+    writer.write_obstacle(0, &obstacle.positions, &obstacle.triangles).unwrap();
+    for flags in [["--color", "shaded"], ["--color", "height"], ["--color", "normal"], ["--elevation", "-20"]] {
+        let draw = |executor| {
+            render(folder.path(), &["--size", "320x240", "--executor", executor, flags[0], flags[1]]).unwrap();
+            [frame(&run, 0), frame(&run, 1)]
+        };
+        let ([cpu, cpu_empty], [gpu, gpu_empty]) = (draw("cpu"), draw("gpu"));
+        assert_eq!(difference(&cpu, &gpu), None, "{flags:?}");
+        assert_eq!(difference(&cpu_empty, &gpu_empty), None, "{flags:?}");
+        // The comparison sees a device that draws nothing.
+        assert!(difference(&cpu, &gpu_empty).is_some(), "{flags:?}");
+    }
+}
+
+#[test]
+fn executors_that_cannot_be_had_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    run_of(folder.path(), &square(Vec3::X, Vec3::Z), 1, Vec3::ZERO, FrameFormat::Ply);
+    let error = render(folder.path(), &["--executor", "cpu", "--adapter", "0"]).unwrap_err();
+    assert!(error.message.contains("cannot go with --executor cpu") && error.exit_code == 2, "{error}");
+    // The same request on a machine with and without adapters.
+    let error = render(folder.path(), &["--executor", "gpu", "--adapter", "99"]).unwrap_err();
+    let said = error.message.contains("adapter 99 does not exist") || error.message.contains("no graphics adapter");
+    assert!(said && error.exit_code == 2, "{error}");
 }
 
 #[test]

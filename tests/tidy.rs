@@ -15,6 +15,7 @@ const FOLDERS: [&str; 10] =
     ["src", "bin", "tests", "examples", "benches", "docs", "scenes", "topology", "scripts", ".ci"];
 
 /// A text file of the project; `path` is relative to the root, with slashes.
+#[derive(Clone)]
 struct Source {
     path: String,
     text: String,
@@ -101,6 +102,8 @@ fn module_order(lib: &str) -> Vec<String> {
 
 /// A kernel `x.wgsl` without its host wrapper `x.rs` or its native twin `x_cpu.rs`. Shader text without an entry point is
 /// shared by kernels and needs neither; probes of the executor itself (`src/gpu/*.wgsl`) simulate nothing and need no twin.
+/// A shader that draws lies in `src/gpu/` too, because drawing needs wgpu; its native twin is where pictures are made, so
+/// a line `// twin FILE` (path from its own folder) names it.
 fn lonely_kernels(files: &[Source]) -> Vec<String> {
     let paths: BTreeSet<&str> = files.iter().map(|file| file.path.as_str()).collect();
     let mut findings = Vec::new();
@@ -111,7 +114,36 @@ fn lonely_kernels(files: &[Source]) -> Vec<String> {
         let missing = siblings.into_iter().flatten().filter(|sibling| !paths.contains(sibling.as_str()));
         findings.extend(missing.map(|sibling| format!("{}: {sibling} is missing", file.path)));
     }
+    for file in files.iter().filter(|file| file.text.contains("@fragment")) {
+        let Some(stem) = file.path.strip_suffix(".wgsl") else { continue };
+        if !paths.contains(format!("{stem}.rs").as_str()) {
+            findings.push(format!("{}: {stem}.rs is missing", file.path));
+        }
+        match file.text.lines().find_map(|line| line.strip_prefix("// twin ")) {
+            None => findings.push(format!("{}: no line `// twin FILE` names its native twin", file.path)),
+            Some(twin) => {
+                let twin = beside(&file.path, twin.trim());
+                if !paths.contains(twin.as_str()) {
+                    findings.push(format!("{}: its twin {twin} is missing", file.path));
+                }
+            }
+        }
+    }
     findings
+}
+
+/// The path that `relative` means in the folder of `path`.
+fn beside(path: &str, relative: &str) -> String {
+    let mut parts: Vec<&str> = path.split('/').collect();
+    parts.pop();
+    for part in relative.split('/') {
+        if part == ".." {
+            parts.pop();
+        } else {
+            parts.push(part);
+        }
+    }
+    parts.join("/")
 }
 
 /// A Rust file that does not open with `//!`, or a shader that does not open with `//`.
@@ -421,6 +453,14 @@ fn lonely_kernels_are_found() {
         lonely_kernels(&files),
         ["src/solver/spmv.wgsl: src/solver/spmv_cpu.rs is missing", "src/gpu/probe.wgsl: src/gpu/probe.rs is missing"]
     );
+    let drawing = |header: &str| {
+        let text = format!("// Draws.\n{header}\n@fragment fn main() {{}}");
+        let paths = ["src/gpu/draw.rs", "src/output/shade.rs"].map(|path| Source::new(path, ""));
+        lonely_kernels(&[&[Source::new("src/gpu/draw.wgsl", &text)], &paths[..]].concat())
+    };
+    assert_eq!(drawing("// twin ../output/shade.rs"), [""; 0]);
+    assert_eq!(drawing("// twin draw_cpu.rs"), ["src/gpu/draw.wgsl: its twin src/gpu/draw_cpu.rs is missing"]);
+    assert_eq!(drawing(""), ["src/gpu/draw.wgsl: no line `// twin FILE` names its native twin"]);
 }
 
 #[test]

@@ -9,6 +9,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use clap::Args;
 
 use super::CliError;
+use super::run::ExecutorArg;
+use crate::gpu::{Executor, GpuError};
 use crate::output::picture::{Coloring, PictureError, PictureOptions, UpAxis, draw_frames};
 use crate::output::{FrameSource, FramesError, Report, RunDirectory};
 
@@ -38,6 +40,12 @@ pub struct RenderArgs {
     /// Height of the camera above the horizon, degrees (default: 15, or 35 for cloth that lies).
     #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
     pub elevation: Option<f32>,
+    /// What draws: auto = a hardware GPU where there is one, else the processor.
+    #[arg(long, value_enum, default_value = "auto")]
+    pub executor: ExecutorArg,
+    /// Adapter of the gpu executor (numbers: loomtree doctor) [default: the best one]
+    #[arg(long, value_name = "I")]
+    pub adapter: Option<usize>,
 }
 
 /// Width and height in pixels.
@@ -98,6 +106,8 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
         let place = directory.path().display();
         return Err(CliError::bad_input(format!("--frames names no frame of {place}; it holds {first}..{last}")));
     }
+    let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let executor = open_executor(args.executor, args.adapter, threads)?;
     let options = PictureOptions {
         width: args.size.width,
         height: args.size.height,
@@ -105,7 +115,7 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
         up: args.up.unwrap_or_else(|| recorded_up(&directory)),
         azimuth_deg: args.azimuth.filter(|a| a.is_finite()),
         elevation_deg: args.elevation.filter(|e| e.is_finite()),
-        threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
+        threads,
     };
     let terminal = io::stderr().is_terminal();
     let done = AtomicUsize::new(0);
@@ -116,16 +126,41 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
             let _ = write!(io::stderr(), "\r{done} of {} pictures", numbers.len());
         }
     };
-    let sheet = draw_frames(&directory, &source, &numbers, &options, &drawn);
+    let sheet = draw_frames(&directory, &source, &numbers, &options, &executor, &drawn);
     if terminal {
         let _ = writeln!(io::stderr());
     }
     let sheet = sheet.map_err(cli_error)?;
-    let pictures = directory.pictures();
+    let (count, pictures, device) = (numbers.len(), directory.pictures(), executor.device_name());
     // A closed pipe (`| head`) is no failure of the command.
-    let _ =
-        writeln!(io::stdout(), "{} pictures in {}, overview in {}", numbers.len(), pictures.display(), sheet.display());
+    let _ = writeln!(
+        io::stdout(),
+        "{count} pictures in {}, overview in {} (drawn by {device})",
+        pictures.display(),
+        sheet.display()
+    );
     Ok(())
+}
+
+/// What draws. Software adapters only on request: the native path is faster.
+fn open_executor(wanted: ExecutorArg, adapter: Option<usize>, threads: usize) -> Result<Executor, CliError> {
+    let executor = match wanted {
+        ExecutorArg::Cpu if adapter.is_some() => {
+            return Err(CliError::bad_input("--adapter names a device, so it cannot go with --executor cpu"));
+        }
+        ExecutorArg::Cpu => Ok(Executor::cpu(threads)),
+        ExecutorArg::Gpu => Executor::gpu(adapter, 0),
+        ExecutorArg::Auto => Executor::auto(adapter, 0, threads),
+    };
+    match executor {
+        Ok(executor) => Ok(executor),
+        Err(error @ (GpuError::NoAdapter | GpuError::NoSuchAdapter { .. })) => Err(CliError::bad_input(error)),
+        Err(error) if wanted == ExecutorArg::Auto && adapter.is_none() => {
+            tracing::warn!("{error}; drawing on the processor instead");
+            Ok(Executor::cpu(threads))
+        }
+        Err(error) => Err(CliError::failed(PictureError::Gpu(error))),
+    }
 }
 
 /// The report's up axis; z if there is no report.
@@ -136,9 +171,10 @@ fn recorded_up(directory: &RunDirectory) -> UpAxis {
 
 fn cli_error(error: PictureError) -> CliError {
     match &error {
-        PictureError::Frames(FramesError::Io { .. }) | PictureError::Write(_) | PictureError::Folder { .. } => {
-            CliError::failed(error.to_string())
-        }
+        PictureError::Frames(FramesError::Io { .. })
+        | PictureError::Write(_)
+        | PictureError::Folder { .. }
+        | PictureError::Gpu(_) => CliError::failed(error.to_string()),
         PictureError::Frames(_) | PictureError::NothingToSee { .. } => CliError::bad_input(error.to_string()),
     }
 }

@@ -107,6 +107,13 @@ impl Commands {
         self.encoder(&mut pending).clear_buffer(buffer, offset, Some(bytes));
     }
 
+    /// Adds whatever `record` asks for, such as render passes.
+    pub(super) fn record(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) {
+        if !self.fault.raised() {
+            record(self.encoder(&mut locked(&self.pending)));
+        }
+    }
+
     /// Writes `bytes`: a few ride in the arena; for many the commands so far are submitted first, because the queue's own
     /// writes overtake commands that are not.
     pub(super) fn write(&self, buffer: &wgpu::Buffer, offset: u64, bytes: &[u8]) {

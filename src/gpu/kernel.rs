@@ -105,7 +105,7 @@ pub struct Reflection {
 
 /// Parses and validates WGSL that uses nothing beyond the portable language. `own` is the last part of `all`; the error
 /// counts lines from its start.
-fn validate(all: &str, own: &str) -> Result<(naga::Module, naga::valid::ModuleInfo), String> {
+pub(super) fn validate(all: &str, own: &str) -> Result<(naga::Module, naga::valid::ModuleInfo), String> {
     let front = all.lines().count() - own.lines().count();
     let at = |location: Option<naga::SourceLocation>| match location.map(|l| l.line_number as usize) {
         Some(line) if line > front => format!("line {}: ", line - front),

@@ -12,6 +12,7 @@ mod fault;
 mod host_memory;
 mod kernel;
 mod layout;
+mod offscreen;
 pub mod primitives;
 mod self_test;
 pub mod test_support;
@@ -24,6 +25,7 @@ pub use device::{Binding, GpuExecutor, WINDOW_STEP};
 pub use kernel::{ArraySlot, KernelError, KernelSource, Reflection, UniformSlot};
 pub(crate) use layout::gpu_struct;
 pub use layout::{GpuStruct, StructLayout};
+pub use offscreen::{DrawLook, DrawVertex, Offscreen, SWATCHES};
 pub use self_test::SelfTest;
 pub use vec::{DeviceVec, ReadBatch};
 

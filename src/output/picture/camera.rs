@@ -8,6 +8,9 @@ const FIELD_OF_VIEW_DEG: f32 = 30.0;
 /// Share of the picture that the sequence may fill.
 const FILL: f32 = 0.92;
 
+/// How far from the cloth obstacles count for the view, as a share of the cloth's diameter.
+const MARGIN: f32 = 0.25;
+
 /// A perspective camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
@@ -30,11 +33,16 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Right and down from -1 to 1 over the picture, and the depth in metres.
-    pub fn project(&self, point: Vec3) -> (f32, f32, f32) {
+    /// Right, down and depth of a point. Within the picture right and down are at most the depth, in metres, which is their
+    /// unit too.
+    pub fn see(&self, point: Vec3) -> Vec3 {
         let p = point - self.eye;
-        let depth = p.dot(self.forward);
-        (p.dot(self.right) / (depth * self.half.x), -p.dot(self.up) / (depth * self.half.y), depth)
+        Vec3::new(p.dot(self.right) / self.half.x, -p.dot(self.up) / self.half.y, p.dot(self.forward))
+    }
+
+    /// Depth where surfaces begin, metres; all cloth lies beyond it ([`Fit::camera`] keeps a distance).
+    pub fn near_m(&self) -> f32 {
+        0.01 * self.extent_m
     }
 
     /// Direction (depth 1) of the ray through a point of the picture.
@@ -141,6 +149,15 @@ impl Fit {
             self.low = self.low.min(*p);
             self.high = self.high.max(*p);
         }
+    }
+
+    /// Adds those of an obstacle's points that lie within or close to what `cloth` has seen: a floor that reaches far beyond
+    /// the cloth shall not push the camera away.
+    pub fn add_near(&mut self, positions: &[Vec3], cloth: &Fit) {
+        let margin = Vec3::splat(MARGIN * (cloth.high - cloth.low).length());
+        let (low, high) = (cloth.low - margin, cloth.high + margin);
+        let close = |p: &&Vec3| p.cmpge(low).all() && p.cmple(high).all();
+        self.add(&positions.iter().filter(close).copied().collect::<Vec<_>>());
     }
 
     /// Adds what another fit with the same direction has seen.

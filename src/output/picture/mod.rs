@@ -1,12 +1,16 @@
-//! Shaded pictures of a run's frames, drawn on the processor: enough to judge folds, not meant to be photographs.
+//! Shaded pictures of a run's frames: enough to judge folds, not meant to be photographs.
 //!
 //! One camera for the whole sequence, so that pictures of different frames can be compared. Frames are drawn in parallel;
-//! a picture depends on its frame and the camera only.
+//! a picture depends on its frame and the camera only. A device draws through `gpu::Offscreen`, the native executor with
+//! `raster` and `shade`: the same samples and shading, but not the same bits.
 
 mod camera;
 mod contact_sheet;
+mod content;
 mod font;
 mod image;
+mod look;
+mod painter;
 mod raster;
 mod shade;
 
@@ -19,9 +23,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use thiserror::Error;
 
 use self::camera::{Fit, View};
+use self::content::Content;
 pub use self::image::Image;
-use self::shade::Look;
-use super::{FrameMesh, FrameSource, FramesError, RunDirectory, WriteError};
+use self::look::Look;
+use self::painter::Painter;
+use super::{FrameSource, FramesError, RunDirectory, WriteError};
+use crate::gpu::{Executor, GpuError};
 use crate::math::Vec3;
 
 /// What the colours of the cloth mean.
@@ -117,6 +124,9 @@ pub enum PictureError {
     /// A frame cannot be read.
     #[error(transparent)]
     Frames(#[from] FramesError),
+    /// The device cannot draw.
+    #[error("{0}; --executor cpu draws without it")]
+    Gpu(#[from] GpuError),
     /// A picture cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -139,22 +149,25 @@ pub enum PictureError {
 }
 
 /// Draws the frames `numbers` to `pictures/frame_%06d.png` and `pictures/contact_sheet.png`; returns the sheet's path.
-/// `drawn` is called after every picture, from any thread.
+/// The device of `executor` draws, if it has one. `drawn` is called after every picture, from any thread.
 pub fn draw_frames(
     directory: &RunDirectory,
     source: &FrameSource,
     numbers: &[u32],
     options: &PictureOptions,
+    executor: &Executor,
     drawn: &(dyn Fn(u32) + Sync),
 ) -> Result<PathBuf, PictureError> {
     let look = choose_look(source, numbers, options)?;
+    let painter = Painter::new(executor, &look, options.width, options.height)?;
     let folder = directory.pictures();
     std::fs::create_dir_all(&folder).map_err(|source| PictureError::Folder { path: folder.clone(), source })?;
 
     let chosen = contact_sheet::choose(numbers);
     let thumbnails = Mutex::new(vec![None; chosen.len()]);
     for_each_frame(numbers, options.threads, |frame| {
-        let image = draw(&read_all(source, frame)?, &look, options.width, options.height);
+        let content = Content::new(source.read(frame)?, source.read_obstacle(frame)?);
+        let image = painter.draw(&content)?;
         image.save(&folder.join(format!("frame_{frame:06}.png")))?;
         if let Some(slot) = chosen.iter().position(|number| *number == frame) {
             let small = contact_sheet::thumbnail(&image);
@@ -171,23 +184,6 @@ pub fn draw_frames(
     Ok(sheet)
 }
 
-/// Cloth and obstacles of a frame in one mesh; the first `cloth` triangles are cloth.
-struct Content {
-    mesh: FrameMesh,
-    cloth: usize,
-}
-
-fn read_all(source: &FrameSource, frame: u32) -> Result<Content, FramesError> {
-    let mut mesh = source.read(frame)?;
-    let cloth = mesh.triangles.len();
-    if let Some(obstacle) = source.read_obstacle(frame)? {
-        let first = mesh.positions.len() as u32;
-        mesh.positions.extend(obstacle.positions);
-        mesh.triangles.extend(obstacle.triangles.iter().map(|t| t.map(|i| i + first)));
-    }
-    Ok(Content { mesh, cloth })
-}
-
 /// Camera and range of heights for the whole sequence.
 fn choose_look(source: &FrameSource, numbers: &[u32], options: &PictureOptions) -> Result<Look, PictureError> {
     let (first, last) = (numbers.first().copied().unwrap_or(0), numbers.last().copied().unwrap_or(0));
@@ -200,24 +196,37 @@ fn choose_look(source: &FrameSource, numbers: &[u32], options: &PictureOptions) 
     let (azimuth_deg, elevation_deg) = view.direction();
     let direction = (options.azimuth_deg.unwrap_or(azimuth_deg), options.elevation_deg.unwrap_or(elevation_deg));
     let start = Fit::new(options.up.vector(), direction, options.width as f32 / options.height as f32);
+    let cloth = fit_frames(&start, numbers, options.threads, |frame, fit| {
+        fit.add(&source.read(frame)?.positions);
+        Ok(())
+    })?;
+    let all = fit_frames(&cloth, numbers, options.threads, |frame, fit| {
+        if let Some(obstacle) = source.read_obstacle(frame)? {
+            fit.add_near(&obstacle.positions, &cloth);
+        }
+        Ok(())
+    })?;
+    let camera = all.camera().ok_or(PictureError::NothingToSee { first, last })?;
+    Ok(Look::new(camera, options.coloring, cloth.heights_m()))
+}
+
+/// `start` with what `add` adds to it in all frames.
+fn fit_frames(
+    start: &Fit,
+    numbers: &[u32],
+    threads: usize,
+    add: impl Fn(u32, &mut Fit) -> Result<(), FramesError> + Sync,
+) -> Result<Fit, PictureError> {
     let fit = Mutex::new(start.clone());
-    for_each_frame(numbers, options.threads, |frame| {
+    for_each_frame(numbers, threads, |frame| {
         let mut own = start.clone();
-        own.add(&read_all(source, frame)?.mesh.positions);
+        add(frame, &mut own)?;
         if let Ok(mut fit) = fit.lock() {
             fit.merge(&own);
         }
         Ok(())
     })?;
-    let fit = fit.into_inner().unwrap_or(start);
-    let camera = fit.camera().ok_or(PictureError::NothingToSee { first, last })?;
-    Ok(Look { camera, coloring: options.coloring, heights_m: fit.heights_m() })
-}
-
-fn draw(content: &Content, look: &Look, width: u32, height: u32) -> Image {
-    let samples = (width as usize * shade::SAMPLES, height as usize * shade::SAMPLES);
-    let visible = raster::rasterize(&content.mesh, &look.camera, samples);
-    shade::shade(&content.mesh, content.cloth, look, &visible, width as usize, height as usize)
+    Ok(fit.into_inner().unwrap_or_else(|_| start.clone()))
 }
 
 /// Calls `f` for every frame on up to `threads` threads; the first error in frame order wins.

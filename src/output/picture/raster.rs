@@ -1,48 +1,100 @@
 //! Which triangle every sample of a picture shows.
+//!
+//! Triangles near the picture are filled from the screen positions of their corners. Those that reach behind the camera
+//! or far beyond the picture (only large obstacles do) are cut to what can be seen first.
 
 use super::camera::Camera;
-use crate::math::Vec3;
-use crate::output::FrameMesh;
+use super::content::Content;
+use crate::math::{DVec3, Vec3};
 
 /// Marks a sample without a triangle.
 pub const EMPTY: u32 = u32::MAX;
+/// How far from the middle, in halves of the picture, screen positions are still exact enough to fill from.
+const REACH: f32 = 4.0;
 
 /// What is visible where.
 pub struct Visible {
     /// Triangle per sample, row by row from the top.
     pub triangle: Vec<u32>,
-    /// Every vertex in samples: right, down, and 1 / depth (0 = behind the camera or not finite).
-    pub screen: Vec<Vec3>,
     /// Samples per row.
     pub width: usize,
+    height: usize,
+    /// Every vertex in samples: right, down, and 1 / depth (0 = behind the camera or out of reach).
+    screen: Vec<Vec3>,
 }
 
 /// Draws all triangles into a depth buffer of `size` samples.
-pub fn rasterize(mesh: &FrameMesh, camera: &Camera, size: (usize, usize)) -> Visible {
-    let (width, height) = size;
-    let near = 1e-6 * camera.extent_m;
-    let screen: Vec<Vec3> = mesh
-        .positions
-        .iter()
-        .map(|p| {
-            let (x, y, depth) = camera.project(*p);
-            // The camera stands outside the sequence: only broken positions are behind it, and their triangles are left out.
-            if depth > near && p.is_finite() {
-                Vec3::new((x + 1.0) * 0.5 * width as f32, (y + 1.0) * 0.5 * height as f32, 1.0 / depth)
-            } else {
-                Vec3::ZERO
-            }
-        })
-        .collect();
-    let mut triangle = vec![EMPTY; width * height];
-    let mut nearness = vec![0.0f32; width * height];
-    for (t, corners) in mesh.triangles.iter().enumerate() {
-        let [a, b, c] = corners.map(|i| screen[i as usize]);
-        if a.z > 0.0 && b.z > 0.0 && c.z > 0.0 {
-            fill([a, b, c], t as u32, &mut triangle, &mut nearness, size);
+pub fn rasterize(content: &Content, camera: &Camera, size: (usize, usize)) -> Visible {
+    let near = camera.near_m();
+    let place = |seen: Vec3| {
+        let (x, y) = (seen.x / seen.z, seen.y / seen.z);
+        Vec3::new((x + 1.0) * 0.5 * size.0 as f32, (y + 1.0) * 0.5 * size.1 as f32, 1.0 / seen.z)
+    };
+    let in_reach = |seen: Vec3| seen.z >= near && seen.x.abs().max(seen.y.abs()) <= REACH * seen.z;
+    let on_screen = |p: &Vec3| {
+        let seen = camera.see(*p);
+        if in_reach(seen) { place(seen) } else { Vec3::ZERO }
+    };
+    let screen: Vec<Vec3> = content.positions.iter().map(on_screen).collect();
+    let mut triangle = vec![EMPTY; size.0 * size.1];
+    let mut nearness = vec![0.0f32; size.0 * size.1];
+    for (t, vertices) in content.triangles.iter().enumerate() {
+        let corners = vertices.map(|i| screen[i as usize]);
+        if corners.iter().all(|c| c.z > 0.0) {
+            fill(corners, t as u32, &mut triangle, &mut nearness, size);
+            continue;
+        }
+        let part = cut(vertices.map(|i| camera.see(content.positions[i as usize])), near);
+        for i in 2..part.len() {
+            let corners = [part[0], part[i - 1], part[i]].map(place);
+            fill(corners, t as u32, &mut triangle, &mut nearness, size);
         }
     }
-    Visible { triangle, screen, width }
+    Visible { triangle, width: size.0, height: size.1, screen }
+}
+
+/// The part of a triangle (as [`Camera::see`] gives its corners) within the picture and beyond depth `near`: a convex
+/// polygon, or nothing.
+fn cut(corners: [Vec3; 3], near: f32) -> Vec<Vec3> {
+    let sides: [&dyn Fn(Vec3) -> f32; 5] =
+        [&|p| p.z - near, &|p| p.z + p.x, &|p| p.z - p.x, &|p| p.z + p.y, &|p| p.z - p.y];
+    let mut polygon = corners.to_vec();
+    for inside in sides {
+        let mut kept = Vec::with_capacity(polygon.len() + 1);
+        for i in 0..polygon.len() {
+            let (p, q) = (polygon[i], polygon[(i + 1) % polygon.len()]);
+            let (at_p, at_q) = (inside(p), inside(q));
+            if at_p >= 0.0 {
+                kept.push(p);
+            }
+            if (at_p >= 0.0) != (at_q >= 0.0) {
+                kept.push(p.lerp(q, at_p / (at_p - at_q)));
+            }
+        }
+        polygon = kept;
+    }
+    // Roundings: what was cut at the near plane may lie a little in front of it.
+    polygon.iter_mut().for_each(|p| p.z = p.z.max(near));
+    polygon
+}
+
+impl Visible {
+    /// Shares of the corners of triangle `t` in a sample, corrected for perspective, and whether its front is seen.
+    pub fn weights(&self, content: &Content, camera: &Camera, t: u32, x: f32, y: f32) -> ([f32; 3], bool) {
+        let vertices = content.triangles[t as usize];
+        let corners = vertices.map(|i| self.screen[i as usize]);
+        if corners.iter().all(|c| c.z > 0.0) {
+            // Counter-clockwise triangles turn clockwise area negative where y points down: then the front is seen.
+            return (weights(corners, x, y), signed_area(corners) < 0.0);
+        }
+        let [a, b, c] = vertices.map(|i| camera.see(content.positions[i as usize]).as_dvec3());
+        let at = |v: f32, size: usize| f64::from(2.0 * v / size as f32 - 1.0);
+        let ray = DVec3::new(at(x, self.width), at(y, self.height), 1.0);
+        let volumes = [b.cross(c), c.cross(a), a.cross(b)].map(|side| ray.dot(side));
+        let sum: f64 = volumes.iter().sum();
+        let shares = if sum == 0.0 { [1.0 / 3.0; 3] } else { volumes.map(|v| (v / sum) as f32) };
+        (shares, a.dot(b.cross(c)) < 0.0)
+    }
 }
 
 /// Weights of the corners at a point, not yet divided by the area.
@@ -52,12 +104,12 @@ fn edges([a, b, c]: [Vec3; 3], x: f32, y: f32) -> [f32; 3] {
 }
 
 /// Twice the signed area; positive = clockwise on the screen (y down).
-pub fn signed_area([a, b, c]: [Vec3; 3]) -> f32 {
+fn signed_area([a, b, c]: [Vec3; 3]) -> f32 {
     (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x)
 }
 
 /// Shares of the corners in a sample, corrected for perspective.
-pub fn weights(corners: [Vec3; 3], x: f32, y: f32) -> [f32; 3] {
+fn weights(corners: [Vec3; 3], x: f32, y: f32) -> [f32; 3] {
     let mut w = edges(corners, x, y);
     for i in 0..3 {
         w[i] *= corners[i].z;

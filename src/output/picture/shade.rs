@@ -1,37 +1,18 @@
-//! Colours of a picture: two-sided cloth under a key light, a fill light and a rim light, over a faint ground grid.
-//! Computed in linear light, 2x2 samples per pixel.
+//! Colours of a picture on the processor: two-sided cloth under a key light, a fill light and a rim light, over a faint
+//! ground grid. Computed in linear light, 2x2 samples per pixel. Twin of `gpu/offscreen.wgsl`.
 
 use super::Coloring;
 use super::camera::Camera;
+use super::content::{Content, OBSTACLE};
 use super::image::{Image, srgb_from_linear};
-use super::raster::{EMPTY, Visible, signed_area, weights};
+use super::look::{FRONTS, Look, SAMPLES, SKY_BOTTOM, SKY_TOP, VIRIDIS};
+use super::raster::{EMPTY, Visible};
 use crate::math::Vec3;
-use crate::output::FrameMesh;
 
-/// Samples along each side of a pixel.
-pub const SAMPLES: usize = 2;
-
-/// What is the same in all pictures of a sequence.
-pub struct Look {
-    /// Where it is seen from.
-    pub camera: Camera,
-    /// What colours mean.
-    pub coloring: Coloring,
-    /// Lowest and highest height of the sequence, metres.
-    pub heights_m: (f32, f32),
-}
-
-// Linear reflectances.
-const FRONT: Vec3 = Vec3::new(0.60, 0.10, 0.075);
-const BACK: Vec3 = Vec3::new(0.10, 0.23, 0.48);
-const OBSTACLE: Vec3 = Vec3::new(0.36, 0.36, 0.34);
-const SKY_TOP: Vec3 = Vec3::new(0.70, 0.75, 0.82);
-const SKY_BOTTOM: Vec3 = Vec3::new(0.92, 0.92, 0.91);
-
-/// The picture of what is visible; triangles from `cloth` on are obstacles.
-pub fn shade(mesh: &FrameMesh, cloth: usize, look: &Look, visible: &Visible, width: usize, height: usize) -> Image {
-    let normals = vertex_normals(mesh);
-    let shader = Shader::new(mesh, cloth, look, visible, &normals, height * SAMPLES);
+/// The picture of what is visible.
+pub fn shade(content: &Content, look: &Look, visible: &Visible, width: usize, height: usize) -> Image {
+    let size = ((width * SAMPLES) as f32, (height * SAMPLES) as f32);
+    let shader = Shader { content, look, visible, size };
     let mut image = Image::new(width, height);
     for y in 0..height {
         for x in 0..width {
@@ -45,51 +26,15 @@ pub fn shade(mesh: &FrameMesh, cloth: usize, look: &Look, visible: &Visible, wid
     image
 }
 
-/// Sums of the triangles' normals, weighted by area; not of unit length.
-fn vertex_normals(mesh: &FrameMesh) -> Vec<Vec3> {
-    let mut normals = vec![Vec3::ZERO; mesh.positions.len()];
-    for t in &mesh.triangles {
-        let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
-        let normal = (b - a).cross(c - a);
-        if normal.is_finite() {
-            t.iter().for_each(|i| normals[*i as usize] += normal);
-        }
-    }
-    // Unit length here: corners of big and small triangles shall count alike when normals are blended.
-    normals.iter_mut().for_each(|n| *n = n.normalize_or_zero());
-    normals
-}
-
 struct Shader<'a> {
-    mesh: &'a FrameMesh,
-    cloth: usize,
+    content: &'a Content,
     look: &'a Look,
     visible: &'a Visible,
-    normals: &'a [Vec3],
+    /// Samples per row and rows of samples.
     size: (f32, f32),
-    key: Vec3,
-    fill: Vec3,
-    grid_m: f32,
 }
 
-impl<'a> Shader<'a> {
-    fn new(
-        mesh: &'a FrameMesh,
-        cloth: usize,
-        look: &'a Look,
-        visible: &'a Visible,
-        normals: &'a [Vec3],
-        height: usize,
-    ) -> Shader<'a> {
-        let camera = &look.camera;
-        // Lights move with the camera: from the upper left, and a weak one from the right.
-        let key = (camera.right * -0.75 + camera.up * 0.65 - camera.forward * 0.45).normalize();
-        let fill = (camera.right * 0.9 + camera.up * 0.1 - camera.forward * 0.5).normalize();
-        let size = (visible.width as f32, height as f32);
-        let grid_m = 10f32.powf((camera.extent_m / 4.0).log10().floor());
-        Shader { mesh, cloth, look, visible, normals, size, key, fill, grid_m }
-    }
-
+impl Shader<'_> {
     /// Linear colour of a sample.
     fn sample(&self, x: usize, y: usize) -> Vec3 {
         let (sx, sy) = (x as f32 + 0.5, y as f32 + 0.5);
@@ -98,29 +43,23 @@ impl<'a> Shader<'a> {
         if t == EMPTY {
             return self.background(ray, sy / self.size.1);
         }
-        let vertices = self.mesh.triangles[t as usize];
-        let corners = vertices.map(|i| self.visible.screen[i as usize]);
-        let w = weights(corners, sx, sy);
+        let vertices = self.content.triangles[t as usize];
+        let (w, front) = self.visible.weights(self.content, &self.look.camera, t, sx, sy);
         let blend = |value: &dyn Fn(usize) -> Vec3| -> Vec3 { (0..3).map(|c| value(c) * w[c]).sum() };
-        // Counter-clockwise triangles turn clockwise area negative where y points down: then the front is seen.
-        let front = signed_area(corners) < 0.0;
-        let normal = blend(&|c| self.normals[vertices[c] as usize]).normalize_or(self.look.camera.world_up);
+        let camera = &self.look.camera;
+        let normal = blend(&|c| self.content.normals[vertices[c] as usize]).normalize_or(camera.world_up);
         let normal = if front { normal } else { -normal };
         let view = -ray.normalize();
-        if self.look.coloring == Coloring::Normal && (t as usize) < self.cloth {
-            let camera = &self.look.camera;
-            let seen = Vec3::new(normal.dot(camera.right), normal.dot(camera.up), -normal.dot(camera.forward));
-            return (seen * 0.5 + 0.5).powf(2.2);
-        }
+        let swatch = self.content.swatches[vertices[0] as usize];
         let albedo = match self.look.coloring {
-            _ if t as usize >= self.cloth => OBSTACLE,
-            Coloring::Height => {
-                let height = blend(&|c| self.mesh.positions[vertices[c] as usize]).dot(self.look.camera.world_up);
+            Coloring::Normal if swatch < OBSTACLE => return seen_direction(normal, camera),
+            Coloring::Height if swatch < OBSTACLE => {
+                let height = blend(&|c| self.content.positions[vertices[c] as usize]).dot(camera.world_up);
                 let (low, high) = self.look.heights_m;
                 viridis((height - low) / (high - low).max(1e-9))
             }
-            _ if front => FRONT,
-            _ => BACK,
+            _ if front => FRONTS[swatch as usize],
+            _ => self.look.backs[swatch as usize],
         };
         self.lit(albedo, normal, view)
     }
@@ -128,12 +67,12 @@ impl<'a> Shader<'a> {
     fn lit(&self, albedo: Vec3, normal: Vec3, view: Vec3) -> Vec3 {
         let sky = 0.5 + 0.5 * normal.dot(self.look.camera.world_up);
         // Half of the key light reaches round the edge: folds stay readable where it does not shine directly.
-        let key = normal.dot(self.key);
+        let key = normal.dot(self.look.key);
         let key = 0.55 * key.max(0.0) + 0.50 * (0.5 + 0.5 * key).powi(2);
-        let diffuse = 0.05 + 0.12 * sky + key + 0.16 * normal.dot(self.fill).max(0.0);
-        let half = (self.key + view).normalize();
+        let diffuse = 0.05 + 0.12 * sky + key + 0.16 * normal.dot(self.look.fill).max(0.0);
+        let half = (self.look.key + view).normalize();
         let gloss = 0.07 * normal.dot(half).max(0.0).powi(18);
-        let rim = 0.10 * (1.0 - normal.dot(view).abs()).powi(4);
+        let rim = 0.10 * (1.0 - normal.dot(view).abs().min(1.0)).powi(4);
         albedo * diffuse + Vec3::splat(gloss) + (albedo * 0.5 + 0.5) * rim
     }
 
@@ -149,26 +88,26 @@ impl<'a> Shader<'a> {
         let distance = -above / fall;
         let point = camera.eye + ray * distance;
         // A line is as wide as two samples, so that it does not break up; it fades where lines would run together.
+        let grid_m = self.look.grid_m;
         let line_m = 4.0 * distance * camera.half.x / self.size.0;
-        let crowded = line_m / self.grid_m * (distance / above).max(1.0);
+        let crowded = line_m / grid_m * (distance / above).max(1.0);
         let fade = (1.0 - 2.0 * crowded).max(0.0);
-        let on_line = |x: f32| (x / self.grid_m - (x / self.grid_m).round()).abs() * self.grid_m < 0.5 * line_m;
+        let on_line = |x: f32| (x / grid_m - (x / grid_m).round()).abs() * grid_m < 0.5 * line_m;
         let (a, b) = if camera.world_up == Vec3::Z { (point.x, point.y) } else { (point.x, point.z) };
         let strength = if on_line(a) || on_line(b) { 0.25 * fade } else { 0.0 };
         sky * (1.0 - strength)
     }
 }
 
-/// Five stops of the viridis scale in linear light; `x` from 0 to 1.
+/// A direction as a colour: to the right red, to the top green, to the viewer blue.
+fn seen_direction(normal: Vec3, camera: &Camera) -> Vec3 {
+    let seen = Vec3::new(normal.dot(camera.right), normal.dot(camera.up), -normal.dot(camera.forward));
+    (seen * 0.5 + 0.5).max(Vec3::ZERO).powf(2.2)
+}
+
+/// The viridis scale; `x` from 0 to 1.
 fn viridis(x: f32) -> Vec3 {
-    const STOPS: [Vec3; 5] = [
-        Vec3::new(0.058, 0.000, 0.089),
-        Vec3::new(0.042, 0.084, 0.258),
-        Vec3::new(0.015, 0.279, 0.262),
-        Vec3::new(0.108, 0.582, 0.122),
-        Vec3::new(0.983, 0.799, 0.018),
-    ];
     let x = x.clamp(0.0, 1.0) * 4.0;
     let stop = (x as usize).min(3);
-    STOPS[stop].lerp(STOPS[stop + 1], x - stop as f32)
+    VIRIDIS[stop].lerp(VIRIDIS[stop + 1], x - stop as f32)
 }
