@@ -6,18 +6,19 @@ mod collisions;
 mod error;
 mod stats;
 
+use std::ops::Range;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
 use crate::assembly::fill::{Fill, FillParams, FillTables};
-use crate::assembly::{ElementRows, Numbering, SellMatrix, SubVectors};
+use crate::assembly::{ContactSystem, ElementRows, Numbering, SellMatrix, SubVectors};
 use crate::forces::bend::Bend;
 use crate::forces::stretch::Stretch;
 use crate::forces::{
     FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement,
 };
-use crate::gpu::{DeviceVec, Executor};
+use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::integrator::advance::Advance;
 use crate::integrator::pins::{PinTargets, Pins};
 use crate::integrator::scatter::Scatter;
@@ -68,6 +69,12 @@ pub struct Simulation {
 
     fill_tables: FillTables,
     matrix: SellMatrix,
+    contacts: ContactSystem,
+    /// Row blocks of all ranks, and the order in which their sub-vectors arrive.
+    rows_of: Vec<Range<usize>>,
+    order: Vec<usize>,
+    mode: ExchangeMode,
+    collisions: Option<Collisions>,
     rhs: DeviceVec<f32>,
     inverse_diagonal: DeviceVec<f32>,
     vectors: PcgVectors,
@@ -89,7 +96,7 @@ pub struct Simulation {
 impl Simulation {
     /// Sets a rank up on `executor`.
     pub fn new(executor: Executor, model: RankModel, exchange: &ExchangePlan) -> Result<Simulation, SetupError> {
-        let RankModel { partition, plan, pins, motions, settings, pins_move, arrays } = model;
+        let RankModel { partition, plan, pins, motions, settings, pins_move, collision, arrays } = model;
         let (own, rank) = (plan.own.clone(), plan.rank);
         let triangle_vertices: Vec<[u32; 3]> = arrays.triangles.iter().map(|e| e.vertices).collect();
         let hinge_vertices: Vec<[u32; 4]> = arrays.hinges.iter().map(|e| e.vertices).collect();
@@ -111,6 +118,9 @@ impl Simulation {
             FillTables::new(&executor, &numbering, (&triangle_rows, &triangles), (&hinge_rows, &hinges))?;
         let (rows, local_len) = (own.len(), plan.local_rows * 3);
         let ex = &executor;
+        let collisions = collision
+            .map(|model| Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s))
+            .transpose()?;
         let simulation = Simulation {
             fabrics: DeviceVec::upload(ex, &arrays.fabrics),
             triangle_records: DeviceVec::zeros(ex, arrays.triangles.len() * TRIANGLE_RECORD_FLOATS),
@@ -124,6 +134,11 @@ impl Simulation {
             fill_tables,
             padding_ratio: matrix.padding_ratio(),
             matrix,
+            contacts: ContactSystem::new(ex),
+            collisions,
+            rows_of,
+            order,
+            mode: exchange.mode,
             rhs: DeviceVec::zeros(ex, rows * 3),
             inverse_diagonal: DeviceVec::zeros(ex, rows * 6),
             vectors: PcgVectors::new(ex, rows, local_len),
@@ -214,6 +229,7 @@ impl Simulation {
 
         // 2. Proximity: pairs closer than the thickness become contact elements; with them come halo rows.
         self.find_contacts(transport, span, stats)?;
+        clock.restart();
         self.exchange_state(transport)?;
         clock.lap(&mut stats.seconds.exchange);
 
@@ -287,6 +303,7 @@ impl Simulation {
             + self.velocities.bytes()
             + self.fill_tables.bytes()
             + self.matrix.bytes()
+            + self.contacts.bytes()
             + self.rhs.bytes()
             + self.inverse_diagonal.bytes()
             + self.vectors.bytes()
@@ -317,15 +334,35 @@ impl Simulation {
         stats: &mut StepStats,
     ) -> Result<(), StepError> {
         let Some(collisions) = &mut self.collisions else { return Ok(()) };
-        let (start, step) = (self.recorder.now(), stats.step);
         let mut own = vec![0.0; self.own_rows * 3];
         self.positions.read_range(&self.executor, self.own_start, &mut own);
-        let contacts = collisions.contacts(transport, &own, span, stats, &mut self.recorder)?;
-        let local_rows = contacts.plan.local_rows + contacts.obstacle_vertices.len();
-        self.spmv.halo().set_plan(contacts.plan);
-        self.positions.grow(&self.executor, local_rows * 3);
-        self.velocities.grow(&self.executor, local_rows * 3);
-        self.vectors.grow(&self.executor, local_rows * 3);
+        let found = collisions.contacts(transport, &own, span, stats, &mut self.recorder)?;
+        let clock = StageClock::start();
+        let start = self.recorder.now();
+        let rows = found.plan.local_rows;
+        let local_len = rows * 3 + found.obstacle_positions.len();
+        for (local, obstacles) in [
+            (&mut self.positions, &found.obstacle_positions),
+            (&mut self.velocities, &found.obstacle_velocities),
+        ] {
+            if local.len() < local_len {
+                local.resize(&self.executor, local_len);
+            }
+            local.write_range(&self.executor, rows * 3, obstacles);
+        }
+        self.vectors.grow(&self.executor, rows * 3);
+        let numbering = Numbering {
+            own: found.plan.own.clone(),
+            columns: rows,
+            global_from_local: &found.plan.global_from_local,
+            sub_vectors: (self.mode == ExchangeMode::Full)
+                .then_some(SubVectors { rows_of: &self.rows_of, order: &self.order }),
+        };
+        let built = self.contacts.build(&self.executor, &found.elements, &numbering, &self.matrix);
+        built.map_err(|error| StepError::Solve { step: stats.step, cause: error.to_string() })?;
+        self.spmv.halo().set_plan(found.plan);
+        self.recorder.end(EventName::IndexFill, Activity::Compute, start, self.contacts.bytes(), 0);
+        clock.lap(&mut stats.seconds.index_fill);
         Ok(())
     }
 
@@ -373,6 +410,7 @@ impl Simulation {
             &self.velocities,
             &mut self.hinge_records,
         );
+        self.contacts.records(&self.executor, span.length_s as f32, &self.velocities);
         let bytes =
             self.triangles.bytes() + self.hinges.bytes() + self.triangle_records.bytes() + self.hinge_records.bytes();
         self.recorder.end(
@@ -391,6 +429,7 @@ impl Simulation {
             step_s: span.length_s as f32,
             rows: self.own_rows as u32,
         };
+        self.contacts.fill(&self.executor);
         self.fill.apply(
             &self.executor,
             &params,
@@ -400,7 +439,7 @@ impl Simulation {
             &self.hinge_records,
             &self.masses,
             &self.pinned,
-            None,
+            self.contacts.sums(),
             &mut self.matrix,
             &mut self.rhs,
             &mut self.inverse_diagonal,
@@ -421,7 +460,7 @@ impl Simulation {
             &self.executor,
             transport,
             &mut self.spmv,
-            &self.matrix,
+            &self.contacts.system(&self.matrix),
             &self.inverse_diagonal,
             &self.rhs,
             &mut self.vectors,
@@ -510,5 +549,16 @@ impl Simulation {
             }
         }
         StepError::Solve { step, cause }
+    }
+}
+
+/// Threads for work that stays on the host: the executor's own, or a rank's share of the cores beside a device.
+fn host_threads(executor: &Executor, ranks: usize) -> CpuExecutor {
+    match executor {
+        Executor::Cpu(cpu) => CpuExecutor::new(cpu.threads()),
+        Executor::Gpu(_) => {
+            let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
+            CpuExecutor::new((cores / ranks).max(1))
+        }
     }
 }

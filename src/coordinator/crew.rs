@@ -65,6 +65,7 @@ fn failure_text(failure: &WorkerFailure) -> String {
         WorkerFailure::NotFinite { step, row, quantity, cause, suspect } => {
             format!("step {step}: {quantity} of row {row} is not finite ({cause}); likely too large: {suspect}")
         }
+        WorkerFailure::Squeezed { step, .. } => format!("step {step}: the cloth cannot be kept free of penetration"),
     }
 }
 

@@ -4,17 +4,19 @@
 //! finds goes to all ranks. Lists are sorted before use and decisions are made by everybody from the same data, so nothing
 //! depends on who found what or on the number of ranks.
 
-use crate::collision::{DetectionError, DetectionStats, Detector, Impact, merge_contacts};
+use crate::collision::broad::CollisionMesh;
+use crate::collision::{ContactParams, Detector, DetectorError, Impact, merge_contacts, merge_impacts};
 use crate::forces::{ContactElement, NO_VERTEX};
 use crate::gpu::{CpuExecutor, Executor};
 use crate::impact_zone::{self, ImpactZones, Moved, StepPositions, ZoneSettings};
 use crate::model::CollisionModel;
 use crate::partition::{HaloPlan, RowPartition};
+use crate::scene::Obstacles;
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError, share_lists};
 
-use super::error::{Imposed, StepError};
-use super::stats::{QueryStats, StageClock, StepStats};
+use super::error::{Imposed, SetupError, StepError};
+use super::stats::{StageClock, StepStats};
 
 /// Time of a step or of a part of one, seconds.
 #[derive(Clone, Copy, Debug)]
@@ -66,8 +68,6 @@ pub(super) struct Collisions {
     /// Positions of all vertices at the ends of the step, cloth rows, then obstacle vertices, xyz.
     x_t0: Vec<f32>,
     x_t1: Vec<f32>,
-    /// Of all vertices; 0 for what the scene moves.
-    inverse_masses: Vec<f32>,
     /// Positions of the obstacles at some time, xyz.
     obstacle_positions: Vec<f32>,
     /// Whether `x_t0` holds the cloth's state.
@@ -76,25 +76,74 @@ pub(super) struct Collisions {
 
 impl Collisions {
     /// Collisions of rank `plan.rank`; native code with `cpu`'s threads.
-    pub fn new(cpu: CpuExecutor, partition: RowPartition, plan: HaloPlan, model: CollisionModel) -> Collisions {
-        let vertices = partition.rows() + model.obstacles.vertices();
-        let detector = Detector::new(model.mesh(), model.contact_params());
-        Collisions {
-            detector,
+    ///
+    /// # Errors
+    /// The model's lists do not fit each other.
+    pub fn new(
+        cpu: CpuExecutor,
+        partition: RowPartition,
+        plan: HaloPlan,
+        mut model: CollisionModel,
+        step_s: f64,
+    ) -> Result<Collisions, SetupError> {
+        let unfit = |what: String| SetupError::Collision(what);
+        let obstacles = model.take_obstacles().ok_or_else(|| unfit("obstacles do not fit their header".into()))?;
+        let rows = partition.rows();
+        let vertices = rows + obstacles.vertices();
+        let mut friction = std::mem::take(&mut model.arrays.friction);
+        friction.extend((0..obstacles.vertices()).map(|v| obstacles.friction(obstacles.obstacle_of_vertex(v)) as f32));
+        let cloth = std::mem::take(&mut model.arrays.triangles);
+        let mut altitudes_m = vec![f32::MAX; vertices];
+        for (corners, altitude_m) in cloth.iter().zip(std::mem::take(&mut model.arrays.altitudes_m)) {
+            for &v in corners {
+                altitudes_m[v as usize] = altitudes_m[v as usize].min(altitude_m);
+            }
+        }
+        let mut triangles = cloth;
+        triangles.extend(obstacles.triangles().iter().map(|corners| corners.map(|v| v + rows as u32)));
+        let mesh = CollisionMesh::new(vertices, rows, triangles).map_err(|error| unfit(error.to_string()))?;
+        let mut inverse_masses = vec![0.0; vertices];
+        model.inverse_masses(0.0, step_s, &mut inverse_masses[..rows]);
+        let params = ContactParams {
+            thickness_m: model.thickness_m as f32,
+            separation_m: 0.0,
+            stiffness_ratio: model.stiffness as f32,
+            step_s: step_s as f32,
+            friction,
+            inverse_masses_per_kg: inverse_masses,
+            smallest_altitudes_m: altitudes_m,
+        };
+        Ok(Collisions {
+            detector: Detector::new(mesh, params).map_err(|error| unfit(error.to_string()))?,
             cpu,
             partition,
             plan,
             x_t0: vec![0.0; vertices * 3],
             x_t1: vec![0.0; vertices * 3],
-            inverse_masses: vec![0.0; vertices],
+            obstacle_positions: Vec::new(),
             state_known: false,
+            obstacles,
             model,
-        }
+        })
     }
 
     /// Bytes held besides the tables of queries: mesh, positions, masses.
     pub fn mesh_bytes(&self) -> u64 {
-        4 * (self.x_t0.len() + self.x_t1.len() + self.inverse_masses.len()) as u64 + self.detector.mesh_bytes()
+        4 * (self.x_t0.len() + self.x_t1.len() + self.model.arrays.masses.len()) as u64
+    }
+
+    /// Tells the detector who is pinned and how long the step is.
+    fn set_step(&mut self, span: Span) -> Result<(), DetectorError> {
+        let rows = self.partition.rows();
+        let params = self.detector.params();
+        let mut inverse_masses = params.inverse_masses_per_kg.clone();
+        self.model.inverse_masses(span.start_s, span.length_s, &mut inverse_masses[..rows]);
+        if params.step_s == span.length_s as f32 && params.inverse_masses_per_kg == inverse_masses {
+            return Ok(());
+        }
+        let params =
+            ContactParams { step_s: span.length_s as f32, inverse_masses_per_kg: inverse_masses, ..params.clone() };
+        self.detector.set_params(params)
     }
 
     /// Obstacles at both ends of `span`, pinned vertices; finds the contacts of the state at its start, whose own rows are
@@ -118,14 +167,15 @@ impl Collisions {
             self.obstacles.positions_at(time_s, &mut self.obstacle_positions);
             x[cloth..].copy_from_slice(&self.obstacle_positions);
         }
-        self.model.inverse_masses(span.start_s, span.length_s, &mut self.inverse_masses);
+        self.set_step(span).map_err(|error| detection_failed(stats.step, error))?;
         let (rank, ranks) = (transport.rank(), transport.ranks());
         let mut found = Vec::new();
         let query = self
             .detector
-            .contacts(&self.cpu, &self.x_t0, &self.inverse_masses, span.length_s, rank, ranks, &mut found)
+            .contacts(&self.cpu, &self.x_t0, rank, ranks, self.model.memory_limit_bytes, &mut found)
             .map_err(|error| detection_failed(stats.step, error))?;
-        add(&mut stats.proximity, &query);
+        stats.proximity.add(&query);
+        stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
         recorder.end(EventName::ProximityQuery, Activity::Compute, start, query.bytes, 0);
         clock.lap(&mut stats.seconds.proximity);
         transport.alive()?;
@@ -146,11 +196,11 @@ impl Collisions {
         stats: &mut StepStats,
     ) -> Result<Vec<ContactElement>, StepError> {
         let own = self.partition.rows_of(self.plan.rank);
-        let mut elements = Vec::new();
-        share_lists(transport, found, &mut |_, part: &[ContactElement]| {
-            elements.extend(part.iter().filter(|c| c.vertices.iter().any(|&v| own.contains(&(v as usize)))));
+        let mut lists = vec![Vec::new(); transport.ranks()];
+        share_lists(transport, found, &mut |source, part: &[ContactElement]| {
+            lists[source].extend(part.iter().filter(|c| c.vertices.iter().any(|&v| own.contains(&(v as usize)))));
         })?;
-        let elements = merge_contacts(elements);
+        let elements = merge_contacts(&lists.iter().map(Vec::as_slice).collect::<Vec<_>>());
         // A contact is counted by the owner of its first cloth vertex.
         let rows = self.partition.rows() as u32;
         let first = |c: &ContactElement| c.vertices.into_iter().find(|&v| v < rows).unwrap_or(NO_VERTEX);
@@ -229,8 +279,9 @@ impl Collisions {
                 break;
             }
             let start = recorder.now();
+            let inverse_masses = &self.detector.params().inverse_masses_per_kg;
             let step =
-                StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses: &self.inverse_masses };
+                StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses };
             if let Err(impossible) = zones.add(&step, &impacts) {
                 return Ok(Resolved::Squeezed(self.imposed(&impossible.imposed)));
             }
@@ -239,7 +290,7 @@ impl Collisions {
             stats.zones.iterations += solved.iterations;
             let mask = touched.get_or_insert_with(Vec::new);
             mask.clear();
-            mask.resize(self.inverse_masses.len(), false);
+            mask.resize(self.x_t0.len() / 3, false);
             let x_t1 = &mut self.x_t1;
             share_lists(transport, &solved.moved, &mut |_, part: &[Moved]| {
                 impact_zone::apply(part, x_t1);
@@ -291,16 +342,14 @@ impl Collisions {
         let mut found = Vec::new();
         let query = self
             .detector
-            .impacts(&self.cpu, &self.x_t0, &self.x_t1, touched, rank, ranks, &mut found)
+            .impacts(&self.cpu, &self.x_t0, &self.x_t1, touched, rank, ranks, self.model.memory_limit_bytes, &mut found)
             .map_err(|error| detection_failed(stats.step, error))?;
-        add(&mut stats.continuous, &query);
+        stats.continuous.add(&query);
         recorder.end(EventName::ContinuousQuery, Activity::Compute, start, query.bytes, 0);
         transport.alive()?;
-        let mut impacts = Vec::new();
-        share_lists(transport, &found, &mut |_, part: &[Impact]| impacts.extend_from_slice(part))?;
-        impacts.sort_unstable_by_key(|impact| impact.candidate);
-        impacts.dedup_by_key(|impact| impact.candidate);
-        Ok(impacts)
+        let mut lists = vec![Vec::new(); ranks];
+        share_lists(transport, &found, &mut |source, part: &[Impact]| lists[source].extend_from_slice(part))?;
+        Ok(merge_impacts(&lists.iter().map(Vec::as_slice).collect::<Vec<_>>()))
     }
 }
 
@@ -317,4 +366,8 @@ fn share_positions(
         next[source] += part.len();
     })?;
     Ok(())
+}
+
+fn detection_failed(step: u32, error: impl std::fmt::Display) -> StepError {
+    StepError::Collision { step, message: error.to_string() }
 }

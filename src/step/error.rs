@@ -11,6 +11,9 @@ pub enum SetupError {
     /// A vertex with too many neighbours.
     #[error(transparent)]
     RowTooLong(#[from] crate::assembly::RowTooLong),
+    /// What collisions are to work on does not fit together.
+    #[error("collisions: {0}")]
+    Collision(String),
     /// The device refused.
     #[error(transparent)]
     Device(#[from] crate::gpu::GpuError),

@@ -46,6 +46,23 @@ pub struct QueryStats {
     pub narrow_s: f64,
 }
 
+impl QueryStats {
+    /// Adds one query.
+    pub(super) fn add(&mut self, query: &crate::collision::DetectionStats) {
+        let seconds = |ns: u64| ns as f64 * 1e-9;
+        let broad = &query.broad;
+        self.tests_total += broad.tests_total;
+        self.tests += broad.tests;
+        self.candidates += query.tested;
+        self.found += query.found;
+        self.batches += broad.batches;
+        self.bytes = self.bytes.max(query.bytes);
+        // The tests of the broad phase hold the narrow phase.
+        self.broad_s += seconds(broad.count_ns + broad.fill_ns + broad.test_ns.saturating_sub(query.narrow_ns));
+        self.narrow_s += seconds(query.narrow_ns);
+    }
+}
+
 /// What impact zones did in a step; the same on all ranks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ZoneCounts {
@@ -131,6 +148,11 @@ impl StageClock {
     pub(super) fn start() -> StageClock {
         let now = Instant::now();
         StageClock { start: now, last: std::cell::Cell::new(now) }
+    }
+
+    /// Forgets the time since the last lap: it was counted elsewhere.
+    pub(super) fn restart(&self) {
+        self.last.set(Instant::now());
     }
 
     /// Adds the time since the last lap to `stage`.
