@@ -20,7 +20,7 @@ mod tests {
 
     #[test]
     fn large_zones_are_spread_first() {
-        assert_eq!(distribute(&[1, 9, 4, 5, 1], 2), [1, 0, 1, 1, 0]);
+        assert_eq!(distribute(&[1, 9, 4, 5, 1], 2), [0, 0, 1, 1, 1]);
         assert_eq!(distribute(&[3, 3, 3], 4), [0, 1, 2]);
         assert_eq!(distribute(&[7, 2], 1), [0, 0]);
         assert_eq!(distribute(&[], 3), [0u32; 0]);
