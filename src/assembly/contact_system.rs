@@ -5,7 +5,7 @@
 //! Does not find contacts and knows no other rank: the caller numbers the vertices and extends the halo.
 //!
 //! Bytes per contact: element 64, record 48, and for each of at most four own rows entry 4, positions 8, table 16; blocks of
-//! 40 bytes, up to 12 where no two contacts share an edge, 3 or 4 in layered cloth. In all about 350.
+//! 40 bytes, up to 12 where no two contacts couple the same vertices, 4 in layered cloth. In all about 450.
 
 use super::contact_fill::{self, ContactLists, ContactSums, SUMS};
 use super::contact_rows::ContactRows;

@@ -36,55 +36,56 @@ impl<T> Shared<T> {
     }
 }
 
-/// The distinct columns of one row: an open-addressed hash table over the list of their keys.
+/// The distinct columns of one row: an open-addressed hash table over a list, numbered as they came.
 #[derive(Default)]
 struct RowSet {
-    /// Number of the column in `keys` plus one, 0 for a free slot; a power of two of slots.
+    /// Number of the column plus one, 0 for a free slot; a power of two of slots.
     slots: Vec<u32>,
-    /// Global row and local vertex of every column.
-    keys: Vec<u64>,
+    /// Columns (local vertices) by number.
+    columns: Vec<u32>,
     shift: u32,
+    /// Global row and number of every column, ascending after `sort`.
+    order: Vec<u64>,
+    /// Position of every column, by number, after `sort`.
+    positions: Vec<u16>,
 }
 
 impl RowSet {
     /// Empties the set, with room for `bound` columns.
     fn clear(&mut self, bound: usize) {
-        let slots = (bound * 2).next_power_of_two().max(8);
-        self.keys.clear();
+        let slots = (bound + bound / 4 + 1).next_power_of_two().max(8);
+        self.columns.clear();
         self.slots.clear();
         self.slots.resize(slots, 0);
         self.shift = 32 - slots.trailing_zeros();
     }
 
-    /// The slot of `column`: where it is, or where it would be.
+    /// Number of `column`, which is put in if it was not there.
     #[inline(always)]
-    fn find(&self, column: u32) -> usize {
+    fn insert(&mut self, column: u32) -> u32 {
         let mut at = (column.wrapping_mul(0x9e37_79b1) >> self.shift) as usize;
         loop {
             match self.slots[at] {
-                0 => return at,
-                n if self.keys[n as usize - 1] as u32 == column => return at,
+                0 => {
+                    self.columns.push(column);
+                    self.slots[at] = self.columns.len() as u32;
+                    return self.slots[at] - 1;
+                }
+                n if self.columns[n as usize - 1] == column => return n - 1,
                 _ => at = (at + 1) & (self.slots.len() - 1),
             }
         }
     }
 
-    #[inline(always)]
-    fn insert(&mut self, column: u32, global_from_local: &[u32]) {
-        let at = self.find(column);
-        if self.slots[at] == 0 {
-            self.keys.push(u64::from(global_from_local[column as usize]) << 32 | u64::from(column));
-            self.slots[at] = self.keys.len() as u32;
-        }
-    }
-
-    /// Sorts by global row; then a column's slot holds its position plus one.
-    fn sort(&mut self) {
-        self.keys.sort_unstable();
-        self.slots.fill(0);
-        for n in 0..self.keys.len() {
-            let at = self.find(self.keys[n] as u32);
-            self.slots[at] = n as u32 + 1;
+    /// Orders the columns by global row.
+    fn sort(&mut self, global_from_local: &[u32]) {
+        let key = |(n, &column): (usize, &u32)| u64::from(global_from_local[column as usize]) << 32 | n as u64;
+        self.order.clear();
+        self.order.extend(self.columns.iter().enumerate().map(key));
+        self.order.sort_unstable();
+        self.positions.resize(self.columns.len(), 0);
+        for (position, &key) in self.order.iter().enumerate() {
+            self.positions[key as u32 as usize] = position as u16;
         }
     }
 }
@@ -110,30 +111,34 @@ pub(super) fn index_rows(
             let end = rows.start(r + 1, kinds.iter().map(|kind| (kind.corners, kind.offsets)));
             set.clear(end - start);
             if rows.own_column {
-                set.insert((rows.own.start + r) as u32, global_from_local);
+                set.insert((rows.own.start + r) as u32);
             }
-            for kind in kinds {
-                for &entry in &kind.entries[kind.offsets[r] as usize..kind.offsets[r + 1] as usize] {
-                    for column in columns(rows, kind, entry).filter(|&v| v != NO_COLUMN) {
-                        set.insert(column, global_from_local);
-                    }
-                }
-            }
-            set.sort();
-            // SAFETY: rows have disjoint parts of the table, and every row is visited once.
-            let own = unsafe { table.part(start, end - start) };
-            own.iter_mut().zip(&set.keys).for_each(|(to, &key)| *to = key as u32);
-            measure(rows, &set.keys, part_ends, lengths);
+            // Positions hold the numbers of the columns until these are sorted.
             for (kind, positions) in kinds.iter().zip(&positions) {
                 let list = kind.offsets[r] as usize..kind.offsets[r + 1] as usize;
-                // SAFETY: contributions of this row.
+                // SAFETY: contributions of this row, which is visited once.
                 let positions = unsafe { positions.part(list.start, list.len()) };
                 for (&entry, out) in kind.entries[list].iter().zip(positions) {
                     *out = [NO_POSITION; 4];
                     for (out, column) in out.iter_mut().zip(columns(rows, kind, entry)) {
                         if column != NO_COLUMN {
-                            *out = (set.slots[set.find(column)] - 1) as u16;
+                            *out = set.insert(column) as u16;
                         }
+                    }
+                }
+            }
+            set.sort(global_from_local);
+            // SAFETY: rows have disjoint parts of the table.
+            let own = unsafe { table.part(start, end - start) };
+            own.iter_mut().zip(&set.order).for_each(|(to, &key)| *to = set.columns[key as u32 as usize]);
+            measure(rows, &set, part_ends, lengths);
+            for (kind, positions) in kinds.iter().zip(&positions) {
+                let list = kind.offsets[r] as usize..kind.offsets[r + 1] as usize;
+                // SAFETY: as above; the other slice is gone.
+                let positions = unsafe { positions.part(list.start, list.len()) };
+                for position in positions.as_flattened_mut() {
+                    if *position != NO_POSITION {
+                        *position = set.positions[usize::from(*position)];
                     }
                 }
             }
@@ -152,15 +157,15 @@ fn columns<'a>(rows: &'a IndexRows, kind: &'a KindInputs<'_>, entry: u32) -> imp
     })
 }
 
-fn measure(rows: &IndexRows, keys: &[u64], part_ends: &[u32], lengths: &mut [u32]) {
+fn measure(rows: &IndexRows, set: &RowSet, part_ends: &[u32], lengths: &mut [u32]) {
     if let [length] = lengths {
-        let remote = keys.iter().any(|&key| !rows.own.contains(&(key as u32 as usize)));
-        *length = keys.len() as u32 | if remote { REMOTE } else { 0 };
+        let remote = set.columns.iter().any(|&column| !rows.own.contains(&(column as usize)));
+        *length = set.columns.len() as u32 | if remote { REMOTE } else { 0 };
         return;
     }
     lengths.fill(0);
     let mut part = 0;
-    for key in keys {
+    for key in &set.order {
         while (key >> 32) as u32 >= part_ends[part] {
             part += 1;
         }
