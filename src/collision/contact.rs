@@ -10,7 +10,7 @@
 use super::Candidate;
 use super::around::Around;
 use super::broad::CollisionMesh;
-use super::elementary::{StencilKind, closest_points, proximity};
+use super::elementary::{Proximity, StencilKind, proximity};
 use crate::forces::NO_VERTEX;
 use crate::math::Vec3;
 
@@ -52,48 +52,41 @@ impl Surfaces<'_> {
         Vec3::from_slice(&self.x[3 * vertex as usize..])
     }
 
-    /// The pair of closest features of a stencil if it is a contact, at whatever distance.
-    pub fn closest(&self, candidate: &Candidate) -> Option<Pair> {
+    /// The pair of closest features of a stencil if it is a contact. Beyond `reach_m`, at least what counts as near for any
+    /// pair of the stencil's vertices, there may be no answer.
+    pub fn closest(&self, candidate: &Candidate, reach_m: f32) -> Option<Pair> {
         let x = candidate.vertices.map(|v| self.at(v));
         if !candidate.is_vertex_face() {
             let (u, v) = (x[1] - x[0], x[3] - x[2]);
             let crossing = u.cross(v).length_squared() > PARALLEL * u.length_squared() * v.length_squared();
-            return if crossing { self.whole(StencilKind::EdgeEdge, candidate, x) } else { None };
+            let found = if crossing { proximity(StencilKind::EdgeEdge, x, f32::MAX) } else { None };
+            return found.filter(|found| found.feature.is_interior()).map(|found| whole(candidate, &found));
         }
+        let found = proximity(StencilKind::VertexFace, x, f32::MAX)?;
         let [vertex, corners @ ..] = candidate.vertices;
-        let closest = closest_points(StencilKind::VertexFace, x).feature;
-        let mut near = (0..3).filter(|k| closest.vertices >> (k + 1) & 1 != 0).map(|k| corners[k]);
+        let mut near = (0..3).filter(|k| found.feature.vertices >> (k + 1) & 1 != 0).map(|k| corners[k]);
         match (near.next(), near.next(), near.next()) {
-            (Some(_), Some(_), Some(_)) => self.whole(StencilKind::VertexFace, candidate, x),
-            (Some(a), Some(b), None) => self.vertex_edge(vertex, [a.min(b), a.max(b)]),
-            (Some(a), None, None) => self.vertex_vertex(vertex.min(a), vertex.max(a)),
+            (Some(_), Some(_), Some(_)) => Some(whole(candidate, &found)),
+            (Some(a), Some(b), None) => self.vertex_edge(vertex, [a.min(b), a.max(b)], reach_m),
+            (Some(a), None, None) => self.vertex_vertex(vertex.min(a), vertex.max(a), reach_m),
             _ => None,
         }
     }
 
-    /// The insides of both parts of a stencil.
-    fn whole(&self, kind: StencilKind, candidate: &Candidate, x: [Vec3; 4]) -> Option<Pair> {
-        let found = proximity(kind, x, f32::MAX).filter(|found| found.feature.is_interior())?;
-        Some(Pair {
-            vertices: candidate.vertices,
-            kind: candidate.kind,
-            weights: found.weights,
-            normal: found.normal,
-            distance_m: found.distance,
-        })
-    }
-
     /// A vertex and the inside of an edge; the nearer end where the vertex is beyond it.
-    fn vertex_edge(&self, vertex: u32, [a, b]: [u32; 2]) -> Option<Pair> {
+    fn vertex_edge(&self, vertex: u32, [a, b]: [u32; 2], reach_m: f32) -> Option<Pair> {
         let (x, x_a, x_b) = (self.at(vertex), self.at(a), self.at(b));
         let edge = x_b - x_a;
         let (from_a, from_b) = ((x - x_a).dot(edge), (x_b - x).dot(edge));
         if !(from_a > 0.0 && from_b > 0.0) {
             let end = if from_a > 0.0 { b } else { a };
-            return self.vertex_vertex(vertex.min(end), vertex.max(end));
+            return self.vertex_vertex(vertex.min(end), vertex.max(end), reach_m);
         }
         let t = from_a / (from_a + from_b);
         let offset = if t <= 0.5 { (x - x_a) - t * edge } else { (x - x_b) + (1.0 - t) * edge };
+        if offset.length() > reach_m {
+            return None;
+        }
         let length = edge.length();
         let over_faces = self.around.opposite(self.mesh, [a, b]);
         let minimal = over_faces.map(|c| self.at(c) - x_a).all(|side| level(offset, side, ROUNDING, length))
@@ -112,8 +105,11 @@ impl Surfaces<'_> {
     }
 
     /// Two vertices, the smaller first.
-    fn vertex_vertex(&self, one: u32, other: u32) -> Option<Pair> {
+    fn vertex_vertex(&self, one: u32, other: u32, reach_m: f32) -> Option<Pair> {
         let offset = self.at(one) - self.at(other);
+        if offset.length() > reach_m {
+            return None;
+        }
         let minimal = self.is_end(other, offset, ROUNDING, 0.0) && self.is_end(one, -offset, ROUNDING, 0.0);
         minimal.then(|| {
             // Where they coincide, the flatter or finer surface says what is up.
@@ -149,6 +145,17 @@ impl Surfaces<'_> {
             let normal = if normal.dot(offset) < 0.0 { -normal } else { normal };
             normal.try_normalize().or_else(|| offset.try_normalize()).unwrap_or(Vec3::Z)
         })
+    }
+}
+
+/// The insides of both parts of a stencil.
+fn whole(candidate: &Candidate, found: &Proximity) -> Pair {
+    Pair {
+        vertices: candidate.vertices,
+        kind: candidate.kind,
+        weights: found.weights,
+        normal: found.normal,
+        distance_m: found.distance,
     }
 }
 

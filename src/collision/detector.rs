@@ -257,7 +257,7 @@ impl Detector {
     /// with every candidate.
     pub fn contact(&self, x: &[f32], stencil: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.broad.mesh(), around: &self.around, x };
-        let pair = surfaces.closest(stencil).filter(|pair| self.rules.is_near(pair))?;
+        let pair = surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair))?;
         self.rules.element(&pair)
     }
 

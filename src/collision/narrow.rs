@@ -109,7 +109,9 @@ impl Sink for ContactSink<'_> {
                 let reach = Vec4::from_array(group.each_ref().map(|candidate| rules.reach_m(candidate)));
                 for i in left(undecided_at_rest(kind, &gather(surfaces.x, group), reach), count) {
                     own.tested += 1;
-                    let Some(pair) = surfaces.closest(&group[i]).filter(|pair| rules.is_near(pair)) else { continue };
+                    let Some(pair) = surfaces.closest(&group[i], reach[i]).filter(|pair| rules.is_near(pair)) else {
+                        continue;
+                    };
                     own.smallest_gap_m = own.smallest_gap_m.min(pair.distance_m);
                     own.items.extend(rules.element(&pair));
                 }
