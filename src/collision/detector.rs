@@ -107,6 +107,8 @@ pub(super) struct Rules {
     within_piece_m: Vec<f32>,
     /// The largest of these.
     widest_within_piece_m: f32,
+    /// The largest thickness of all pairs: less than that of the parameters where there is one piece only.
+    widest_m: f32,
 }
 
 /// Since a moment, at most what 64 bits hold.
@@ -119,8 +121,12 @@ impl Rules {
         let limit = |&altitude_m: &f32| params.thickness_m.min(0.5 * altitude_m.max(0.0));
         let within_piece_m: Vec<f32> = params.smallest_altitudes_m.iter().map(limit).collect();
         let widest_within_piece_m = within_piece_m[..mesh.cloth_vertices].iter().fold(0.0, |a: f32, &b| a.max(b));
+        let mut pieces = mesh.triangles.iter().map(|face| mesh.pieces[face[0] as usize]);
+        let first = pieces.next();
+        let one_piece = pieces.all(|piece| Some(piece) == first);
+        let widest_m = if one_piece { widest_within_piece_m } else { params.thickness_m };
         let (pieces, cloth_vertices) = (mesh.pieces.clone(), mesh.cloth_vertices);
-        Rules { params, cloth_vertices, pieces, within_piece_m, widest_within_piece_m }
+        Rules { params, cloth_vertices, pieces, within_piece_m, widest_within_piece_m, widest_m }
     }
 
     fn bytes(&self) -> u64 {
@@ -280,7 +286,7 @@ impl Detector {
         let mesh = broad.mesh().clone();
         let surfaces = Surfaces { mesh: &mesh, around, x };
         let wide = |thickness_m: f32| thickness_m * WIDER;
-        let query = Query { x_t0: x, x_t1: x, radius_m: wide(rules.params.thickness_m) };
+        let query = Query { x_t0: x, x_t1: x, radius_m: wide(rules.widest_m) };
         let choice = Choice { piece_radius_m: Some(wide(rules.widest_within_piece_m)), ..Choice::default() };
         let start = || ContactSink { surfaces: &surfaces, rules, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
