@@ -334,9 +334,12 @@ impl Simulation {
         stats: &mut StepStats,
     ) -> Result<(), StepError> {
         let Some(collisions) = &mut self.collisions else { return Ok(()) };
-        let mut own = vec![0.0; self.own_rows * 3];
-        self.positions.read_range(&self.executor, self.own_start, &mut own);
-        let found = collisions.contacts(transport, &own, span, stats, &mut self.recorder)?;
+        let mut own = (vec![0.0; self.own_rows * 3], vec![0.0; self.own_rows * 3]);
+        self.positions.read_range(&self.executor, self.own_start, &mut own.0);
+        self.velocities.read_range(&self.executor, self.own_start, &mut own.1);
+        let gravity_m_s2 = self.settings.gravity_m_s2.to_array();
+        let found =
+            collisions.contacts(transport, (&own.0, &own.1), gravity_m_s2, span, stats, &mut self.recorder)?;
         let clock = StageClock::start();
         let start = self.recorder.now();
         let rows = found.plan.local_rows;

@@ -158,9 +158,9 @@ impl Rules {
         vertices().fold(self.params.thickness_m, |least, v| least.min(self.within_piece_m[v]))
     }
 
-    /// Whether a pair is closer than its thickness.
-    pub fn is_near(&self, pair: &Pair) -> bool {
-        pair.distance_m < self.thickness_m(pair)
+    /// Whether a pair is closer than its thickness, or will be once it has come closer by `approach_m`.
+    pub fn is_near(&self, pair: &Pair, approach_m: f32) -> bool {
+        pair.distance_m - approach_m.max(0.0) < self.thickness_m(pair)
     }
 
     /// The element of a contact; none if nothing in it can move.
@@ -263,7 +263,7 @@ impl Detector {
     /// with every candidate.
     pub fn contact(&self, x: &[f32], stencil: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.broad.mesh(), around: &self.around, x };
-        let pair = surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair))?;
+        let pair = surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair, 0.0))?;
         self.rules.element(&pair)
     }
 
@@ -281,14 +281,34 @@ impl Detector {
         memory_limit_bytes: Option<u64>,
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
+        self.contacts_ahead(cpu, x, x, rank, ranks, memory_limit_bytes, out)
+    }
+
+    /// As [`Detector::contacts`], with those pairs, too, that are farther apart at `x` and come closer than their thickness
+    /// on the straight way to `ahead`, as their closest points at `x` see it: fast cloth then meets a repulsion before it
+    /// meets cloth.
+    ///
+    /// # Errors
+    /// As [`Broad::candidates`].
+    pub fn contacts_ahead(
+        &mut self,
+        cpu: &CpuExecutor,
+        x: &[f32],
+        ahead: &[f32],
+        rank: usize,
+        ranks: usize,
+        memory_limit_bytes: Option<u64>,
+        out: &mut Vec<ContactElement>,
+    ) -> Result<DetectionStats, BroadError> {
         out.clear();
         let Detector { broad, around, rules } = self;
         let mesh = broad.mesh().clone();
         let surfaces = Surfaces { mesh: &mesh, around, x };
         let wide = |thickness_m: f32| thickness_m * WIDER;
-        let query = Query { x_t0: x, x_t1: x, radius_m: wide(rules.widest_m) };
+        let query = Query { x_t0: x, x_t1: ahead, radius_m: wide(rules.widest_m) };
+        let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
         let choice = Choice { piece_radius_m: Some(wide(rules.widest_within_piece_m)), ..Choice::default() };
-        let start = || ContactSink { surfaces: &surfaces, rules, found: Found::new() };
+        let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ContactSink| all.append(sink.found);
         let stats = broad.search(cpu, &query, &choice, (rank, ranks), memory_limit_bytes, &start, finish)?;

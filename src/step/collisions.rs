@@ -147,11 +147,12 @@ impl Collisions {
     }
 
     /// Obstacles at both ends of `span`, pinned vertices; finds the contacts of the state at its start, whose own rows are
-    /// `own` (xyz), and tells everybody who needs which rows.
+    /// `own` (positions, velocities; xyz), and those it is heading for, and tells everybody who needs which rows.
     pub fn contacts(
         &mut self,
         transport: &mut dyn Transport,
-        own: &[f32],
+        own: (&[f32], &[f32]),
+        gravity_m_s2: [f32; 3],
         span: Span,
         stats: &mut StepStats,
         recorder: &mut Recorder,
@@ -159,7 +160,7 @@ impl Collisions {
         let clock = StageClock::start();
         let start = recorder.now();
         if !self.state_known {
-            share_positions(transport, &self.partition, own, &mut self.x_t0)?;
+            share_positions(transport, &self.partition, own.0, &mut self.x_t0)?;
             self.state_known = true;
         }
         let cloth = self.partition.rows() * 3;
@@ -168,11 +169,13 @@ impl Collisions {
             x[cloth..].copy_from_slice(&self.obstacle_positions);
         }
         self.set_step(span).map_err(|error| detection_failed(stats.step, error))?;
+        let ahead = self.heading_for(own, gravity_m_s2, span);
+        share_positions(transport, &self.partition, &ahead, &mut self.x_t1)?;
         let (rank, ranks) = (transport.rank(), transport.ranks());
         let mut found = Vec::new();
         let query = self
             .detector
-            .contacts(&self.cpu, &self.x_t0, rank, ranks, self.model.memory_limit_bytes, &mut found)
+            .contacts_ahead(&self.cpu, &self.x_t0, &self.x_t1, rank, ranks, self.model.memory_limit_bytes, &mut found)
             .map_err(|error| detection_failed(stats.step, error))?;
         stats.proximity.add(&query);
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
@@ -186,6 +189,19 @@ impl Collisions {
         recorder.end(EventName::ShareContacts, Activity::Transfer, start, size_of_val(&found[..]) as u64, 0);
         clock.lap(&mut stats.seconds.contacts);
         Ok(contacts)
+    }
+
+    /// Where the own rows would be at the end of `span` if nothing but gravity acted on them.
+    fn heading_for(&self, (x, v): (&[f32], &[f32]), gravity_m_s2: [f32; 3], span: Span) -> Vec<f32> {
+        let step_s = span.length_s as f32;
+        let rows = self.partition.rows_of(self.plan.rank);
+        let mobile = &self.detector.params().inverse_masses_per_kg[rows];
+        let mut ahead = Vec::with_capacity(x.len());
+        for (i, (x, v)) in x.iter().zip(v).enumerate() {
+            let falls = if mobile[i / 3] > 0.0 { step_s * gravity_m_s2[i % 3] } else { 0.0 };
+            ahead.push(x + step_s * (v + falls));
+        }
+        ahead
     }
 
     /// Contacts of all ranks that touch own rows, sorted, each once.
