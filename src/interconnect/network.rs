@@ -190,8 +190,7 @@ mod tests {
         assert_eq!(ends(&tree(Duplex::Full), &[(0, 2, 1e9), (1, 3, 1e9), (0, 1, 1e9)]), [2.0, 2.0, 2.0]);
         // Three into GPU 3, one of them (0) also sends to 1: that one gets what its egress has left, 2/3.
         let found = ends(&tree(Duplex::Full), &[(0, 3, 1e9), (1, 3, 1e9), (2, 3, 1e9), (0, 1, 2e9)]);
-        assert_eq!(found[..3], [3.0; 3]);
-        assert!((found[3] - 3.0).abs() < 1e-12, "{found:?}");
+        assert!(found.iter().all(|end_s| (end_s - 3.0).abs() < 1e-12), "{found:?}");
     }
 
     #[test]

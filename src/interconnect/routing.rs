@@ -20,7 +20,7 @@ pub(super) struct Routes {
 
 impl Routes {
     /// Finds for every pair the widest path (largest bandwidth of its narrowest link), among those the one with fewest
-    /// links, among those the first in file order; through other GPUs only where there is no way around them. Err: two
+    /// links, among those the first in file order. GPUs with a link between them never go through a third one. Err: two
     /// GPUs without a path.
     pub fn find(graph: &Graph) -> Result<Routes, (usize, usize)> {
         let mut widths: Vec<f64> = graph.links.iter().map(|link| link.bandwidth_gb_s).collect();
@@ -44,7 +44,9 @@ impl Routes {
                 let arrival = breadth_first(graph, &neighbours, from, width, through_gpus);
                 for to in 0..graph.gpus {
                     let path = &mut paths[from * graph.gpus + to];
-                    if to != from && path.is_empty() && arrival[to].is_some() {
+                    let linked = || neighbours[from].iter().any(|(next, _)| *next == to);
+                    let may_go = through_gpus || !graph.gpus_forward || linked();
+                    if to != from && path.is_empty() && arrival[to].is_some() && may_go {
                         *path = trace_back(&arrival, from, to);
                         missing -= 1;
                     }

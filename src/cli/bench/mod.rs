@@ -1,7 +1,8 @@
-//! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, never
-//! modelled; each table names what it ran on.
+//! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, and each table
+//! names what it ran on; only `bench interconnect` is modelled, and its titles say so.
 
 mod device;
+mod interconnect;
 mod spmv;
 mod step;
 mod table;
@@ -32,6 +33,8 @@ enum Bench {
     Step(step::StepBench),
     /// Memory of a scene's workers per structure and vertex
     Memory(step::StepBench),
+    /// Modelled, not measured: products on the machines of topology files, every exchange and schedule
+    Interconnect(interconnect::InterconnectBench),
 }
 
 /// What all benchmarks take.
@@ -64,12 +67,15 @@ impl Common {
 
 /// Runs the command.
 pub fn run(args: BenchArgs) -> Result<(), CliError> {
-    warn_of_load();
+    if !matches!(args.what, Bench::Interconnect(_)) {
+        warn_of_load();
+    }
     match args.what {
         Bench::Device(bench) => device::run(&bench),
         Bench::Spmv(bench) => spmv::run(&bench),
         Bench::Step(bench) => step::run(&bench, false),
         Bench::Memory(bench) => step::run(&bench, true),
+        Bench::Interconnect(bench) => interconnect::run(&bench),
     }
 }
 
