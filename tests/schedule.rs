@@ -134,13 +134,15 @@ fn units(schedule: &Schedule, topology: &Topology) -> f64 {
 
 #[test]
 fn costs_on_the_uniform_tree_are_the_known_ones() {
-    for (gpus, fat_tree_units, ring_units, direct_units) in
+    for (gpus, fat_tree_units, ring_units, root_units) in
         [(2, 1.0, 1.0, 1.0), (4, 4.0, 3.0, 4.0), (8, 12.0, 7.0, 16.0), (16, 32.0, 15.0, 64.0)]
     {
         let tree = unit_tree(gpus, Duplex::Full);
         assert_eq!(units(&fat_tree(gpus).unwrap(), &tree), fat_tree_units, "fat tree of {gpus}");
         assert_eq!(units(&ring(gpus), &tree), ring_units, "ring of {gpus}");
-        assert_eq!(units(&direct(gpus), &tree), direct_units, "direct of {gpus}");
+        // Without forwarding (n/2)^2 sub-vectors cross the root each way; ranks that run ahead leave it idle for a while.
+        let direct_units = units(&direct(gpus), &tree);
+        assert!((root_units..=1.04 * root_units).contains(&direct_units), "direct of {gpus}: {direct_units}");
     }
 }
 
@@ -185,9 +187,12 @@ fn auto_takes_the_cheapest() {
         let plan = chosen(&unit_tree(gpus, Duplex::Full));
         assert_eq!((plan.kind, plan.cost.total_s), (ScheduleKind::Ring, (gpus - 1) as f64), "n = {gpus}");
     }
-    // One switch with a link per GPU: nothing to gain from forwarding.
+    // One switch with a link per GPU: nothing to gain from forwarding; posting transfers ahead hides their latencies.
     let dgx2 = Topology::read(&repository("topology/dgx2_16.toml")).unwrap();
-    assert_eq!(chosen(&dgx2).kind, ScheduleKind::Direct);
+    let best = chosen(&dgx2);
+    assert_eq!((best.kind, &best.schedule), (ScheduleKind::Best, &direct(16)));
+    let pieces = best.pieces.unwrap();
+    assert!(pieces.queues.iter().flatten().all(|piece| piece.source == piece.vector), "nothing is forwarded");
     // A true fat tree with slow first bytes at the root: of the schedules that look at no link, crossing it in one stage
     // only is cheapest; `best` posts the crossings ahead and is cheaper still.
     let fat =

@@ -4,7 +4,7 @@
 use super::Schedule;
 use super::clock::{Moment, Program, Work};
 use super::network::Channels;
-use super::ordering::{Preference, order};
+use super::ordering::{Move, Preference, order};
 use super::packing::{Demand, Tree, pack};
 use super::pieces::Pieces;
 use super::topology::Topology;
@@ -79,37 +79,31 @@ impl TransferPlan {
         TransferPlan::of_queues(schedule, |rank, vector| carried[vector][rank])
     }
 
-    /// The cheapest found way to bring every demand to its readers: contention-aware, readers hand on to each other.
-    /// Returns it with its modelled time.
+    /// The cheapest found way to bring every demand to its readers: contention-aware, readers hand on to each other, large
+    /// demands go in chunks (items are numbered demand by demand). Returns it with its modelled time.
     pub fn best_for(topology: &Topology, demands: &[Demand]) -> (TransferPlan, f64) {
-        let (gpus, channels) = (topology.gpus(), Channels::of(topology));
+        let channels = Channels::of(topology);
         let target_s = super::bound::demand_bound_s(topology, demands).max(1e-12);
-        let stars: Vec<Tree> = demands
-            .iter()
-            .map(|demand| demand.readers.iter().map(|&reader| (demand.owner, reader)).collect())
-            .collect();
-        let mut best: Option<(TransferPlan, f64)> = None;
-        for trees in [pack(&channels, demands, target_s, gpus), stars] {
-            for (preference, beside) in
-                [(Preference::FreeLinks, 1), (Preference::LongChains, 1), (Preference::InProportion, 2)]
-            {
-                let moves = order(&channels, demands, &trees, gpus, preference, beside);
-                let transfer = |m: &super::ordering::Move| Transfer {
-                    source: m.source,
-                    owner: demands[m.item].owner,
-                    item: m.item,
-                    lane: m.lane,
-                    bytes: demands[m.item].bytes,
-                };
-                let queues = moves.iter().map(|queue| queue.iter().map(transfer).collect()).collect();
-                let plan = TransferPlan { ahead: true, queues };
-                let seconds = plan.seconds_on(&channels);
-                if best.as_ref().is_none_or(|(_, least_s)| seconds < *least_s) {
-                    best = Some((plan, seconds));
+        let largest = demands.iter().map(|demand| demand.bytes).fold(0.0, f64::max);
+        let mut best = (TransferPlan { ahead: true, queues: vec![Vec::new(); topology.gpus()] }, f64::INFINITY);
+        for parts in [1.0, 2.0, 4.0, 8.0] {
+            let items = cut(demands, largest / parts);
+            if items.len() > ITEMS_MAX.max(demands.len()) {
+                break;
+            }
+            for trees in [pack(&channels, &items, target_s, topology.gpus()), items.iter().map(star).collect()] {
+                for (preference, beside) in ORDERS {
+                    let moves = order(&channels, &items, &trees, topology.gpus(), preference, beside);
+                    let queues = moves.iter().map(|queue| queue.iter().map(|m| transfer_of(m, &items)).collect());
+                    let plan = TransferPlan { ahead: true, queues: queues.collect() };
+                    let seconds = plan.seconds_on(&channels);
+                    if seconds < best.1 {
+                        best = (plan, seconds);
+                    }
                 }
             }
         }
-        best.unwrap_or((TransferPlan { ahead: true, queues: vec![Vec::new(); gpus] }, 0.0))
+        best
     }
 
     /// Modelled time of the exchange alone; infinity if transfers wait for each other in a circle.
@@ -176,4 +170,29 @@ impl TransferPlan {
         }
         tasks
     }
+}
+
+/// Most items that large demands are cut into.
+const ITEMS_MAX: usize = 2000;
+/// Ways to put them in order that are tried.
+const ORDERS: [(Preference, usize); 3] =
+    [(Preference::FreeLinks, 1), (Preference::LongChains, 1), (Preference::InProportion, 2)];
+
+/// The demands in equal parts of at most `most` bytes.
+fn cut(demands: &[Demand], most: f64) -> Vec<Demand> {
+    let parts = |demand: &Demand| {
+        let count = (demand.bytes / most - 1e-9).ceil().max(1.0);
+        vec![Demand { bytes: demand.bytes / count, ..demand.clone() }; count as usize]
+    };
+    demands.iter().flat_map(parts).collect()
+}
+
+/// Everybody from the owner.
+fn star(demand: &Demand) -> Tree {
+    demand.readers.iter().map(|&reader| (demand.owner, reader)).collect()
+}
+
+fn transfer_of(m: &Move, items: &[Demand]) -> Transfer {
+    let Demand { owner, bytes, .. } = items[m.item];
+    Transfer { source: m.source, owner, item: m.item, lane: m.lane, bytes }
 }
