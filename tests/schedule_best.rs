@@ -246,6 +246,27 @@ fn halos_of_unequal_sizes_are_brought_close_to_their_bound() {
     assert!(seconds >= bound_s && seconds <= 1.25 * bound_s + 20e-6, "{seconds} over {bound_s}");
 }
 
+#[test]
+fn the_schema_knows_every_field_of_the_shipped_files() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("topology");
+    let schema = std::fs::read(root.join("topology.schema.json")).unwrap();
+    let schema: serde_json::Value = serde_json::from_slice(&schema).unwrap();
+    let properties =
+        |of: &serde_json::Value| -> Vec<String> { of["properties"].as_object().unwrap().keys().cloned().collect() };
+    let (top, device) = (properties(&schema), properties(&schema["properties"]["device"]));
+    let link = properties(&schema["$defs"]["link"]);
+    for (file, _) in shipped() {
+        let text = std::fs::read_to_string(&file).unwrap();
+        let table: toml::Table = text.parse().unwrap();
+        let links = table.get("links").and_then(toml::Value::as_array);
+        let keys_of = |value: &toml::Value| value.as_table().unwrap().keys().cloned().collect::<Vec<_>>();
+        let known = table.keys().all(|key| top.contains(key))
+            && keys_of(&table["device"]).iter().all(|key| device.contains(key))
+            && links.into_iter().flatten().flat_map(keys_of).all(|key| link.contains(&key));
+        assert!(known, "{}", file.display());
+    }
+}
+
 // --- the command ----------------------------------------------------------------------------------------------------
 
 fn output(file: &str, format: ScheduleFormat, svg: Option<PathBuf>) -> String {

@@ -335,6 +335,9 @@ impl Prediction {
     }
 
     fn memory_sentence(&self) -> String {
+        if self.memory.iter().all(|bytes| *bytes == 0) {
+            return "memory: the report of the recorded run does not count it".to_string();
+        }
         let limit_gb = self.topology.device().memory_gb;
         let most_gb = self.memory.iter().copied().max().unwrap_or(0) as f64 / 1e9;
         let sum_gb = self.memory.iter().sum::<u64>() as f64 / 1e9;
