@@ -327,18 +327,19 @@ impl<'a> Builder<'a> {
             .collect();
         self.tag_receipts(plan, &receipts);
         for rank in 0..self.last.len() {
-            let names: Vec<(EventName, Option<(usize, usize)>, f64)> = match kernels {
+            let names: Vec<(EventName, Option<usize>, f64)> = match kernels {
                 ProductKernels::Whole(seconds) => vec![(EventName::SpmvRemote, None, seconds[rank])],
                 ProductKernels::Halo(seconds) => {
                     vec![(EventName::SpmvLocal, None, seconds[rank].0), (EventName::SpmvRemote, None, seconds[rank].1)]
                 }
                 ProductKernels::Blocks(seconds) => std::iter::once(&rank)
                     .chain(&order[rank])
-                    .map(|&vector| (EventName::SpmvBlock, Some((vector, vector)), seconds[rank][vector]))
+                    .map(|&vector| (EventName::SpmvBlock, Some(vector), seconds[rank][vector]))
                     .collect(),
             };
-            for (name, from, seconds) in names {
+            for (name, vector, seconds) in names {
                 self.busy_s[rank] += seconds;
+                let from = vector.map(|vector| (vector, vector));
                 self.tags.push(Tag { task: next, rank, name, from, lane: 0, bytes: 0.0 });
                 next += 1;
             }
