@@ -36,6 +36,11 @@ use stats::{StageClock, peak_resident_bytes};
 
 /// Times a step may be cut in two if its end cannot be freed of penetrations otherwise.
 const HALVINGS_MAX: u32 = 4;
+/// Times a step may be cut in two because its impacts take many rounds: contact forces stop in short steps what zones have to
+/// disentangle after a long one.
+const HALVINGS_FOR_SPEED: u32 = 2;
+/// Rounds of impact zones before that.
+const ROUNDS_MOST: u32 = 5;
 
 /// How the ranks of a run exchange and who receives what when.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -201,7 +206,12 @@ impl Simulation {
         stats: &mut StepStats,
     ) -> Result<(), StepError> {
         let before = self.collisions.is_some().then(|| (self.state(), self.pins.clone()));
-        let Resolved::Squeezed(imposed) = self.solve_over(transport, span, stats)? else { return Ok(()) };
+        let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
+        let imposed = match self.solve_over(transport, span, rounds_most, stats)? {
+            Resolved::Free(_) => return Ok(()),
+            Resolved::Slow => Vec::new(),
+            Resolved::Squeezed(imposed) => imposed,
+        };
         let (Some((state, pins)), true) = (before, halvings < HALVINGS_MAX) else {
             return Err(StepError::Squeezed { step: stats.step, imposed });
         };
@@ -220,6 +230,7 @@ impl Simulation {
         &mut self,
         transport: &mut dyn Transport,
         span: Span,
+        rounds_most: u32,
         stats: &mut StepStats,
     ) -> Result<Resolved, StepError> {
         let clock = StageClock::start();
@@ -254,7 +265,7 @@ impl Simulation {
         clock.lap(&mut stats.seconds.advance);
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.
-        self.resolve_impacts(transport, span, stats)
+        self.resolve_impacts(transport, span, rounds_most, stats)
     }
 
     /// Times `repeat` products of the current matrix on a single rank: seconds of each, and the bytes that one moves.
@@ -500,12 +511,13 @@ impl Simulation {
         &mut self,
         transport: &mut dyn Transport,
         span: Span,
+        rounds_most: u32,
         stats: &mut StepStats,
     ) -> Result<Resolved, StepError> {
         let Some(collisions) = &mut self.collisions else { return Ok(Resolved::Free(Vec::new())) };
         let mut own = vec![0.0; self.own_rows * 3];
         self.positions.read_range(&self.executor, self.own_start, &mut own);
-        let resolved = collisions.resolve(&self.executor, transport, &own, stats, &mut self.recorder)?;
+        let resolved = collisions.resolve(&self.executor, transport, &own, rounds_most, stats, &mut self.recorder)?;
         if let Resolved::Free(moved) = &resolved
             && !moved.is_empty()
         {

@@ -52,6 +52,8 @@ pub(super) struct RankContacts {
 pub(super) enum Resolved {
     /// Own rows (within the row block) that zones moved, and where to.
     Free(Vec<(u32, [f32; 3])>),
+    /// Not within the rounds allowed: a shorter step has an easier end.
+    Slow,
     /// Not at all: what the scene moves leaves no room.
     Squeezed(Vec<Imposed>),
 }
@@ -269,13 +271,14 @@ impl Collisions {
         Ok(RankContacts { elements, plan, obstacle_positions, obstacle_velocities })
     }
 
-    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones, in
-    /// rounds until nothing penetrates.
+    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones, in at
+    /// most `rounds_most` rounds until nothing penetrates.
     pub fn resolve(
         &mut self,
         executor: &Executor,
         transport: &mut dyn Transport,
         own: &[f32],
+        rounds_most: u32,
         stats: &mut StepStats,
         recorder: &mut Recorder,
     ) -> Result<Resolved, StepError> {
@@ -293,6 +296,10 @@ impl Collisions {
             clock.lap(&mut stats.seconds.continuous);
             if impacts.is_empty() {
                 break;
+            }
+            if zones.counts().rounds >= rounds_most {
+                stats.zones.add(&zones.counts());
+                return Ok(Resolved::Slow);
             }
             let start = recorder.now();
             let inverse_masses = &self.detector.params().inverse_masses_per_kg;
