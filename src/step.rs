@@ -20,8 +20,10 @@ use crate::integrator::pins::Pins;
 use crate::integrator::scatter::Scatter;
 use crate::interconnect::QueueNode;
 use crate::model::RankModel;
-use crate::scene::{Motion, Settings};
-use crate::solver::{ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, TrafficCounter};
+use crate::scene::{Motion, PreconditionerKind, Settings};
+use crate::solver::{
+    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz, TrafficCounter,
+};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
@@ -40,6 +42,9 @@ pub enum SetupError {
     /// A vertex with too many neighbours.
     #[error(transparent)]
     RowTooLong(#[from] crate::assembly::RowTooLong),
+    /// The preconditioner that was asked for is not to be had on this executor.
+    #[error("{0}")]
+    Preconditioner(String),
     /// The device refused.
     #[error(transparent)]
     Device(#[from] crate::gpu::GpuError),
@@ -124,6 +129,7 @@ pub struct Simulation {
     matrix: SellMatrix,
     rhs: DeviceVec<f32>,
     inverse_diagonal: DeviceVec<f32>,
+    schwarz: Option<Schwarz>,
     vectors: PcgVectors,
 
     stretch: Stretch,
@@ -167,6 +173,11 @@ impl Simulation {
         };
         let (rows, local_len) = (own.len(), plan.local_rows * 3);
         let ex = &executor;
+        let rows_of_pattern =
+            RankPattern { offsets: &pattern.offsets, columns: &pattern.columns, block_address: &layout.block_address };
+        let schwarz = Schwarz::wanted(settings.preconditioner, ex, &partition)
+            .map_err(SetupError::Preconditioner)?
+            .then(|| Schwarz::new(ex, &partition, &plan, exchange.mode, &exchange.queue, rows_of_pattern));
         let simulation = Simulation {
             fabrics: DeviceVec::upload(ex, &arrays.fabrics),
             triangle_records: DeviceVec::zeros(ex, arrays.triangles.len() * TRIANGLE_RECORD_FLOATS),
@@ -181,6 +192,7 @@ impl Simulation {
             matrix: SellMatrix::new(ex, rows, &layout),
             rhs: DeviceVec::zeros(ex, rows * 3),
             inverse_diagonal: DeviceVec::zeros(ex, rows * 6),
+            schwarz,
             vectors: PcgVectors::new(ex, rows, local_len),
             stretch: Stretch::new(ex),
             bend: Bend::new(ex),
@@ -246,12 +258,18 @@ impl Simulation {
             max_iterations: self.settings.max_iterations,
         };
         self.spmv.traffic = TrafficCounter::default();
+        if let Some(schwarz) = &mut self.schwarz {
+            let (executor, halo, flags) = (&self.executor, self.spmv.halo(), &mut self.vectors.u);
+            let inverse = &self.inverse_diagonal;
+            schwarz.set_up(executor, transport, halo, &self.matrix, inverse, flags, &mut self.recorder)?;
+        }
         let solved = self.pcg.solve(
             &self.executor,
             transport,
             &mut self.spmv,
             &self.matrix,
             &self.inverse_diagonal,
+            self.schwarz.as_mut(),
             &self.rhs,
             &mut self.vectors,
             self.pins_move,
@@ -352,6 +370,15 @@ impl Simulation {
             + self.rhs.bytes()
             + self.inverse_diagonal.bytes()
             + self.vectors.bytes()
+            + self.schwarz.as_ref().map_or(0, Schwarz::bytes)
+    }
+
+    /// The preconditioner in use.
+    pub fn preconditioner(&self) -> PreconditionerKind {
+        match self.schwarz {
+            None => PreconditionerKind::Jacobi,
+            Some(_) => PreconditionerKind::Schwarz,
+        }
     }
 
     /// Executor name, for reports.

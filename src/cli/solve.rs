@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::CliError;
-use super::run::{ExchangeArg, ExecutorArg};
+use super::run::{ExchangeArg, ExecutorArg, PreconditionerArg};
 use crate::coordinator::plan::plan_transfers;
 use crate::coordinator::{Crew, CrewError, Launch};
 use crate::interconnect::{Plan, ScheduleKind};
@@ -46,6 +46,9 @@ pub struct SolveArgs {
     /// Order of the transfers; auto = the cheapest by the modelled cost
     #[arg(long, default_value = "auto")]
     pub schedule: ScheduleKind,
+    /// Preconditioner; auto = the fastest for the executor and size
+    #[arg(long, value_enum, default_value = "auto")]
+    pub preconditioner: PreconditionerArg,
     /// Topology file; workers sit on its first GPUs [default: a balanced binary tree]
     #[arg(long, value_name = "FILE")]
     pub topology: Option<PathBuf>,
@@ -111,7 +114,7 @@ pub struct SolveReport {
     pub converged: bool,
     /// |b - A x| / |b| in double precision.
     pub relative_residual: f64,
-    /// Seconds of the solve, after the setup (median if repeated).
+    /// Seconds of the solve, the preconditioner's set-up for the values included (median if repeated).
     pub seconds: f64,
     /// Bytes that all workers received from each other in one solve.
     pub bytes_exchanged: u64,
@@ -119,6 +122,7 @@ pub struct SolveReport {
     executor: String,
     exchange: ExchangeMode,
     schedule: &'static str,
+    preconditioner: &'static str,
     block_rows: usize,
     blocks: u64,
     /// Block slots, padding included, over stored blocks.
@@ -193,6 +197,7 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
         repeat: args.repeat,
         time_products: args.repeat > 1,
         host_threads: threads,
+        preconditioner: args.preconditioner.into(),
     };
     Ok(SolveJob { args, system, rhs, partition, transfers, params, threads })
 }
@@ -320,6 +325,7 @@ impl SolveReport {
             executor: executor.to_string(),
             exchange: facts.exchange,
             schedule: facts.schedule.name(),
+            preconditioner: stats.preconditioner.name(),
             block_rows: facts.block_rows,
             blocks: stats.blocks,
             padding_ratio: stats.slots as f64 / stats.blocks as f64,

@@ -9,7 +9,9 @@ use crate::mesh::{FileMesh, MaterialSource, TriangleMesh};
 
 use super::fields::{Fields, Source, Value};
 use super::pieces::{Piece, Placement, merge, placed_mesh};
-use super::{Fabric, Keyframe, Motion, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, pins, sheet_cells};
+use super::{
+    Fabric, Keyframe, Motion, Overrides, Pin, PreconditionerKind, RESOLUTIONS, Scene, SceneError, Settings, pins, sheet_cells,
+};
 
 /// Triangles of all sheets together where neither the scene nor the command line says.
 const DEFAULT_RESOLUTION: u64 = 10_000;
@@ -72,6 +74,7 @@ fn settings(root: &Fields) -> Result<Settings, SceneError> {
         "gravity_m_s2",
         "relative_tolerance",
         "max_iterations",
+        "preconditioner",
         "thickness_m",
         "friction",
     ];
@@ -110,6 +113,8 @@ fn settings(root: &Fields) -> Result<Settings, SceneError> {
         air_drag_kg_m2_s: air.or("drag_kg_m2_s", 0.0, Value::not_negative)?,
         relative_tolerance,
         max_iterations: simulation.or("max_iterations", 500, |value| value.whole(1..=1_000_000))? as u32,
+        preconditioner: simulation
+            .or("preconditioner", PreconditionerKind::Auto, |value| value.choice(&PreconditionerKind::CHOICES))?,
         thickness_m: simulation.or("thickness_m", 0.002, Value::positive)?,
         friction: simulation.or("friction", 0.3, Value::not_negative)?,
     })

@@ -8,6 +8,7 @@ mod json;
 mod motion;
 mod pieces;
 mod pins;
+mod preconditioner;
 mod sheet;
 
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ use crate::mesh::{MeshReadError, TriangleMesh};
 
 pub use fabric::{load_fabric, parse_fabric};
 pub use sheet::{Sheet, sheet_cells};
+pub use preconditioner::PreconditionerKind;
 
 /// What the command line changes in a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -182,6 +184,8 @@ pub struct Settings {
     pub relative_tolerance: f64,
     /// Most PCG iterations per step.
     pub max_iterations: u32,
+    /// What PCG multiplies the residual by.
+    pub preconditioner: PreconditionerKind,
     /// Thickness of the cloth for contacts, metres.
     pub thickness_m: f64,
     /// Coulomb friction coefficient of contacts.

@@ -23,6 +23,8 @@ pub struct PipelinedSpmv {
     queue: Vec<QueueNode>,
     sub_vector_len: usize,
     staging: Vec<f32>,
+    /// True: products are added to y instead of overwriting it.
+    pub accumulate: bool,
     /// Vector bytes received by products since the last reset.
     pub traffic: TrafficCounter,
 }
@@ -43,6 +45,7 @@ impl PipelinedSpmv {
             queue,
             sub_vector_len: sub_vector_rows * 3,
             staging: Vec::new(),
+            accumulate: false,
             traffic: TrafficCounter::default(),
         }
     }
@@ -89,13 +92,13 @@ impl PipelinedSpmv {
     ) -> Result<(), TransportError> {
         self.halo.publish(executor, transport, &[&*u], recorder)?;
         let start = recorder.now();
-        self.kernel.apply(executor, matrix, 0, false, u, y);
+        self.kernel.apply(executor, matrix, 0, self.accumulate, u, y);
         // A device works on these rows while the halo is received.
         executor.flush();
         recorder.end(EventName::SpmvLocal, Activity::Compute, start, matrix.section_bytes(0), section_flops(matrix, 0));
         self.halo.receive(executor, transport, &mut [u], recorder, &mut self.traffic)?;
         let start = recorder.now();
-        self.kernel.apply(executor, matrix, 1, false, u, y);
+        self.kernel.apply(executor, matrix, 1, self.accumulate, u, y);
         recorder.end(
             EventName::SpmvRemote,
             Activity::Compute,
@@ -127,7 +130,7 @@ impl PipelinedSpmv {
         }
         let block = (0, rank as u32, rank as u32);
         let start = recorder.now();
-        self.kernel.apply_host(executor, matrix, 0, false, &self.staging, y);
+        self.kernel.apply_host(executor, matrix, 0, self.accumulate, &self.staging, y);
         recorder.end_transfer(
             EventName::SpmvBlock,
             Activity::Compute,
