@@ -22,7 +22,8 @@ use crate::interconnect::QueueNode;
 use crate::model::RankModel;
 use crate::scene::{Motion, PreconditionerKind, Settings};
 use crate::solver::{
-    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz, TrafficCounter,
+    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz,
+    TrafficCounter,
 };
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};

@@ -147,11 +147,10 @@ fn simulate(
 ) -> Result<(), WorkerError> {
     let executor = make_executor(setup, rank).map_err(|message| inbox.fail(WorkerFailure::BadInput(message)))?;
     let (name, device) = (executor.name().to_string(), executor.device_name());
-    let mut simulation = Simulation::new(executor, model, exchange)
-        .map_err(|error| match error {
-            SetupError::Preconditioner(text) => inbox.fail(WorkerFailure::BadInput(text)),
-            other => inbox.fail(WorkerFailure::Other(other.to_string())),
-        })?;
+    let mut simulation = Simulation::new(executor, model, exchange).map_err(|error| match error {
+        SetupError::Preconditioner(text) => inbox.fail(WorkerFailure::BadInput(text)),
+        other => inbox.fail(WorkerFailure::Other(other.to_string())),
+    })?;
     let mut transport = match connect(run, rank, inbox, setup) {
         Ok(transport) => transport,
         Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),

@@ -114,6 +114,13 @@ pub enum PreconditionerArg {
     Schwarz,
 }
 
+impl PreconditionerArg {
+    /// True unless it is Jacobi.
+    pub fn may_sweep(self) -> bool {
+        self != PreconditionerArg::Jacobi
+    }
+}
+
 impl From<PreconditionerArg> for PreconditionerKind {
     fn from(arg: PreconditionerArg) -> PreconditionerKind {
         match arg {

@@ -19,7 +19,8 @@ use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::math::DIM;
 use crate::solver::{
-    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, PreconditionerKind, RankPattern, Schwarz,
+    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, PreconditionerKind, RankPattern,
+    Schwarz,
 };
 use crate::telemetry::Recorder;
 use crate::transport::{Transport, TransportError};
@@ -191,11 +192,8 @@ impl<'a> RankSolver<'a> {
         let (values, inverse_diagonal) = device_values(system, &layout);
         matrix.values = DeviceVec::upload(executor, &values);
         let halo = HaloExchange::new(plan.clone(), queue.to_vec());
-        let pattern = RankPattern {
-            offsets: &arrays.offsets,
-            columns: &arrays.columns,
-            block_address: &layout.block_address,
-        };
+        let pattern =
+            RankPattern { offsets: &arrays.offsets, columns: &arrays.columns, block_address: &layout.block_address };
         let schwarz = schwarz.then(|| Schwarz::new(executor, partition, plan, mode, queue, pattern));
         RankSolver {
             inverse_diagonal: DeviceVec::upload(executor, &inverse_diagonal),

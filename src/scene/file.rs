@@ -10,7 +10,8 @@ use crate::mesh::{FileMesh, MaterialSource, TriangleMesh};
 use super::fields::{Fields, Source, Value};
 use super::pieces::{Piece, Placement, merge, placed_mesh};
 use super::{
-    Fabric, Keyframe, Motion, Overrides, Pin, PreconditionerKind, RESOLUTIONS, Scene, SceneError, Settings, pins, sheet_cells,
+    Fabric, Keyframe, Motion, Overrides, Pin, PreconditionerKind, RESOLUTIONS, Scene, SceneError, Settings, pins,
+    sheet_cells,
 };
 
 /// Triangles of all sheets together where neither the scene nor the command line says.

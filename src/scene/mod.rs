@@ -17,8 +17,8 @@ use crate::math::Vec3;
 use crate::mesh::{MeshReadError, TriangleMesh};
 
 pub use fabric::{load_fabric, parse_fabric};
-pub use sheet::{Sheet, sheet_cells};
 pub use preconditioner::PreconditionerKind;
+pub use sheet::{Sheet, sheet_cells};
 
 /// What the command line changes in a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -15,9 +15,9 @@ mod sweep_cpu;
 pub mod vector;
 mod vector_cpu;
 
+pub use crate::scene::PreconditionerKind;
 pub use exchange::{ExchangeMode, HaloExchange, TrafficCounter};
 pub use pcg::{Pcg, PcgError, PcgInfo, PcgParams, PcgVectors};
 pub use pipelined::PipelinedSpmv;
 pub use reduction::ReductionTree;
-pub use crate::scene::PreconditionerKind;
 pub use schwarz::{RankPattern, Schwarz};

@@ -200,7 +200,10 @@ impl Schwarz {
                 let blocks = tables.upper_offsets[rows.start] as usize..tables.upper_offsets[rows.end] as usize;
                 // SAFETY: rows and blocks of chunks are disjoint.
                 let (upper, diagonal) = unsafe {
-                    (upper.part(blocks.start * BLOCK, blocks.len() * BLOCK), diagonal.part(rows.start * 6, rows.len() * 6))
+                    (
+                        upper.part(blocks.start * BLOCK, blocks.len() * BLOCK),
+                        diagonal.part(rows.start * 6, rows.len() * 6),
+                    )
                 };
                 let within = tables.take_inner(rows, values, flags, upper, diagonal);
                 *entries = vec![(tables.coarse_group(chunk), within)];

@@ -35,6 +35,15 @@ pub struct Blocks<'a> {
     pub inverse_diagonal: &'a [f32],
 }
 
+impl<'a> Blocks<'a> {
+    /// Columns of a row's blocks above the diagonal and their values, followed by at least three others.
+    #[inline(always)]
+    fn above(&self, row: usize) -> (&'a [u16], &'a [f32]) {
+        let range = self.upper_offsets[row] as usize..self.upper_offsets[row + 1] as usize;
+        (&self.upper_columns[range.clone()], &self.upper[range.start * 9..range.end * 9 + 3])
+    }
+}
+
 /// Working vectors of a chunk.
 #[derive(Default)]
 struct Scratch {
@@ -79,11 +88,12 @@ pub fn sweep(
                 *sum = unsafe { sweep_avx2(blocks, rows, update, correction, parts, &mut scratch) };
                 continue;
             }
-            *sum = sweep_chunk(blocks, rows, update, correction, parts, &mut scratch);
+            *sum = sweep_chunk::<Plain>(blocks, rows, update, correction, parts, &mut scratch);
         }
     });
 }
 
+/// As [`sweep_chunk`]: the same additions and products in the same order, so the same bits.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn sweep_avx2(
@@ -94,11 +104,108 @@ fn sweep_avx2(
     parts: [&mut [f32]; 6],
     scratch: &mut Scratch,
 ) -> [f64; 2] {
-    sweep_chunk(blocks, rows, update, correction, parts, scratch)
+    sweep_chunk::<avx2::Vectors>(blocks, rows, update, correction, parts, scratch)
+}
+
+/// What a row does with its blocks above the diagonal.
+trait RowKernel {
+    /// to[column] += sign * block' * v for every block of the row.
+    fn scatter(columns: &[u16], values: &[f32], sign: f32, v: [f32; 3], to: &mut [[f32; 4]]);
+    /// Sums of block * v and block * u over the blocks of the row: three values each, each followed by another one.
+    fn gather(columns: &[u16], values: &[f32], vu: &[[f32; 8]]) -> [f32; 8];
+}
+
+/// For processors without wide vectors.
+struct Plain;
+
+impl RowKernel for Plain {
+    #[inline(always)]
+    fn scatter(columns: &[u16], values: &[f32], sign: f32, v: [f32; 3], to: &mut [[f32; 4]]) {
+        let v = v.map(|v| v * sign);
+        for (&column, block) in columns.iter().zip(values.as_chunks::<9>().0) {
+            let to = &mut to[column as usize];
+            for l in 0..3 {
+                to[l] += block[l] * v[0] + block[3 + l] * v[1] + block[6 + l] * v[2];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn gather(columns: &[u16], values: &[f32], vu: &[[f32; 8]]) -> [f32; 8] {
+        let mut sums = [[0.0f32; 8]; 3];
+        for (&column, block) in columns.iter().zip(values.as_chunks::<9>().0) {
+            let known = &vu[column as usize];
+            for (row, sum) in sums.iter_mut().enumerate() {
+                for l in 0..3 {
+                    sum[l] += block[row * 3 + l] * known[l];
+                    sum[4 + l] += block[row * 3 + l] * known[4 + l];
+                }
+            }
+        }
+        let [a, b, c] = sums;
+        let of = |s: &[f32; 8], h: usize| s[h] + s[h + 1] + s[h + 2];
+        [of(&a, 0), of(&b, 0), of(&c, 0), 0.0, of(&a, 4), of(&b, 4), of(&c, 4), 0.0]
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod avx2 {
+    use std::arch::x86_64::*;
+
+    use super::RowKernel;
+
+    /// Used inside functions that have AVX2 only.
+    pub struct Vectors;
+
+    impl RowKernel for Vectors {
+        #[inline(always)]
+        fn scatter(columns: &[u16], values: &[f32], sign: f32, v: [f32; 3], to: &mut [[f32; 4]]) {
+            assert!(values.len() >= columns.len() * 9 + 3);
+            // SAFETY: four floats from each row of a block lie within `values`; vectors of the baseline.
+            unsafe {
+                let [a, b, c] = v.map(|v| _mm_set1_ps(v * sign));
+                for (k, &column) in columns.iter().enumerate() {
+                    let block = values.as_ptr().add(k * 9);
+                    let at = |row: usize| _mm_loadu_ps(block.add(row * 3));
+                    let to = to[column as usize].as_mut_ptr();
+                    let sum = _mm_add_ps(_mm_mul_ps(at(0), a), _mm_mul_ps(at(1), b));
+                    let sum = _mm_add_ps(sum, _mm_mul_ps(at(2), c));
+                    _mm_storeu_ps(to, _mm_add_ps(_mm_loadu_ps(to), sum));
+                }
+            }
+        }
+
+        #[inline(always)]
+        fn gather(columns: &[u16], values: &[f32], vu: &[[f32; 8]]) -> [f32; 8] {
+            assert!(values.len() >= columns.len() * 9 + 3);
+            // SAFETY: as above; the caller has AVX2.
+            unsafe {
+                let mut sums = [_mm256_setzero_ps(); 3];
+                for (k, &column) in columns.iter().enumerate() {
+                    let known = _mm256_loadu_ps(vu[column as usize].as_ptr());
+                    let block = values.as_ptr().add(k * 9);
+                    for (row, sum) in sums.iter_mut().enumerate() {
+                        // The fourth value meets a zero.
+                        let values = _mm256_broadcast_ps(&*block.add(row * 3).cast());
+                        *sum = _mm256_add_ps(*sum, _mm256_mul_ps(values, known));
+                    }
+                }
+                let [a, b, c] = sums;
+                let (ab, ab_high) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
+                let (cc, cc_high) = (_mm256_unpacklo_ps(c, c), _mm256_unpackhi_ps(c, c));
+                let x = _mm256_shuffle_ps::<0b01_00_01_00>(ab, cc);
+                let y = _mm256_shuffle_ps::<0b11_10_11_10>(ab, cc);
+                let z = _mm256_shuffle_ps::<0b01_00_01_00>(ab_high, cc_high);
+                let mut out = [0.0; 8];
+                _mm256_storeu_ps(out.as_mut_ptr(), _mm256_add_ps(_mm256_add_ps(x, y), z));
+                out
+            }
+        }
+    }
 }
 
 #[inline(always)]
-fn sweep_chunk(
+fn sweep_chunk<K: RowKernel>(
     blocks: &Blocks,
     rows: Range<usize>,
     update: Option<(f32, f32)>,
@@ -122,12 +229,12 @@ fn sweep_chunk(
     }
     scratch.y.clear();
     scratch.y.extend(r.as_chunks::<3>().0.iter().map(|&[x, y, z]| [x, y, z, 0.0]));
-    forward(blocks, rows.clone(), inverses, &mut scratch.y);
+    forward::<K>(blocks, rows.clone(), inverses, &mut scratch.y);
     scratch.vu.clear();
     scratch.vu.resize(rows.len(), [0.0; 8]);
     scratch.w.clear();
     scratch.w.resize(rows.len(), [0.0; 4]);
-    backward(blocks, rows, inverses, correction, scratch);
+    backward::<K>(blocks, rows, inverses, correction, scratch);
     for ((w, u), (new_w, new_vu)) in
         w.as_chunks_mut::<3>().0.iter_mut().zip(u.as_chunks_mut::<3>().0).zip(scratch.w.iter().zip(&scratch.vu))
     {
@@ -144,36 +251,29 @@ fn sweep_chunk(
 
 /// y = (D' + L)^-1 y.
 #[inline(always)]
-fn forward(blocks: &Blocks, rows: Range<usize>, inverses: &[[f32; 6]], y: &mut [[f32; 4]]) {
+fn forward<K: RowKernel>(blocks: &Blocks, rows: Range<usize>, inverses: &[[f32; 6]], y: &mut [[f32; 4]]) {
     for (i, row) in rows.enumerate() {
         let [a, b, c] = relaxed(&inverses[i], &y[i]);
         y[i] = [a, b, c, 0.0];
-        for (column, block) in blocks_of(blocks, row) {
-            let to = &mut y[column];
-            for l in 0..4 {
-                to[l] -= block[0][l] * a + block[1][l] * b + block[2][l] * c;
-            }
-        }
+        let (columns, values) = blocks.above(row);
+        K::scatter(columns, values, -1.0, [a, b, c], y);
     }
 }
 
 /// v, u and w of every row from the last to the first.
 #[inline(always)]
-fn backward(blocks: &Blocks, rows: Range<usize>, inverses: &[[f32; 6]], correction: [f32; 3], scratch: &mut Scratch) {
+fn backward<K: RowKernel>(
+    blocks: &Blocks,
+    rows: Range<usize>,
+    inverses: &[[f32; 6]],
+    correction: [f32; 3],
+    scratch: &mut Scratch,
+) {
     let Scratch { y, vu, w } = scratch;
     for (i, row) in rows.enumerate().rev() {
-        let mut sums = [[0.0f32; 8]; 3];
-        for (column, block) in blocks_of(blocks, row) {
-            let known = &vu[column];
-            for (sum, block) in sums.iter_mut().zip(&block) {
-                for l in 0..8 {
-                    sum[l] += block[l % 4] * known[l];
-                }
-            }
-        }
-        let above = sums.map(|s| s[0] + s[1] + s[2]);
-        let image = sums.map(|s| s[4] + s[5] + s[6]);
-        let change = relaxed(&inverses[i], &[above[0], above[1], above[2], 0.0]);
+        let (columns, values) = blocks.above(row);
+        let sums = K::gather(columns, values, vu);
+        let change = relaxed(&inverses[i], &[sums[0], sums[1], sums[2], 0.0]);
         let mut out = [0.0f32; 8];
         if inverses[i][0] != 0.0 {
             for c in 0..3 {
@@ -185,27 +285,10 @@ fn backward(blocks: &Blocks, rows: Range<usize>, inverses: &[[f32; 6]], correcti
         let (a, b, c) = (out[4], out[5], out[6]);
         let own = times(&blocks.diagonal.as_chunks::<6>().0[row], &[a, b, c, 0.0]);
         for c in 0..3 {
-            w[i][c] += image[c] + own[c];
+            w[i][c] += sums[4 + c] + own[c];
         }
-        for (column, block) in blocks_of(blocks, row) {
-            let to = &mut w[column];
-            for l in 0..4 {
-                to[l] += block[0][l] * a + block[1][l] * b + block[2][l] * c;
-            }
-        }
+        K::scatter(columns, values, 1.0, [a, b, c], w);
     }
-}
-
-/// The blocks of a row above its diagonal. The fourth value of a block's rows belongs to what is stored behind it.
-#[inline(always)]
-fn blocks_of<'a>(blocks: &Blocks<'a>, row: usize) -> impl Iterator<Item = (usize, [[f32; 4]; 3])> + use<'a> {
-    let range = blocks.upper_offsets[row] as usize..blocks.upper_offsets[row + 1] as usize;
-    let values = &blocks.upper[range.start * 9..range.end * 9 + 3];
-    blocks.upper_columns[range].iter().enumerate().map(move |(k, &column)| {
-        // SAFETY: the slice above ends three values after the last block.
-        let at = |c: usize| unsafe { values.as_ptr().add(k * 9 + c).cast::<[f32; 4]>().read_unaligned() };
-        (column as usize, [at(0), at(3), at(6)])
-    })
 }
 
 /// RELAXATION * inverse * v.
@@ -221,7 +304,14 @@ fn times(block: &[f32; 6], v: &[f32; 4]) -> [f32; 3] {
 }
 
 /// After w has the products with R: w = 0 on pinned rows, sums[chunk] = (w . u, sums of x, y, z of w).
-pub fn product_sums(cpu: &CpuExecutor, chunk_rows: usize, inverse_diagonal: &[f32], w: &mut [f32], u: &[f32], sums: &mut [[f64; 4]]) {
+pub fn product_sums(
+    cpu: &CpuExecutor,
+    chunk_rows: usize,
+    inverse_diagonal: &[f32],
+    w: &mut [f32],
+    u: &[f32],
+    sums: &mut [[f64; 4]],
+) {
     let rows = w.len() / 3;
     let shared = Shared(w.as_mut_ptr());
     cpu.for_ranges_mut(sums, 1, 1, |range, sums| {
