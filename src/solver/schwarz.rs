@@ -398,3 +398,7 @@ fn native(executor: &Executor) -> &CpuExecutor {
         Executor::Gpu(_) => unreachable!("the sweeps run on the native executor only"),
     }
 }
+
+#[cfg(test)]
+#[path = "schwarz_tests.rs"]
+mod tests;
