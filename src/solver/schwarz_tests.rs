@@ -168,6 +168,7 @@ impl Rank {
     }
 
     fn solve(&mut self, executor: &Executor, transport: &mut dyn Transport, sweep: bool) -> Solved {
+        self.vectors.x.fill_zero(executor);
         let params = PcgParams { relative_tolerance: 1e-3, max_iterations: 2000 };
         let schwarz = sweep.then_some(&mut self.schwarz);
         let (matrix, inverse, vectors) = (&self.matrix, &self.inverse, &mut self.vectors);
