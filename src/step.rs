@@ -24,8 +24,11 @@ use crate::integrator::pins::{PinTargets, Pins};
 use crate::integrator::scatter::Scatter;
 use crate::interconnect::QueueNode;
 use crate::model::RankModel;
-use crate::scene::{Motion, Settings};
-use crate::solver::{ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, TrafficCounter};
+use crate::scene::{Motion, PreconditionerKind, Settings};
+use crate::solver::{
+    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz,
+    TrafficCounter,
+};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
@@ -82,6 +85,7 @@ pub struct Simulation {
     collisions: Option<Collisions>,
     rhs: DeviceVec<f32>,
     inverse_diagonal: DeviceVec<f32>,
+    schwarz: Option<Schwarz>,
     vectors: PcgVectors,
 
     stretch: Stretch,
@@ -126,6 +130,14 @@ impl Simulation {
         let collisions = collision
             .map(|model| Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s))
             .transpose()?;
+        let schwarz = Schwarz::wanted(settings.preconditioner, ex, &partition)
+            .map_err(SetupError::Preconditioner)?
+            .then(|| {
+                let (offsets, block_address) = fill_tables.blocks();
+                let columns = fill_tables.local_columns(&matrix, &numbering);
+                let pattern = RankPattern { offsets, columns: &columns, block_address };
+                Schwarz::new(ex, &partition, &plan, exchange.mode, &exchange.queue, pattern)
+            });
         let simulation = Simulation {
             fabrics: DeviceVec::upload(ex, &arrays.fabrics),
             triangle_records: DeviceVec::zeros(ex, arrays.triangles.len() * TRIANGLE_RECORD_FLOATS),
@@ -146,6 +158,7 @@ impl Simulation {
             mode: exchange.mode,
             rhs: DeviceVec::zeros(ex, rows * 3),
             inverse_diagonal: DeviceVec::zeros(ex, rows * 6),
+            schwarz,
             vectors: PcgVectors::new(ex, rows, local_len),
             stretch: Stretch::new(ex),
             bend: Bend::new(ex),
@@ -318,6 +331,15 @@ impl Simulation {
             + self.rhs.bytes()
             + self.inverse_diagonal.bytes()
             + self.vectors.bytes()
+            + self.schwarz.as_ref().map_or(0, Schwarz::bytes)
+    }
+
+    /// The preconditioner in use.
+    pub fn preconditioner(&self) -> PreconditionerKind {
+        match self.schwarz {
+            None => PreconditionerKind::Jacobi,
+            Some(_) => PreconditionerKind::Schwarz,
+        }
     }
 
     /// Executor name, for reports.
@@ -470,12 +492,19 @@ impl Simulation {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,
         };
+        let system = self.contacts.system(&self.matrix);
+        if let Some(schwarz) = &mut self.schwarz {
+            let (executor, halo, flags) = (&self.executor, self.spmv.halo(), &mut self.vectors.u);
+            let inverse = &self.inverse_diagonal;
+            schwarz.set_up(executor, transport, halo, &system, inverse, flags, &mut self.recorder)?;
+        }
         let solved = self.pcg.solve(
             &self.executor,
             transport,
             &mut self.spmv,
-            &self.contacts.system(&self.matrix),
+            &system,
             &self.inverse_diagonal,
+            self.schwarz.as_mut(),
             &self.rhs,
             &mut self.vectors,
             self.pins_move,
