@@ -410,7 +410,8 @@ impl Simulation {
             &self.velocities,
             &mut self.hinge_records,
         );
-        self.contacts.records(&self.executor, span.length_s as f32, &self.velocities);
+        let stiffness_ratio = self.settings.contact_stiffness as f32;
+        self.contacts.records(&self.executor, span.length_s as f32, stiffness_ratio, &self.velocities);
         let bytes =
             self.triangles.bytes() + self.hinges.bytes() + self.triangle_records.bytes() + self.hinge_records.bytes();
         self.recorder.end(
