@@ -10,7 +10,8 @@ use loomtree::assembly::{ContactSystem, ElementRows, LANES, NO_ROW, Numbering, S
 use loomtree::forces::bend::Bend;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{
-    ContactElement, HINGE_RECORD_FLOATS, NO_VERTEX, RELEASE_STEPS, STICK_SPEED_M_S, StepParams, TRIANGLE_RECORD_FLOATS, dihedral_angle,
+    ContactElement, HINGE_RECORD_FLOATS, NO_VERTEX, RELEASE_STEPS, STICK_SPEED_M_S, StepParams, TRIANGLE_RECORD_FLOATS,
+    dihedral_angle,
 };
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::math::{DQuat, DVec3, Vec3};
@@ -359,7 +360,8 @@ fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElem
         // The mass that the stiffness was made for; the depth one step ago.
         let mass = k * STEP_S * STEP_S / STIFFNESS_RATIO;
         let before = depth + STEP_S * n.dot(u);
-        let pressing = if before > 0.0 { k * (before - release * n.dot(u)).max(0.0) } else { -mass * n.dot(u) / STEP_S };
+        let pressing =
+            if before > 0.0 { k * (before - release * n.dot(u)).max(0.0) } else { -mass * n.dot(u) / STEP_S };
         let drag = STEP_S * f64::from(c.friction) * pressing / slip.length().max(f64::from(STICK_SPEED_M_S));
         let beta = drag * (8.0 * drag / mass).min(1.0);
         let cloth: Vec<usize> = (0..4).filter(|&a| c.vertices[a] < rows).collect();
