@@ -128,7 +128,9 @@ impl Simulation {
         let (rows, local_len) = (own.len(), plan.local_rows * 3);
         let ex = &executor;
         let collisions = collision
-            .map(|model| Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s))
+            .map(|model| {
+                Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s)
+            })
             .transpose()?;
         let schwarz = Schwarz::wanted(settings.preconditioner, ex, &partition)
             .map_err(SetupError::Preconditioner)?
@@ -377,10 +379,9 @@ impl Simulation {
         let start = self.recorder.now();
         let rows = found.plan.local_rows;
         let local_len = rows * 3 + found.obstacle_positions.len();
-        for (local, obstacles) in [
-            (&mut self.positions, &found.obstacle_positions),
-            (&mut self.velocities, &found.obstacle_velocities),
-        ] {
+        for (local, obstacles) in
+            [(&mut self.positions, &found.obstacle_positions), (&mut self.velocities, &found.obstacle_velocities)]
+        {
             if local.len() < local_len {
                 local.resize(&self.executor, local_len);
             }
@@ -446,7 +447,8 @@ impl Simulation {
             &self.velocities,
             &mut self.hinge_records,
         );
-        self.contacts.records(&self.executor, span.length_s as f32, &self.velocities);
+        let stiffness_ratio = self.settings.contact_stiffness as f32;
+        self.contacts.records(&self.executor, span.length_s as f32, stiffness_ratio, &self.velocities);
         let bytes =
             self.triangles.bytes() + self.hinges.bytes() + self.triangle_records.bytes() + self.hinge_records.bytes();
         self.recorder.end(

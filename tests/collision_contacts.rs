@@ -149,16 +149,13 @@ fn aligned_grids_push_vertically_at_every_vertex() {
         let gap = 0.5005f32 - 0.5;
         for contact in &contacts {
             assert_eq!(contact.normal, [0.0, 0.0, -1.0], "{contact:?}");
-            // Crossing diagonals: the distance along a rounded normal.
-            assert!((contact.distance_m - gap).abs() <= 2.0 * f32::EPSILON * gap, "{contact:?}");
+            assert_eq!(contact.distance_m, gap, "{contact:?}");
         }
-        // One contact per pair of vertices that is not pinned on both sides, and per pair of diagonals that cross.
+        // One contact per pair of vertices that is not pinned on both sides; diagonals that cross in flat sheets are none.
         let vertices = contacts.iter().filter(|c| c.vertices[2] == NO_VERTEX).count() as u32;
         let both_pinned = (0..n * n).filter(|v| v % 11 == 0 && (v + n * n) % 11 == 0).count() as u32;
         assert_eq!(vertices, n * n - both_pinned);
-        let crossing = contacts.iter().filter(|c| c.kind == 1).count() as u32;
-        assert!(if other_way { crossing > (n - 1) * (n - 1) * 9 / 10 } else { crossing == 0 }, "{crossing} crossing");
-        assert_eq!(contacts.len() as u32, vertices + crossing);
+        assert_eq!(contacts.len() as u32, vertices);
     }
 }
 

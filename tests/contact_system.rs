@@ -220,7 +220,7 @@ fn built(
     let other: Vec<ContactElement> = contacts.iter().filter(|c| c.kind == 0).chain(contacts.iter()).copied().collect();
     for step in [&other, &Vec::new(), &contacts] {
         system.build(ex, step, numbering, elastic).unwrap();
-        system.records(ex, STEP_S, &velocities);
+        system.records(ex, STEP_S, 8.0, &velocities);
         system.fill(ex);
         assert_eq!((system.contacts(), system.matrix().is_some()), (step.len(), !step.is_empty()));
     }

@@ -10,7 +10,8 @@ use loomtree::assembly::{ContactSystem, ElementRows, LANES, NO_ROW, Numbering, S
 use loomtree::forces::bend::Bend;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{
-    ContactElement, HINGE_RECORD_FLOATS, NO_VERTEX, STICK_SPEED_M_S, StepParams, TRIANGLE_RECORD_FLOATS, dihedral_angle,
+    ContactElement, HINGE_RECORD_FLOATS, NO_VERTEX, RELEASE_STEPS, STICK_SPEED_M_S, StepParams, TRIANGLE_RECORD_FLOATS,
+    dihedral_angle,
 };
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::math::{DQuat, DVec3, Vec3};
@@ -25,6 +26,8 @@ const STEP_S: f64 = 1.0 / 256.0;
 /// Warp, cross, weft, shear; N/m.
 const STRETCHING: [f64; 4] = [300.0, 40.0, 150.0, 60.0];
 const BENDING_N_M: f64 = 1e-3;
+/// Of contacts: stiffness over mass / step^2.
+const STIFFNESS_RATIO: f64 = 8.0;
 const DAMPING_S: f64 = 0.002;
 const AIR_KG_M3: f64 = 1.2;
 const DRAG_KG_M2_S: f64 = 0.3;
@@ -236,7 +239,7 @@ fn rank_rows(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement])
         FillTables::new(&ex, &numbering, (&triangle_rows, &triangles), (&hinge_rows, &hinges)).unwrap();
     let mut system = ContactSystem::new(&ex);
     system.build(&ex, &local_contacts, &numbering, &matrix).unwrap();
-    system.records(&ex, STEP_S as f32, &DeviceVec::upload(&ex, &local_velocities));
+    system.records(&ex, STEP_S as f32, STIFFNESS_RATIO as f32, &DeviceVec::upload(&ex, &local_velocities));
     system.fill(&ex);
     let (mut b, mut inverse) = (DeviceVec::zeros(&ex, own.len() * 3), DeviceVec::zeros(&ex, own.len() * 6));
     let fill = FillParams { gravity: DOWN.to_array(), step_s: STEP_S as f32, rows: own.len() as u32 };
@@ -334,7 +337,7 @@ fn localized(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement])
     (global_from_local, numbered)
 }
 
-/// Adds the contacts to the dense system: dt^2 k n n' and friction as a drag of mu F / |u_t|.
+/// Adds the contacts to the dense system: R dt^2 k n n' and friction as a drag of mu F / |u_t|.
 fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElement]) -> usize {
     let rows = model.rows() as u32;
     let velocity = |v: u32| match v {
@@ -347,23 +350,29 @@ fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElem
         let (n, k) = (Vec3::from(c.normal).as_dvec3(), f64::from(c.stiffness_n_m));
         let u: DVec3 = (0..4).map(|a| velocity(c.vertices[a]) * f64::from(c.weights[a])).sum();
         let depth = f64::from(c.thickness_m - c.distance_m);
-        let later = depth - STEP_S * n.dot(u);
-        if depth <= 0.0 || later <= 0.0 {
+        let release = f64::from(RELEASE_STEPS) * STEP_S;
+        let wanted = depth - release * n.dot(u);
+        if depth <= 0.0 || depth - STEP_S * n.dot(u) <= 0.0 {
             continue;
         }
         repelling += 1;
         let slip = u - n * n.dot(u);
-        let drag =
-            STEP_S * f64::from(c.friction) * k * depth.min(later) / slip.length().max(f64::from(STICK_SPEED_M_S));
+        // The mass that the stiffness was made for; the depth one step ago.
+        let mass = k * STEP_S * STEP_S / STIFFNESS_RATIO;
+        let before = depth + STEP_S * n.dot(u);
+        let pressing =
+            if before > 0.0 { k * (before - release * n.dot(u)).max(0.0) } else { -mass * n.dot(u) / STEP_S };
+        let drag = STEP_S * f64::from(c.friction) * pressing / slip.length().max(f64::from(STICK_SPEED_M_S));
+        let beta = drag * (8.0 * drag / mass).min(1.0);
         let cloth: Vec<usize> = (0..4).filter(|&a| c.vertices[a] < rows).collect();
         let vertices: Vec<u32> = cloth.iter().map(|&a| c.vertices[a]).collect();
         let along = |axis: DVec3| cloth.iter().map(|&a| axis * f64::from(c.weights[a])).collect::<Vec<_>>();
-        system.add_rank_one(&vertices, STEP_S * STEP_S * k - drag, &along(n), &along(n));
+        system.add_rank_one(&vertices, STEP_S * release * k - beta, &along(n), &along(n));
         for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
-            system.add_rank_one(&vertices, drag, &along(axis), &along(axis));
+            system.add_rank_one(&vertices, beta, &along(axis), &along(axis));
         }
         for &a in &cloth {
-            system.add_rhs(c.vertices[a], (n * (STEP_S * k * later) - slip * drag) * f64::from(c.weights[a]));
+            system.add_rhs(c.vertices[a], (n * (STEP_S * k * wanted) - slip * drag) * f64::from(c.weights[a]));
         }
     }
     repelling

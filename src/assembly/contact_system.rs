@@ -101,10 +101,10 @@ impl ContactSystem {
     }
 
     /// Element records from the velocities of all local vertices (xyz each); those of obstacles are the velocities of the
-    /// coming step.
-    pub fn records(&mut self, executor: &Executor, step_s: f32, velocities: &DeviceVec<f32>) {
+    /// coming step. `stiffness_ratio`: the contacts' stiffness over effective mass / step^2.
+    pub fn records(&mut self, executor: &Executor, step_s: f32, stiffness_ratio: f32, velocities: &DeviceVec<f32>) {
         self.records.resize(executor, self.elements.len() * CONTACT_RECORD_FLOATS);
-        self.kernel.apply(executor, step_s, &self.elements, velocities, &mut self.records);
+        self.kernel.apply(executor, step_s, stiffness_ratio, &self.elements, velocities, &mut self.records);
     }
 
     /// Values of the contact matrix, and what [`ContactSystem::sums`] hands to the elastic fill.

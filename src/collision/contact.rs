@@ -5,7 +5,9 @@
 //! at an edge or a vertex of a surface is a contact only if it is a local minimum of the distance between both surfaces:
 //! otherwise a vertex above a flat sheet would be pushed sideways by all the edges around. A vertex-edge or vertex-vertex
 //! pair is seen by the vertex-face stencils of all faces there, so edge-edge stencils speak for crossing edges only; edges
-//! that are nearly parallel are left to their ends, since the place where they cross is rounding noise.
+//! that are nearly parallel are left to their ends, since the place where they cross is rounding noise. Where a surface is
+//! flat across an edge, the distance to it changes evenly along whatever lies on it: the ends are closest, and they have
+//! contacts of their own. Crossings that come and go under a sliding sheet would jolt its friction.
 
 use super::Candidate;
 use super::around::Around;
@@ -21,6 +23,8 @@ const PARALLEL: f32 = 1e-5;
 const LEVEL: f32 = 4e-3;
 /// The same for rounding alone.
 const ROUNDING: f32 = 16.0 * f32::EPSILON;
+/// Height of a face over the plane of the face beside it, in reaches, up to which both are flat.
+const FLAT: f32 = 0.02;
 /// Distance over size below which an offset is rounding noise and surfaces give the direction.
 const NOISE: f32 = 1e-5;
 
@@ -70,7 +74,13 @@ impl Surfaces<'_> {
             let (u, v) = (x[1] - x[0], x[3] - x[2]);
             let crossing = u.cross(v).length_squared() > PARALLEL * u.length_squared() * v.length_squared();
             let found = if crossing { proximity(StencilKind::EdgeEdge, x, f32::MAX) } else { None };
-            return found.filter(|found| found.feature.is_interior()).map(|found| whole(candidate, &found));
+            let [a, b, c, d] = candidate.vertices;
+            let found = found.filter(|found| {
+                found.feature.is_interior()
+                    && found.distance <= reach_m
+                    && ![[a, b], [c, d]].into_iter().any(|edge| self.is_flat(edge, FLAT * reach_m))
+            });
+            return found.map(|found| whole(candidate, &found));
         }
         let found = proximity(StencilKind::VertexFace, x, f32::MAX)?;
         let [vertex, corners @ ..] = candidate.vertices;
@@ -100,7 +110,7 @@ impl Surfaces<'_> {
         let length = edge.length();
         let over_faces = self.around.opposite(self.mesh, [a, b]);
         let minimal = over_faces.map(|c| self.at(c) - x_a).all(|side| level(offset, side, ROUNDING, length))
-            && self.is_end(vertex, -offset, LEVEL, length);
+            && (self.is_flat([a, b], FLAT * reach_m) || self.is_end(vertex, -offset, LEVEL, length));
         minimal.then(|| {
             let faces = self.around.faces(self.mesh, a).filter(|face| face.contains(&b));
             let normal = self.direction(offset, length, self.normal_sum(faces));
@@ -133,6 +143,17 @@ impl Surfaces<'_> {
                 distance_m: offset.length(),
             }
         })
+    }
+
+    /// Whether an edge lies between two faces that are one plane up to `height_m`, one on each side.
+    fn is_flat(&self, [a, b]: [u32; 2], height_m: f32) -> bool {
+        let mut beside = self.around.opposite(self.mesh, [a, b]);
+        let (Some(one), Some(other), None) = (beside.next(), beside.next(), beside.next()) else { return false };
+        let (x, edge) = (self.at(a), self.at(b) - self.at(a));
+        let [one, other] = [one, other].map(|v| self.at(v) - x);
+        let normal = edge.cross(one);
+        let far_side = normal.dot(edge.cross(other)) < 0.0;
+        far_side && normal.dot(other).abs() <= height_m * normal.length()
     }
 
     /// Whether a point `offset` away from a vertex has no point of the surface around the vertex that is closer.

@@ -1,13 +1,14 @@
 //! Contact elements: repulsion and Coulomb friction as implicit forces; element and velocities -> contact record.
 //!
 //! With u = sum(w_a v_a) the relative velocity at the start of the step (obstacles: that of the coming step), n the normal,
-//! d the distance, h the thickness, k the stiffness, the gap at the end is predicted as d + dt n.u. Energy k/2 (h - gap)^2.
+//! d the distance, h the thickness, k the stiffness: force k (h - d - R dt n.u) at the end of the step, R = `RELEASE_STEPS`:
+//! the spring of the energy k/2 (h - d)^2 and a damper.
 //! A record is 12 floats, 48 bytes:
 //! ```text
 //! [0..4) weights w    [4..7) normal n    [7] alpha    [8] beta    [9..12) g
 //! ```
-//! Block of corners (a, b): w_a w_b (alpha n n' + beta (I - n n')); right-hand side of corner a: w_a g. An element that does
-//! not repel, now or at the predicted end, has a record of zeros: contacts never pull on what leaves.
+//! Block of corners (a, b): w_a w_b (alpha n n' + beta (I - n n')); right-hand side of corner a: w_a g. An element that is
+//! out of reach, now or at the end of the step if nothing acts on it, has a record of zeros.
 
 use super::contact_cpu;
 use super::contact_element::ContactElement;
@@ -19,7 +20,7 @@ static CONTACT: KernelSource =
         .with_structs(&[ContactElement::LAYOUT]);
 
 gpu_struct! {
-    struct ContactParams { step_s: f32, count: u32 }
+    struct ContactParams { step_s: f32, count: u32, stiffness_ratio: f32, padding: f32 }
 }
 
 /// The contact kernel on one executor.
@@ -31,20 +32,27 @@ impl Contact {
         Contact {}
     }
 
-    /// Fills `records`. `velocities`: xyz of every local vertex.
+    /// Fills `records`. `stiffness_ratio`: the elements' stiffness over effective mass / step^2. `velocities`: xyz of every
+    /// local vertex.
     pub fn apply(
         &self,
         executor: &Executor,
         step_s: f32,
+        stiffness_ratio: f32,
         elements: &DeviceVec<ContactElement>,
         velocities: &DeviceVec<f32>,
         records: &mut DeviceVec<f32>,
     ) {
         assert_eq!(records.len(), elements.len() * CONTACT_RECORD_FLOATS);
         match executor {
-            Executor::Cpu(cpu) => {
-                contact_cpu::contact(cpu, step_s, elements.as_slice(), velocities.as_slice(), records.as_mut_slice())
-            }
+            Executor::Cpu(cpu) => contact_cpu::contact(
+                cpu,
+                step_s,
+                stiffness_ratio,
+                elements.as_slice(),
+                velocities.as_slice(),
+                records.as_mut_slice(),
+            ),
             Executor::Gpu(gpu) => {
                 for window in gpu.windows(elements.len(), size_of::<ContactElement>()) {
                     let (first, count) = (window.start, window.len());
@@ -53,7 +61,8 @@ impl Contact {
                         velocities.binding(),
                         records.window_mut(first * CONTACT_RECORD_FLOATS, count * CONTACT_RECORD_FLOATS),
                     ];
-                    gpu.run(&CONTACT, &bindings, &ContactParams { step_s, count: count as u32 }, count as u64);
+                    let params = ContactParams { step_s, count: count as u32, stiffness_ratio, padding: 0.0 };
+                    gpu.run(&CONTACT, &bindings, &params, count as u64);
                 }
             }
         }
@@ -104,7 +113,7 @@ mod tests {
             let (elements, velocities) =
                 (DeviceVec::upload(executor, &elements), DeviceVec::upload(executor, &velocities));
             let mut records = DeviceVec::zeros(executor, elements.len() * CONTACT_RECORD_FLOATS);
-            Contact::new(executor).apply(executor, 0.004, &elements, &velocities, &mut records);
+            Contact::new(executor).apply(executor, 0.004, 8.0, &elements, &velocities, &mut records);
             records.read(executor)
         };
         let (device, native) = (run(&gpu), run(&Executor::cpu(2)));

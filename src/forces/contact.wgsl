@@ -14,10 +14,14 @@ struct ContactElement {
 struct ContactParams {
     step_s: f32,
     count: u32,
+    stiffness_ratio: f32,
+    padding: f32,
 }
 
 const NO_VERTEX: u32 = 0xffffffffu;
 const STICK_SPEED_M_S: f32 = 1e-3;
+const RELEASE_STEPS: f32 = 10.0;
+const SHARING: f32 = 8.0;
 
 @group(0) @binding(0) var<storage, read> elements: array<ContactElement>;
 @group(0) @binding(1) var<storage, read> velocities: array<Packed3>;
@@ -42,10 +46,10 @@ fn contact(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let n = element.normal;
     let un = dot(n, u);
     let depth = element.thickness_m - element.distance_m;
-    let predicted = depth - dt * un;
+    let release = RELEASE_STEPS * dt;
     let at = e * 3u;
     // A depth below zero is a contact that the motion will close.
-    if (!(predicted > 0.0)) {
+    if (!(depth - dt * un > 0.0)) {
         records[at] = vec4<f32>(0.0);
         records[at + 1u] = vec4<f32>(0.0);
         records[at + 2u] = vec4<f32>(0.0);
@@ -53,10 +57,16 @@ fn contact(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     }
     let k = element.stiffness_n_m;
     let ut = u - n * un;
-    let friction = element.friction * (k * max(min(depth, predicted), 0.0));
-    let beta = dt * (friction / max(sqrt(dot(ut, ut)), STICK_SPEED_M_S));
-    let g = n * (dt * k * predicted) - ut * beta;
+    let mass = dt * dt * k / params.stiffness_ratio;
+    let before = depth + dt * un;
+    var normal_force = mass * ((min(depth, 0.0) - dt * un) / (dt * dt));
+    if (before > 0.0) {
+        normal_force = k * max(before - release * un, 0.0);
+    }
+    let drag = dt * (element.friction * normal_force / max(sqrt(dot(ut, ut)), STICK_SPEED_M_S));
+    let beta = drag * min(SHARING * drag / mass, 1.0);
+    let g = n * (dt * k * (select(RELEASE_STEPS, 1.0, depth > 0.0) * depth - release * un)) - ut * drag;
     records[at] = element.weights;
-    records[at + 1u] = vec4<f32>(n, dt * dt * k);
+    records[at + 1u] = vec4<f32>(n, dt * release * k);
     records[at + 2u] = vec4<f32>(beta, g);
 }
