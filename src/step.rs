@@ -336,7 +336,7 @@ impl Simulation {
         let Some(collisions) = &mut self.collisions else { return Ok(()) };
         let mut own = vec![0.0; self.own_rows * 3];
         self.positions.read_range(&self.executor, self.own_start, &mut own);
-        let found = collisions.contacts(transport, &own, span, stats, &mut self.recorder)?;
+        let found = collisions.contacts(&self.executor, transport, &own, span, stats, &mut self.recorder)?;
         let clock = StageClock::start();
         let start = self.recorder.now();
         let rows = found.plan.local_rows;
