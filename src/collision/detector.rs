@@ -324,8 +324,7 @@ impl Detector {
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ImpactSink| all.append(sink.found);
         let (on, split, filter) = (on.into(), (rank, ranks), Filter::Moving { separation_m });
-        let stats =
-            self.searches.search(on, &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
+        let stats = self.searches.search(on, &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
         let stats = self.stats(stats, &all);
         *out = all.items;
         sort_impacts(out);

@@ -58,7 +58,8 @@ impl Searches {
         start: &(dyn Fn() -> S + Sync),
         finish: &mut (dyn FnMut(S) + Send),
     ) -> Result<BroadStats, BroadError> {
-        if let Some(executor) = on.kernels.filter(|_| choice.touched.is_none() && DeviceBroad::fits(self.native.mesh())) {
+        if let Some(executor) = on.kernels.filter(|_| choice.touched.is_none() && DeviceBroad::fits(self.native.mesh()))
+        {
             let device = self.device.get_or_insert_with(|| DeviceBroad::new(executor, Arc::clone(self.native.mesh())));
             let finish = Mutex::new(&mut *finish);
             let emit = &mut |found: &[Candidate]| {

@@ -156,7 +156,6 @@ impl Table {
                 );
                 let (boxes, cells) = (self.boxes.as_slice(), self.cells.as_slice());
                 hash_cpu::count_visitors(params, boxes, cells, self.counts.as_mut_slice(), self.levels.as_slice());
-                hash_cpu::chunk_loads(params, self.counts.as_slice(), self.chunks.as_mut_slice());
             }
             Executor::Gpu(gpu) => {
                 let triangles = u64::from(params.triangles);
@@ -177,6 +176,16 @@ impl Table {
                     self.levels.binding_mut(),
                 ];
                 gpu.run(&COUNT_VISITORS, &bindings, params, triangles);
+            }
+        }
+        self.loads(executor, params)
+    }
+
+    /// Loads of all chunks.
+    pub fn loads(&mut self, executor: &Executor, params: &HashParams) -> Vec<[u32; 4]> {
+        match executor {
+            Executor::Cpu(_) => hash_cpu::chunk_loads(params, self.counts.as_slice(), self.chunks.as_mut_slice()),
+            Executor::Gpu(gpu) => {
                 let chunks = self.chunks.len() as u64;
                 gpu.run(&CHUNK_LOADS, &[self.counts.binding_mut(), self.chunks.binding_mut()], params, chunks);
             }

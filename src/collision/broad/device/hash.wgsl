@@ -247,14 +247,14 @@ fn bucket_loads(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
 }
 
 // Writes an entry into a bucket of the batch, behind those of lower classes.
-fn put(bucket: u32, class: u32, entry: vec2<u32>) {
+fn put(bucket: u32, kind: u32, entry: vec2<u32>) {
     let i = bucket - params.first_bucket;
     if (i >= params.buckets || starts[i] == starts[i + 1u]) {
         return;
     }
     let load = load_of(bucket);
-    var slot = starts[i] + atomicAdd(&cursors[4u * i + class], 1u);
-    for (var lower = 0u; lower < class; lower++) {
+    var slot = starts[i] + atomicAdd(&cursors[4u * i + kind], 1u);
+    for (var lower = 0u; lower < kind; lower++) {
         slot += load[lower];
     }
     entries[slot] = entry;

@@ -13,6 +13,8 @@ mod hash;
 mod hash_cpu;
 mod pairs;
 mod pairs_cpu;
+#[cfg(test)]
+mod tests;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -168,8 +170,7 @@ impl DeviceBroad {
         for batch in &batches {
             let started = Instant::now();
             let buckets = batch.chunks.start * CHUNK..(batch.chunks.end * CHUNK).min(params.buckets as usize);
-            let of_batch =
-                HashParams { first_bucket: buckets.start as u32, buckets: buckets.len() as u32, ..params };
+            let of_batch = HashParams { first_bucket: buckets.start as u32, buckets: buckets.len() as u32, ..params };
             self.table.fill(executor, &of_batch, batch.entries as usize, &mut self.entries);
             self.order_shared(executor, batch, &of_batch);
             stats.fill_ns += nanoseconds(started);
