@@ -229,7 +229,7 @@ fn nothing_at_all_and_bad_positions() {
     }
 }
 
-/// Two sheets fall on each other and on a ball.
+/// Two sheets fall on each other and on a ball that comes up at 2.5 m/s.
 const FALLING: &str = r#"
 name = "falling"
 resolution = 500
@@ -255,6 +255,7 @@ fabric = "cotton"
 name = "ball"
 sphere = { center_m = [0.0, 0.0, 0.0], radius_m = 0.1, triangles = 300 }
 friction = 0.3
+motion = [{ time_s = 0.0 }, { time_s = 0.1, translate_m = [0.0, 0.25, 0.0] }]
 "#;
 
 #[test]
