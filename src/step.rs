@@ -373,8 +373,9 @@ impl Simulation {
         self.positions.read_range(&self.executor, self.own_start, &mut own.0);
         self.velocities.read_range(&self.executor, self.own_start, &mut own.1);
         let gravity_m_s2 = self.settings.gravity_m_s2.to_array();
+        let (executor, own) = (&self.executor, (&own.0[..], &own.1[..]));
         let found =
-            collisions.contacts(transport, (&own.0, &own.1), gravity_m_s2, span, stats, &mut self.recorder)?;
+            collisions.contacts(executor, transport, own, gravity_m_s2, span, stats, &mut self.recorder)?;
         let clock = StageClock::start();
         let start = self.recorder.now();
         let rows = found.plan.local_rows;

@@ -9,12 +9,12 @@ use std::time::Instant;
 use thiserror::Error;
 
 use super::around::Around;
-use super::broad::{Broad, BroadError, BroadStats, Choice, CollisionMesh, Query};
+use super::broad::{Broad, BroadError, BroadStats, Choice, CollisionMesh, Filter, Query};
 use super::contact::{Pair, Surfaces};
 use super::narrow::{ContactSink, Found, ImpactSink};
+use super::search::{RunsOn, Searches};
 use super::{Candidate, Impact};
 use crate::forces::{ContactElement, NO_VERTEX};
-use crate::gpu::CpuExecutor;
 use crate::math::Vec3;
 
 /// Widening of the thickness where stencils are only preselected.
@@ -93,7 +93,7 @@ pub struct DetectionStats {
 
 /// Finds contacts and impacts of one mesh.
 pub struct Detector {
-    broad: Broad,
+    searches: Searches,
     around: Around,
     rules: Rules,
 }
@@ -105,6 +105,8 @@ pub(super) struct Rules {
     pieces: Vec<u32>,
     /// Per vertex: the thickness within its piece.
     within_piece_m: Vec<f32>,
+    /// The same, wider.
+    reach_within_piece_m: Vec<f32>,
     /// The largest of these.
     widest_within_piece_m: f32,
     /// The largest thickness of all pairs: less than that of the parameters where there is one piece only.
@@ -125,13 +127,22 @@ impl Rules {
         let first = pieces.next();
         let one_piece = pieces.all(|piece| Some(piece) == first);
         let widest_m = if one_piece { widest_within_piece_m } else { params.thickness_m };
+        let reach_within_piece_m = within_piece_m.iter().map(|thickness_m| thickness_m * WIDER).collect();
         let (pieces, cloth_vertices) = (mesh.pieces.clone(), mesh.cloth_vertices);
-        Rules { params, cloth_vertices, pieces, within_piece_m, widest_within_piece_m, widest_m }
+        Rules {
+            params,
+            cloth_vertices,
+            pieces,
+            within_piece_m,
+            reach_within_piece_m,
+            widest_within_piece_m,
+            widest_m,
+        }
     }
 
     fn bytes(&self) -> u64 {
         4 * (self.params.friction.len() + self.params.inverse_masses_per_kg.len() + self.pieces.len()) as u64
-            + 8 * self.within_piece_m.len() as u64
+            + 12 * self.within_piece_m.len() as u64
     }
 
     /// A distance that no contact of a stencil exceeds; somewhat more than exact, for rounded tests to decide.
@@ -236,12 +247,12 @@ impl Detector {
     pub fn new(mesh: CollisionMesh, params: ContactParams) -> Result<Detector, DetectorError> {
         check(&mesh, &params)?;
         let (around, rules) = (Around::new(&mesh), Rules::new(&mesh, params));
-        Ok(Detector { broad: Broad::new(mesh), around, rules })
+        Ok(Detector { searches: Searches::new(Broad::new(mesh)), around, rules })
     }
 
     /// The mesh.
     pub fn mesh(&self) -> &CollisionMesh {
-        self.broad.mesh()
+        self.searches.native.mesh()
     }
 
     /// The parameters.
@@ -254,34 +265,35 @@ impl Detector {
     /// # Errors
     /// As [`Detector::new`]; then the old ones stay.
     pub fn set_params(&mut self, params: ContactParams) -> Result<(), DetectorError> {
-        check(self.broad.mesh(), &params)?;
-        self.rules = Rules::new(self.broad.mesh(), params);
+        check(self.searches.native.mesh(), &params)?;
+        self.rules = Rules::new(self.searches.native.mesh(), params);
         Ok(())
     }
 
     /// The contact that a stencil of the mesh leads to at positions `x`, if there is one: what [`Detector::contacts`] does
     /// with every candidate.
     pub fn contact(&self, x: &[f32], stencil: &Candidate) -> Option<ContactElement> {
-        let surfaces = Surfaces { mesh: self.broad.mesh(), around: &self.around, x };
+        let surfaces = Surfaces { mesh: self.searches.native.mesh(), around: &self.around, x };
         let pair = surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair, 0.0))?;
         self.rules.element(&pair)
     }
 
     /// The contacts at positions `x` (x, y, z of every vertex, metres: cloth, then obstacles) that fall to `rank`, sorted,
-    /// each once; see [`merge_contacts`] for those of all ranks. Clears `out` first.
+    /// each once; see [`merge_contacts`] for those of all ranks. Clears `out` first. All ranks must run on executors of one
+    /// kind; what they find together has the same bits on every kind, as native code decides in the end.
     ///
     /// # Errors
     /// As [`Broad::candidates`].
-    pub fn contacts(
+    pub fn contacts<'a>(
         &mut self,
-        cpu: &CpuExecutor,
+        on: impl Into<RunsOn<'a>>,
         x: &[f32],
         rank: usize,
         ranks: usize,
         memory_limit_bytes: Option<u64>,
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
-        self.contacts_ahead(cpu, x, x, rank, ranks, memory_limit_bytes, out)
+        self.contacts_ahead(on, x, x, rank, ranks, memory_limit_bytes, out)
     }
 
     /// As [`Detector::contacts`], with those pairs, too, that are farther apart at `x` and come closer than their thickness
@@ -290,9 +302,9 @@ impl Detector {
     ///
     /// # Errors
     /// As [`Broad::candidates`].
-    pub fn contacts_ahead(
+    pub fn contacts_ahead<'a>(
         &mut self,
-        cpu: &CpuExecutor,
+        on: impl Into<RunsOn<'a>>,
         x: &[f32],
         ahead: &[f32],
         rank: usize,
@@ -301,17 +313,23 @@ impl Detector {
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
         out.clear();
-        let Detector { broad, around, rules } = self;
-        let mesh = broad.mesh().clone();
+        let Detector { searches, around, rules } = self;
+        let mesh = searches.native.mesh().clone();
         let surfaces = Surfaces { mesh: &mesh, around, x };
         let wide = |thickness_m: f32| thickness_m * WIDER;
         let query = Query { x_t0: x, x_t1: ahead, radius_m: wide(rules.widest_m) };
         let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
         let choice = Choice { piece_radius_m: Some(wide(rules.widest_within_piece_m)), ..Choice::default() };
+        // On the way, a device tests with the widest reach; the narrow phase knows that of every pair.
+        let filter = match ahead {
+            None => Filter::AtRest { reach_m: query.radius_m, within_piece_m: &rules.reach_within_piece_m },
+            Some(_) => Filter::Moving { separation_m: query.radius_m },
+        };
         let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ContactSink| all.append(sink.found);
-        let stats = broad.search(cpu, &query, &choice, (rank, ranks), memory_limit_bytes, &start, finish)?;
+        let (on, split) = (on.into(), (rank, ranks));
+        let stats = searches.search(on, &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
         let stats = self.stats(stats, &all);
         *out = all.items;
         sort_contacts(out);
@@ -319,15 +337,15 @@ impl Detector {
     }
 
     /// The pairs of features that touch on the straight way from `x_t0` to `x_t1` and fall to `rank`, sorted; each is found
-    /// by exactly one rank. With `touched` (one mark per vertex) only pairs with a marked vertex: a search after a few
+    /// by exactly one rank. Executors as in [`Detector::contacts`]. With `touched` (one mark per vertex) only pairs with a marked vertex: a search after a few
     /// vertices have been moved, which costs one look at every triangle and the work near those vertices. Clears `out`
     /// first.
     ///
     /// # Errors
     /// As [`Broad::candidates`].
-    pub fn impacts(
+    pub fn impacts<'a>(
         &mut self,
-        cpu: &CpuExecutor,
+        on: impl Into<RunsOn<'a>>,
         x_t0: &[f32],
         x_t1: &[f32],
         touched: Option<&[bool]>,
@@ -343,7 +361,8 @@ impl Detector {
         let start = || ImpactSink { x_t0, x_t1, separation_m, touched, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ImpactSink| all.append(sink.found);
-        let stats = self.broad.search(cpu, &query, &choice, (rank, ranks), memory_limit_bytes, &start, finish)?;
+        let (on, split, filter) = (on.into(), (rank, ranks), Filter::Moving { separation_m });
+        let stats = self.searches.search(on, &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
         let stats = self.stats(stats, &all);
         *out = all.items;
         sort_impacts(out);
@@ -358,7 +377,7 @@ impl Detector {
             smallest_gap_m: all.smallest_gap_m,
             narrow_ns: all.ns,
             bytes: broad.bytes + size_of_val(&all.items[..]) as u64,
-            replicated_bytes: self.broad.mesh().bytes() + self.around.bytes() + self.rules.bytes(),
+            replicated_bytes: self.searches.native.mesh().bytes() + self.around.bytes() + self.rules.bytes(),
         }
     }
 }

@@ -10,10 +10,13 @@ mod contact;
 mod detector;
 pub mod elementary;
 mod narrow;
+mod search;
 
 pub use detector::{
     ContactParams, DetectionStats, Detector, DetectorError, merge_contacts, merge_impacts, smallest_altitudes,
 };
+
+pub use search::RunsOn;
 
 use bytemuck::{Pod, Zeroable};
 

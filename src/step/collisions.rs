@@ -5,7 +5,7 @@
 //! depends on who found what or on the number of ranks.
 
 use crate::collision::broad::CollisionMesh;
-use crate::collision::{ContactParams, Detector, DetectorError, Impact, merge_contacts, merge_impacts};
+use crate::collision::{ContactParams, Detector, DetectorError, Impact, RunsOn, merge_contacts, merge_impacts};
 use crate::forces::{ContactElement, NO_VERTEX};
 use crate::gpu::{CpuExecutor, Executor};
 use crate::impact_zone::{self, ImpactZones, Moved, StepPositions, ZoneSettings};
@@ -77,7 +77,7 @@ pub(super) struct Collisions {
 }
 
 impl Collisions {
-    /// Collisions of rank `plan.rank`; native code with `cpu`'s threads.
+    /// Collisions of rank `plan.rank`; native code runs on `cpu`'s threads.
     ///
     /// # Errors
     /// The model's lists do not fit each other.
@@ -152,6 +152,7 @@ impl Collisions {
     /// `own` (positions, velocities; xyz), and those it is heading for, and tells everybody who needs which rows.
     pub fn contacts(
         &mut self,
+        executor: &Executor,
         transport: &mut dyn Transport,
         own: (&[f32], &[f32]),
         gravity_m_s2: [f32; 3],
@@ -177,7 +178,15 @@ impl Collisions {
         let mut found = Vec::new();
         let query = self
             .detector
-            .contacts_ahead(&self.cpu, &self.x_t0, &self.x_t1, rank, ranks, self.model.memory_limit_bytes, &mut found)
+            .contacts_ahead(
+                RunsOn::new(executor, &self.cpu),
+                &self.x_t0,
+                &self.x_t1,
+                rank,
+                ranks,
+                self.model.memory_limit_bytes,
+                &mut found,
+            )
             .map_err(|error| detection_failed(stats.step, error))?;
         stats.proximity.add(&query);
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
@@ -293,7 +302,7 @@ impl Collisions {
         let mut zones = ImpactZones::new(ZoneSettings::for_thickness(self.model.thickness_m));
         let mut touched: Option<Vec<bool>> = None;
         loop {
-            let impacts = self.impacts(transport, touched.as_deref(), stats, recorder)?;
+            let impacts = self.impacts(executor, transport, touched.as_deref(), stats, recorder)?;
             clock.lap(&mut stats.seconds.continuous);
             if impacts.is_empty() {
                 break;
@@ -355,6 +364,7 @@ impl Collisions {
     /// Impacts of all ranks, sorted, each once.
     fn impacts(
         &mut self,
+        executor: &Executor,
         transport: &mut dyn Transport,
         touched: Option<&[bool]>,
         stats: &mut StepStats,
@@ -363,9 +373,10 @@ impl Collisions {
         let start = recorder.now();
         let (rank, ranks) = (transport.rank(), transport.ranks());
         let mut found = Vec::new();
+        let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
         let query = self
             .detector
-            .impacts(&self.cpu, &self.x_t0, &self.x_t1, touched, rank, ranks, self.model.memory_limit_bytes, &mut found)
+            .impacts(on, &self.x_t0, &self.x_t1, touched, rank, ranks, limit, &mut found)
             .map_err(|error| detection_failed(stats.step, error))?;
         stats.continuous.add(&query);
         recorder.end(EventName::ContinuousQuery, Activity::Compute, start, query.bytes, 0);

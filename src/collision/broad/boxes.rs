@@ -38,6 +38,14 @@ impl Aabb {
         (self.lo.cmple(other.hi) & other.lo.cmple(self.hi)).all()
     }
 
+    /// Every operation is monotone in its argument also after rounding, hence: bounds whose gap is at most the radius
+    /// meet, and the box of a triangle holds the boxes of its features.
+    #[inline(always)]
+    pub fn inflated(self, pad: Vec3A) -> Aabb {
+        let (lo, hi) = (self.lo - pad, self.hi + pad);
+        Aabb { lo: lo - lo.abs() * SLACK, hi: hi + hi.abs() * SLACK }
+    }
+
     /// Each bound moved inwards by `by`; may end up inside out, then it overlaps what holds all of it at most.
     #[inline(always)]
     pub fn shrink(self, by: Vec3A) -> Aabb {
@@ -95,12 +103,14 @@ impl<'a> Motion<'a> {
         Aabb { lo: a.min(b), hi: a.max(b) }
     }
 
-    /// Every operation is monotone in its argument also after rounding, hence: bounds whose gap is at most the radius
-    /// meet, and the box of a triangle holds the boxes of its features.
     #[inline(always)]
     fn inflate(&self, path: Aabb) -> Aabb {
-        let (lo, hi) = (path.lo - self.pad, path.hi + self.pad);
-        Aabb { lo: lo - lo.abs() * SLACK, hi: hi + hi.abs() * SLACK }
+        path.inflated(self.pad)
+    }
+
+    /// How far boxes are inflated, metres.
+    pub fn pad_m(&self) -> f32 {
+        self.pad.x
     }
 
     /// Holds the boxes of all cloth features.

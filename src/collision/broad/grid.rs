@@ -59,6 +59,16 @@ impl Grid {
         Grid { origin: Vec3A::new(middle(0), middle(1), middle(2)), cell_m, per_m }
     }
 
+    /// Origin of all grids.
+    pub fn origin(&self) -> Vec3A {
+        self.origin
+    }
+
+    /// Cells of the finest grid per metre.
+    pub fn finest_per_m(&self) -> f32 {
+        self.per_m[0]
+    }
+
     /// Cells of a box. Monotone in each bound, whatever is rounded or cut off, so boxes that overlap share the cell of
     /// the lower corner of their intersection.
     #[inline(always)]

@@ -7,6 +7,7 @@
 
 mod boxes;
 mod brute;
+mod device;
 mod features;
 mod fill;
 mod grid;
@@ -21,10 +22,11 @@ use std::time::Instant;
 use thiserror::Error;
 
 pub use brute::brute_force;
+pub use device::{DeviceBroad, Filter};
 pub use mesh::{CollisionMesh, CollisionMeshError};
 
 use crate::collision::Candidate;
-use crate::gpu::CpuExecutor;
+use crate::gpu::{CpuExecutor, GpuError};
 use boxes::Motion;
 use fill::Entries;
 use pairs::Tester;
@@ -101,6 +103,9 @@ pub enum BroadError {
         /// The limit given.
         limit_bytes: u64,
     },
+    /// The device stopped.
+    #[error(transparent)]
+    Device(#[from] GpuError),
 }
 
 /// What a query did on this rank. Counts repeat exactly; times do not.

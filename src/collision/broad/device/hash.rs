@@ -1,0 +1,289 @@
+//! Triangle hash table on the device. Passes: residents per bucket, visitors per bucket, loads of chunks of buckets (which the
+//! host reads), and per batch of chunks loads of buckets, scans, entries.
+//!
+//! The grids are nested: cells are whole numbers of the finest grid, computed once per triangle, and coarser ones are shifts
+//! of them, so every pass sees the same cells however a driver compiles it. A triangle *resides* in the finest grid where
+//! it covers at most two cells per axis and *visits* the coarser ones that have residents near it. The finest grid has
+//! buckets of its own, the coarser ones share the rest.
+//!
+//! Entries of a bucket are in order of their class (resident cloth, resident obstacles, visiting cloth, visiting obstacles)
+//! and in no order within; counts are the same every time.
+
+use super::hash_cpu;
+use crate::collision::broad::CollisionMesh;
+use crate::collision::broad::boxes::Motion;
+use crate::collision::broad::grid::Grid;
+use crate::gpu::primitives::exclusive_scan;
+use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
+
+const TEXT: &str = include_str!("hash.wgsl");
+const LIBRARIES: &[&str] = &[include_str!("boxes.wgsl")];
+const fn kernel(entry: &'static str) -> KernelSource {
+    KernelSource::new::<HashParams>("collision/broad/device/hash.wgsl", TEXT, entry).with_libraries(LIBRARIES)
+}
+static COUNT_RESIDENTS: KernelSource = kernel("count_residents");
+static COUNT_VISITORS: KernelSource = kernel("count_visitors");
+static CHUNK_LOADS: KernelSource = kernel("chunk_loads");
+static BUCKET_LOADS: KernelSource = kernel("bucket_loads");
+static FILL: KernelSource = kernel("fill");
+
+/// Grids; in the last one everything covers at most two cells per axis.
+pub(super) const LEVELS: usize = 11;
+/// Values per grid: see the shader.
+pub(super) const LEVEL: usize = 8;
+/// Buckets per chunk.
+pub(super) const CHUNK: usize = 256;
+/// Most cells per metre: with the largest coordinate still a finite number.
+const PER_M_MOST: f32 = 1e18;
+
+gpu_struct! {
+    pub(super) struct HashParams {
+        pub origin: [f32; 4],
+        pub cloth_lo: [f32; 4],
+        pub cloth_hi: [f32; 4],
+        pub triangles: u32,
+        pub cloth_triangles: u32,
+        pub fine_bits: u32,
+        pub coarse_bits: u32,
+        pub first_bucket: u32,
+        pub buckets: u32,
+        pub padding0: u32,
+        pub padding1: u32,
+    }
+}
+
+/// log2 of the numbers of blocks of 8 buckets: finest grid, coarser grids.
+fn block_bits(triangles: usize) -> [u32; 2] {
+    [triangles / 12, triangles / 48].map(|blocks| blocks.next_power_of_two().trailing_zeros())
+}
+
+/// Buckets of all grids.
+pub(super) fn buckets(triangles: usize) -> usize {
+    let [fine, coarse] = block_bits(triangles);
+    (8 << fine) + (8 << coarse)
+}
+
+impl HashParams {
+    /// Parameters of a query.
+    pub fn new(mesh: &CollisionMesh, motion: &Motion) -> HashParams {
+        let grid = Grid::new(mesh, motion);
+        let cloth = motion.cloth_bounds(mesh);
+        let with = |v: glam::Vec3A, w: f32| [v.x, v.y, v.z, w];
+        let [fine_bits, coarse_bits] = block_bits(mesh.triangles.len());
+        HashParams {
+            origin: with(grid.origin(), grid.finest_per_m().min(PER_M_MOST)),
+            cloth_lo: with(cloth.lo, motion.pad_m()),
+            cloth_hi: with(cloth.hi, 0.0),
+            triangles: mesh.triangles.len() as u32,
+            cloth_triangles: mesh.cloth_triangles as u32,
+            fine_bits,
+            coarse_bits,
+            first_bucket: 0,
+            buckets: buckets(mesh.triangles.len()) as u32,
+            padding0: 0,
+            padding1: 0,
+        }
+    }
+}
+
+/// What passes over triangles read: positions at both ends of the step, and corners, owned features and piece per triangle.
+pub(super) struct Shapes {
+    pub x_t0: DeviceVec<f32>,
+    /// None: nothing moves, the end is the start.
+    pub x_t1: Option<DeviceVec<f32>>,
+    pub faces: DeviceVec<[u32; 4]>,
+}
+
+impl Shapes {
+    pub fn end(&self) -> &DeviceVec<f32> {
+        self.x_t1.as_ref().unwrap_or(&self.x_t0)
+    }
+}
+
+/// The table of a query.
+pub(super) struct Table {
+    /// Per triangle lower and upper corner, bits; behind them owned features and piece, grid + 1 (0: takes no part).
+    pub boxes: DeviceVec<[u32; 4]>,
+    /// Per triangle lowest and highest cell of the finest grid.
+    cells: DeviceVec<[u32; 4]>,
+    /// Per bucket resident cloth, resident obstacles, visiting cloth, visiting obstacles.
+    pub counts: DeviceVec<[u32; 4]>,
+    levels: DeviceVec<u32>,
+    chunks: DeviceVec<[u32; 4]>,
+}
+
+/// Chunks whose entries are in memory together.
+pub(super) struct Entries {
+    tests: DeviceVec<u32>,
+    sizes: DeviceVec<u32>,
+    /// Tests before every bucket of the batch, and all.
+    pub test_starts: DeviceVec<u32>,
+    /// Entries before every bucket of the batch, and all.
+    pub starts: DeviceVec<u32>,
+    cursors: DeviceVec<[u32; 4]>,
+    /// Triangle and tag.
+    pub entries: DeviceVec<[u32; 2]>,
+}
+
+impl Table {
+    pub fn new(executor: &Executor, triangles: usize) -> Table {
+        let buckets = buckets(triangles);
+        Table {
+            boxes: DeviceVec::zeros(executor, 2 * triangles),
+            cells: DeviceVec::zeros(executor, triangles),
+            counts: DeviceVec::zeros(executor, buckets),
+            levels: DeviceVec::zeros(executor, LEVEL * LEVELS),
+            chunks: DeviceVec::zeros(executor, buckets.div_ceil(CHUNK)),
+        }
+    }
+
+    /// Counts who is in which bucket; loads of all chunks: tests (low, high word), entries and buckets with tests.
+    pub fn count(&mut self, executor: &Executor, params: &HashParams, shapes: &Shapes) -> Vec<[u32; 4]> {
+        self.counts.fill_zero(executor);
+        self.levels.fill_zero(executor);
+        match executor {
+            Executor::Cpu(_) => {
+                let (x_t0, x_t1) = (shapes.x_t0.as_slice(), shapes.end().as_slice());
+                hash_cpu::count_residents(
+                    params,
+                    x_t0,
+                    x_t1,
+                    shapes.faces.as_slice(),
+                    self.boxes.as_mut_slice(),
+                    self.cells.as_mut_slice(),
+                    self.counts.as_mut_slice(),
+                    self.levels.as_mut_slice(),
+                );
+                let (boxes, cells) = (self.boxes.as_slice(), self.cells.as_slice());
+                hash_cpu::count_visitors(params, boxes, cells, self.counts.as_mut_slice(), self.levels.as_slice());
+            }
+            Executor::Gpu(gpu) => {
+                let triangles = u64::from(params.triangles);
+                let bindings = [
+                    shapes.x_t0.binding(),
+                    shapes.end().binding(),
+                    shapes.faces.binding(),
+                    self.boxes.binding_mut(),
+                    self.cells.binding_mut(),
+                    self.counts.binding_mut(),
+                    self.levels.binding_mut(),
+                ];
+                gpu.run(&COUNT_RESIDENTS, &bindings, params, triangles);
+                let bindings = [
+                    self.boxes.binding_mut(),
+                    self.cells.binding_mut(),
+                    self.counts.binding_mut(),
+                    self.levels.binding_mut(),
+                ];
+                gpu.run(&COUNT_VISITORS, &bindings, params, triangles);
+            }
+        }
+        self.loads(executor, params)
+    }
+
+    /// Loads of all chunks.
+    pub fn loads(&mut self, executor: &Executor, params: &HashParams) -> Vec<[u32; 4]> {
+        match executor {
+            Executor::Cpu(_) => hash_cpu::chunk_loads(params, self.counts.as_slice(), self.chunks.as_mut_slice()),
+            Executor::Gpu(gpu) => {
+                let chunks = self.chunks.len() as u64;
+                gpu.run(&CHUNK_LOADS, &[self.counts.binding_mut(), self.chunks.binding_mut()], params, chunks);
+            }
+        }
+        self.chunks.read(executor)
+    }
+
+    /// Makes the entries of `params.buckets` buckets from `params.first_bucket` on; there are `size` of them.
+    pub fn fill(&mut self, executor: &Executor, params: &HashParams, size: usize, out: &mut Entries) {
+        let buckets = params.buckets as usize;
+        out.tests.resize(executor, buckets);
+        out.sizes.resize(executor, buckets);
+        out.cursors.resize(executor, buckets);
+        out.cursors.fill_zero(executor);
+        out.test_starts.resize(executor, buckets + 1);
+        out.starts.resize(executor, buckets + 1);
+        out.entries.resize(executor, size);
+        match executor {
+            Executor::Cpu(_) => {
+                let (tests, sizes) = (out.tests.as_mut_slice(), out.sizes.as_mut_slice());
+                hash_cpu::bucket_loads(params, self.counts.as_slice(), tests, sizes);
+            }
+            Executor::Gpu(gpu) => {
+                let bindings = [self.counts.binding_mut(), out.tests.binding_mut(), out.sizes.binding_mut()];
+                gpu.run(&BUCKET_LOADS, &bindings, params, buckets as u64);
+            }
+        }
+        exclusive_scan(executor, &out.tests, &mut out.test_starts);
+        exclusive_scan(executor, &out.sizes, &mut out.starts);
+        match executor {
+            Executor::Cpu(_) => hash_cpu::fill(
+                params,
+                self.boxes.as_slice(),
+                self.cells.as_slice(),
+                self.counts.as_slice(),
+                self.levels.as_slice(),
+                out.starts.as_slice(),
+                out.cursors.as_mut_slice(),
+                out.entries.as_mut_slice(),
+            ),
+            Executor::Gpu(gpu) => {
+                let bindings = [
+                    self.boxes.binding_mut(),
+                    self.cells.binding_mut(),
+                    self.counts.binding_mut(),
+                    self.levels.binding_mut(),
+                    out.starts.binding(),
+                    out.cursors.binding_mut(),
+                    out.entries.binding_mut(),
+                ];
+                gpu.run(&FILL, &bindings, params, u64::from(params.triangles));
+            }
+        }
+    }
+
+    /// Bytes held now.
+    pub fn bytes(&self) -> u64 {
+        let of_triangles = self.boxes.held_bytes() + self.cells.held_bytes();
+        of_triangles + self.counts.held_bytes() + self.levels.held_bytes() + self.chunks.held_bytes()
+    }
+}
+
+impl Entries {
+    pub fn new(executor: &Executor) -> Entries {
+        Entries {
+            tests: DeviceVec::zeros(executor, 0),
+            sizes: DeviceVec::zeros(executor, 0),
+            test_starts: DeviceVec::zeros(executor, 0),
+            starts: DeviceVec::zeros(executor, 0),
+            cursors: DeviceVec::zeros(executor, 0),
+            entries: DeviceVec::zeros(executor, 0),
+        }
+    }
+
+    /// Bytes of a batch with so many buckets and entries: tests, sizes, both starts and cursors; entries.
+    pub fn bytes_for(buckets: u64, entries: u64) -> u64 {
+        32 * buckets + 8 * entries
+    }
+
+    /// Bytes held now.
+    pub fn bytes(&self) -> u64 {
+        let per_bucket = self.tests.held_bytes() + self.sizes.held_bytes() + self.cursors.held_bytes();
+        per_bucket + self.test_starts.held_bytes() + self.starts.held_bytes() + self.entries.held_bytes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shader_and_wrapper_agree() {
+        for kernel in [&COUNT_RESIDENTS, &COUNT_VISITORS, &CHUNK_LOADS, &BUCKET_LOADS, &FILL] {
+            // Every adapter binds eight arrays.
+            assert!(kernel.check().unwrap().arrays.len() <= 8);
+        }
+        for (name, value) in [("LEVELS", LEVELS), ("LEVEL", LEVEL), ("CHUNK", CHUNK)] {
+            assert!(TEXT.contains(&format!("const {name}: u32 = {value}u;")), "{name}");
+        }
+    }
+}

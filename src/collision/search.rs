@@ -1,0 +1,84 @@
+//! Where a query is searched: natively, or on a device with the rest of the narrow phase on host threads.
+
+use std::sync::{Arc, Mutex};
+
+use super::Candidate;
+use super::broad::{Broad, BroadError, BroadStats, Choice, DeviceBroad, Filter, Query, Sink};
+use crate::gpu::{CpuExecutor, Executor};
+
+/// Candidates per unit of work of the host's threads, and at most handed over at once.
+const GRAIN: usize = 1024;
+
+/// What runs a query.
+#[derive(Clone, Copy)]
+pub struct RunsOn<'a> {
+    /// Threads of native code.
+    pub host: &'a CpuExecutor,
+    /// Runs the broad phase and the first part of the narrow phase; none: native code does.
+    pub kernels: Option<&'a Executor>,
+}
+
+impl<'a> RunsOn<'a> {
+    /// A device and the host's threads, or threads alone: beside a native executor the native search is faster than the
+    /// twins of kernels.
+    pub fn new(executor: &'a Executor, host: &'a CpuExecutor) -> RunsOn<'a> {
+        RunsOn { host, kernels: Some(executor).filter(|executor| matches!(executor, Executor::Gpu(_))) }
+    }
+}
+
+impl<'a> From<&'a CpuExecutor> for RunsOn<'a> {
+    fn from(host: &'a CpuExecutor) -> RunsOn<'a> {
+        RunsOn { host, kernels: None }
+    }
+}
+
+/// Both ways to search one mesh.
+pub(super) struct Searches {
+    pub native: Broad,
+    /// Made by the first query that wants it.
+    device: Option<DeviceBroad>,
+}
+
+impl Searches {
+    pub fn new(native: Broad) -> Searches {
+        Searches { native, device: None }
+    }
+
+    /// As [`Broad::search`]; what `filter` drops may be missing. A search among touched vertices is native: it costs a look at
+    /// every triangle and the work near a few vertices, less than asking a device. So is one that does not fit a device,
+    /// which is the same decision on all ranks.
+    pub fn search<S: Sink>(
+        &mut self,
+        on: RunsOn,
+        query: &Query,
+        choice: &Choice,
+        filter: &Filter,
+        (rank, ranks): (usize, usize),
+        memory_limit_bytes: Option<u64>,
+        start: &(dyn Fn() -> S + Sync),
+        finish: &mut (dyn FnMut(S) + Send),
+    ) -> Result<BroadStats, BroadError> {
+        if let Some(executor) = on.kernels.filter(|_| choice.touched.is_none() && DeviceBroad::fits(self.native.mesh()))
+        {
+            let device = self.device.get_or_insert_with(|| DeviceBroad::new(executor, Arc::clone(self.native.mesh())));
+            let finish = Mutex::new(&mut *finish);
+            let emit = &mut |found: &[Candidate]| {
+                on.host.for_ranges(found.len(), GRAIN, |range| {
+                    let mut sink = start();
+                    found[range].chunks(GRAIN).for_each(|part| sink.take(part));
+                    if let Ok(mut finish) = finish.lock() {
+                        finish(sink);
+                    }
+                });
+            };
+            let piece_radius_m = choice.piece_radius_m;
+            let split = (rank, ranks);
+            if let Some(stats) =
+                device.search(executor, query, piece_radius_m, filter, split, memory_limit_bytes, emit)?
+            {
+                return Ok(stats);
+            }
+        }
+        self.native.search(on.host, query, choice, (rank, ranks), memory_limit_bytes, start, finish)
+    }
+}
