@@ -9,6 +9,7 @@ pub mod render;
 pub mod run;
 pub mod schedule;
 pub mod solve;
+mod start_state;
 pub mod worker;
 
 /// A command that ended without its result: what to print to stderr and how to exit.

@@ -17,7 +17,7 @@ const LEAF: usize = 4;
 /// Times the work is split before it is given to threads.
 const ROUNDS: usize = 8;
 /// Pairs that are listed; two sheets laid onto each other would have millions.
-const MOST_PAIRS: usize = 10_000;
+pub(super) const MOST_PAIRS: usize = 10_000;
 
 /// Triangles that belong together, and what they need not be tested against.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -13,6 +13,7 @@ use thiserror::Error;
 
 use super::atomic::{WriteError, write_atomically};
 use super::machine::Machine;
+use crate::scene::Untangling;
 
 /// How a run stands.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -100,6 +101,9 @@ pub struct ReportHeader {
     pub status: Status,
     /// Where it was taken up again.
     pub resumed: Vec<Resumption>,
+    /// What untangling the start state took, where that was done.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub untangled: Option<Untangling>,
 }
 
 impl ReportHeader {
