@@ -18,6 +18,9 @@ const ROUNDS: usize = 200;
 /// Ends after so many rounds without fewer pairs than ever before.
 const PATIENCE: usize = 30;
 
+/// How far the way of a vertex goes towards the mean of its neighbours' where it is evened out.
+const SMOOTHING: f64 = 0.5;
+
 /// What may be moved, and how.
 #[derive(Clone, Copy, Debug)]
 pub struct Tangle<'a> {
@@ -68,6 +71,7 @@ impl Tangle<'_> {
                     *position = (position.as_dvec3() + *by).as_vec3();
                 }
             }
+            self.smooth(positions, &mut now, &shape, &left);
             left = crossings(&now, self.triangles, &groups);
             // Lists that are full say nothing about progress.
             if left.len() < best.left.len() || (left.len() == best.left.len() && left.len() >= super::crossings::MOST_PAIRS) {
@@ -78,5 +82,23 @@ impl Tangle<'_> {
             }
         }
         best
+    }
+
+    /// Evens out the ways from `start` where a piece crosses itself: mostly it has been crumpled by pushing.
+    fn smooth(&self, start: &[Vec3], now: &mut [Vec3], shape: &Shape, pairs: &[[u32; 2]]) {
+        let piece = |t: &u32| shape.piece[self.triangles[*t as usize][0] as usize];
+        let itself = pairs.iter().filter(|[s, t]| piece(s) == piece(t)).flatten();
+        let mut near: Vec<u32> = itself.flat_map(|&t| self.triangles[t as usize]).collect();
+        near.sort_unstable();
+        near.dedup();
+        let way = |now: &[Vec3], v: u32| now[v as usize].as_dvec3() - start[v as usize].as_dvec3();
+        let even = |&v: &u32| {
+            let (sum, count) = shape.neighbours(v).fold((DVec3::ZERO, 0.0), |(sum, n), w| (sum + way(now, w), n + 1.0));
+            way(now, v).lerp(sum / count, SMOOTHING)
+        };
+        let ways: Vec<DVec3> = near.iter().map(even).collect();
+        for (&v, way) in near.iter().zip(ways).filter(|(v, _)| self.movable[**v as usize]) {
+            now[v as usize] = (start[v as usize].as_dvec3() + way).as_vec3();
+        }
     }
 }

@@ -2,7 +2,7 @@
 //! a vertex goes the mean way of its pushes.
 
 use super::Tangle;
-use super::regions::{Hit, Region, Shape, at, edges_of, hits, normal, regions};
+use super::regions::{Hit, Region, Shape, at, edges_of, hits, normal, regions, through};
 use super::targets::Targets;
 use crate::math::{DVec3, Vec3};
 
@@ -26,10 +26,15 @@ pub(super) fn moves(positions: &[Vec3], tangle: &Tangle, shape: &Shape, pairs: &
             claimed.sort_unstable();
         }
     }
-    for hit in &hits {
-        if claimed.binary_search(&hit.pair()).is_err() {
-            round.edge(hit, &hits);
+    for (run, odd) in through(&hits) {
+        if !odd {
+            round.passage(run);
+        } else {
+            run.iter().filter(|hit| claimed.binary_search(&hit.pair()).is_err()).for_each(|hit| round.edge(hit));
         }
+    }
+    for pair in pairs {
+        round.fold(pair.map(|t| tangle.triangles[t as usize]));
     }
     round.sums.iter().map(|&(sum, weight)| if weight > 0.0 { sum / weight } else { DVec3::ZERO }).collect()
 }
@@ -119,17 +124,51 @@ impl Round<'_> {
         if piece(hit.owner) > piece(hit.face) { 1.0 } else { -1.0 }
     }
 
-    /// Pushes an edge that no region speaks for: over the nearest edge of the face where the two cross as ridges or the
-    /// face ends, else its nearer end back.
-    fn edge(&mut self, hit: &Hit, hits: &[Hit]) {
-        let through = |face: u32| hits.binary_search_by(|other| (other.edge, other.face).cmp(&(hit.edge, face))).is_ok();
-        let of_edge = hits.partition_point(|other| other.edge < hit.edge);
-        let same = hits[of_edge..].iter().take_while(|other| other.edge == hit.edge);
-        let twins: Vec<u32> = same.map(|other| other.face).filter(|&face| face != hit.face && through(face)).collect();
+    /// Pushes an edge that goes into a surface and out again: over the ridge that the two faces would make.
+    fn passage(&mut self, run: &[Hit]) {
+        let edge = run[0].edge;
+        let [from, to] = edge.map(|v| self.at(v));
+        let Some(ahead) = (to - from).try_normalize() else { return };
+        let mut faces: Vec<(f64, u32)> = Vec::new();
+        for same in run.chunk_by(|a, b| a.face == b.face) {
+            let normal = self.normal(same[0].face);
+            let corner = self.at(self.tangle.triangles[same[0].face as usize][0]);
+            let [low, high] = [from, to].map(|p| normal.dot(p - corner));
+            if low == high {
+                // In the plane of a face there is neither in nor out.
+                edge.iter().for_each(|&v| drop(self.end(&same[0], v)));
+                return;
+            }
+            faces.push(((low / (low - high)).clamp(0.0, 1.0), same[0].face));
+        }
+        faces.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for ends in faces.chunks_exact(2) {
+            let [(enters, one), (leaves, other)] = [ends[0], ends[1]];
+            let [n, m] = [one, other].map(|face| self.normal(face));
+            let (n, m) = (n * -n.dot(ahead).signum(), m * m.dot(ahead).signum());
+            let Some(along) = (n + m).try_normalize() else { continue };
+            // How fast the faces rise over the edge, seen from where it enters and from where it leaves.
+            let [rise, fall] = [-n.dot(ahead) / n.dot(along), m.dot(ahead) / m.dot(along)];
+            let length = (to - from).length() * (leaves - enters);
+            let (top, height_m) = match rise + fall {
+                sum if sum > 0.0 => (fall / sum, length * (rise * fall / sum).min(1.0)),
+                _ => (0.5, 0.0),
+            };
+            let share = enters + (leaves - enters) * top;
+            for (face, at) in [(one, enters), (other, leaves)] {
+                let corners = self.tangle.triangles[face as usize];
+                let weights = barycentric(from.lerp(to, at), corners.map(|v| self.at(v)));
+                let [a, b, c] = [0, 1, 2].map(|i| (corners[i], -weights[i]));
+                self.push(along, height_m, &[(edge[0], 1.0 - share), (edge[1], share), a, b, c]);
+            }
+        }
+    }
+
+    /// Pushes an edge that no region speaks for: over the nearest border of the face, else its nearer end back.
+    fn edge(&mut self, hit: &Hit) {
         let mut nearest: Option<(f64, [u32; 2], [f64; 2])> = None;
         for side in edges_of(&self.tangle.triangles[hit.face as usize]) {
-            let twin = twins.iter().any(|&face| edges_of(&self.tangle.triangles[face as usize]).contains(&side));
-            if twin || self.shape.is_border(side) {
+            if self.shape.is_border(side) {
                 let shares = closest(hit.edge.map(|v| self.at(v)), side.map(|v| self.at(v)));
                 let gap = self.along_edge(side, shares[1]).distance(self.along_edge(hit.edge, shares[0]));
                 if nearest.is_none_or(|(least, ..)| gap < least) {
@@ -149,6 +188,15 @@ impl Round<'_> {
         let along = along.unwrap_or_else(|| self.normal(hit.face) * self.order(hit));
         let ends = [(hit.edge[0], 1.0 - s), (hit.edge[1], s), (side[0], t - 1.0), (side[1], -t)];
         self.push(along, distance_m, &ends);
+    }
+
+    /// Opens two triangles that lie flat on each other at a common edge.
+    fn fold(&mut self, corners: [[u32; 3]; 2]) {
+        let alone = [0, 1].map(|t: usize| corners[t].iter().find(|v| !corners[1 - t].contains(v)).copied());
+        let shared = corners[0].iter().filter(|v| corners[1].contains(v)).count();
+        if let ([Some(one), Some(other)], 2) = (alone, shared) {
+            self.push(normal(self.positions, corners[0]), 0.0, &[(one, 1.0), (other, -1.0)]);
+        }
     }
 
     fn along_edge(&self, [a, b]: [u32; 2], share: f64) -> DVec3 {

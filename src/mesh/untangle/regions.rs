@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::super::intersect::{edge_crosses_triangle, edge_meets_face};
+use super::super::intersect::edge_crosses_triangle;
 use super::super::{Group, GroupKind};
 use crate::math::{DVec3, Vec3};
 
@@ -17,6 +17,8 @@ pub(super) struct Shape {
     pub obstacle: Vec<bool>,
     /// Edges with one triangle, ascending.
     border: Vec<[u32; 2]>,
+    /// Both ways along every edge, ascending.
+    neighbours: Vec<[u32; 2]>,
 }
 
 impl Shape {
@@ -30,7 +32,11 @@ impl Shape {
         let mut edges: Vec<[u32; 2]> = triangles.iter().flat_map(edges_of).collect();
         edges.sort_unstable();
         let border = edges.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| same[0]).collect();
-        let mut shape = Shape { piece, outward: vec![0; triangles.len()], obstacle: vec![false; triangles.len()], border };
+        edges.dedup();
+        let mut neighbours: Vec<[u32; 2]> = edges.iter().flat_map(|&[a, b]| [[a, b], [b, a]]).collect();
+        neighbours.sort_unstable();
+        let (outward, obstacle) = (vec![0; triangles.len()], vec![false; triangles.len()]);
+        let mut shape = Shape { piece, outward, obstacle, border, neighbours };
         for group in groups.iter().filter(|group| group.kind == GroupKind::Obstacle) {
             shape.obstacle[group.triangles.clone()].fill(true);
             shape.orient(positions, triangles, group.triangles.clone());
@@ -40,6 +46,12 @@ impl Shape {
 
     pub fn is_border(&self, edge: [u32; 2]) -> bool {
         self.border.binary_search(&edge).is_ok()
+    }
+
+    /// The vertices that share an edge with one, ascending.
+    pub fn neighbours(&self, vertex: u32) -> impl Iterator<Item = u32> {
+        let first = self.neighbours.partition_point(|pair| pair[0] < vertex);
+        self.neighbours[first..].iter().take_while(move |pair| pair[0] == vertex).map(|pair| pair[1])
     }
 
     /// Fills `outward` for the pieces of an obstacle that are closed and wound one way.
@@ -75,6 +87,8 @@ impl Shape {
 pub(super) struct Hit {
     /// Smaller vertex first.
     pub edge: [u32; 2],
+    /// Piece of the face.
+    pub piece: u32,
     pub face: u32,
     /// A triangle that the edge belongs to.
     pub owner: u32,
@@ -90,14 +104,14 @@ impl Hit {
 pub(super) fn hits(positions: &[Vec3], triangles: &[[u32; 3]], shape: &Shape, pairs: &[[u32; 2]]) -> Vec<Hit> {
     let mut hits = Vec::new();
     for &[s, t] in pairs {
-        let touching = shape.obstacle[s as usize] || shape.obstacle[t as usize];
         for (owner, face) in [(s, t), (t, s)] {
-            let corners = triangles[face as usize].map(|v| positions[v as usize]);
+            let [a, b, c] = triangles[face as usize].map(|v| positions[v as usize]);
+            let piece = shape.piece[triangles[face as usize][0] as usize];
             for edge in edges_of(&triangles[owner as usize]) {
                 let [p, q] = edge.map(|v| positions[v as usize]);
-                let [a, b, c] = corners;
-                if if touching { edge_crosses_triangle(p, q, a, b, c) } else { edge_meets_face(p, q, corners) } {
-                    hits.push(Hit { edge, face, owner });
+                let shares = edge.iter().any(|v| triangles[face as usize].contains(v));
+                if !shares && edge_crosses_triangle(p, q, a, b, c) {
+                    hits.push(Hit { edge, piece, face, owner });
                 }
             }
         }
@@ -116,9 +130,18 @@ pub(super) struct Region {
     pub obstacle: bool,
 }
 
+/// Runs of hits of one edge and one piece; where the faces are odd in number, the ends of the edge are on different sides.
+pub(super) fn through(hits: &[Hit]) -> impl Iterator<Item = (&[Hit], bool)> {
+    hits.chunk_by(|a, b| (a.edge, a.piece) == (b.edge, b.piece)).map(|run| {
+        let faces = run.chunk_by(|a, b| a.face == b.face).count();
+        (run, faces % 2 == 1)
+    })
+}
+
 /// The regions, in the order in which they should be looked at, and a number for the part that every vertex is in.
 pub(super) fn regions(positions: &[Vec3], triangles: &[[u32; 3]], shape: &Shape, hits: &[Hit]) -> (Vec<Region>, Vec<u32>) {
-    let mut cut: Vec<[u32; 2]> = hits.iter().map(|hit| hit.edge).collect();
+    let odd = || through(hits).filter(|(_, odd)| *odd).map(|(run, _)| run);
+    let mut cut: Vec<[u32; 2]> = odd().map(|run| run[0].edge).collect();
     cut.dedup();
     let mut sets = Sets::new(positions.len());
     // Few pieces are cut, and of those few edges.
@@ -137,7 +160,7 @@ pub(super) fn regions(positions: &[Vec3], triangles: &[[u32; 3]], shape: &Shape,
     part.iter().for_each(|&root| size[root as usize] += 1);
 
     let mut found: BTreeMap<u32, Region> = BTreeMap::new();
-    for hit in hits {
+    for hit in odd().flatten() {
         let [a, b] = hit.edge;
         let [of_a, of_b] = hit.edge.map(|v| part[v as usize]);
         if of_a == of_b {
