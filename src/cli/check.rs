@@ -31,9 +31,17 @@ pub struct CheckArgs {
 /// Exit code 2 and one sentence if the file cannot be used.
 pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let is_scene = match extension.as_str() {
+        "obj" | "ply" => false,
+        "json" => !is_fabric(&args.file),
+        _ => true,
+    };
+    if let (false, Some(_)) = (is_scene, &args.untangle) {
+        return Err(CliError::bad_input("--untangle needs a scene: name the mesh in one (docs/scene.md)"));
+    }
     let summary = match extension.as_str() {
         "obj" | "ply" => mesh_summary(&args.file)?,
-        "json" if is_fabric(&args.file) => {
+        "json" if !is_scene => {
             let fabric = load_fabric(&args.file).map_err(CliError::bad_input)?;
             format!("fabric {}: valid\n  density     {} kg/m^2\n", fabric.name, fabric.density_kg_m2)
         }

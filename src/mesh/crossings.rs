@@ -344,7 +344,9 @@ mod tests {
             let mut expected = Vec::new();
             for s in 0..98 {
                 expected.extend(
-                    (98..196).filter(|&t| triangles_meet([s, t].map(|t| mesh.triangles[t]), [corners(s), corners(t)])).map(|t| [s as u32, t as u32]),
+                    (98..196)
+                        .filter(|&t| triangles_meet([s, t].map(|t| mesh.triangles[t]), [corners(s), corners(t)]))
+                        .map(|t| [s as u32, t as u32]),
                 );
             }
             assert_eq!(expected.is_empty(), lift == 0.5);

@@ -308,7 +308,7 @@ impl Report {
     pub fn save(&self, path: &Path) -> Result<(), WriteError> {
         write_atomically(path, |out| {
             let header = serde_json::to_string_pretty(&self.header)?;
-            out.write_all(header.trim_end_matches(['}', '\n']).as_bytes())?;
+            out.write_all(header.strip_suffix("\n}").unwrap_or(&header).as_bytes())?;
             out.write_all(b",\n  \"frames\": [")?;
             write_lines(out, &self.frames)?;
             out.write_all(b"],\n  \"steps\": [")?;

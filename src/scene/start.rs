@@ -82,7 +82,9 @@ impl fmt::Display for Crossings {
             None => write!(f, "; move them apart (`{}` writes a mesh of them", self.command)?,
         }
         match &self.best {
-            Some(BestState { written: Some(file), .. }) => write!(f, ", {} the best state of the cloth)", file.display()),
+            Some(BestState { written: Some(file), .. }) => {
+                write!(f, ", {} the best state of the cloth)", file.display())
+            }
             Some(_) => write!(f, ")"),
             None if self.written.is_some() => write!(f, "), or let `--untangle` try"),
             None => write!(f, ")"),
@@ -134,7 +136,8 @@ impl Start<'_> {
             refusal.best = Some(BestState { pairs_before: done.pairs_before, positions, triangles, written: None });
             return Err(refusal);
         }
-        let ways = merged.mesh.positions.iter().zip(&done.positions).map(|(from, to)| from.as_dvec3().distance(to.as_dvec3()));
+        let ways =
+            merged.mesh.positions.iter().zip(&done.positions).map(|(from, to)| from.as_dvec3().distance(to.as_dvec3()));
         state.untangled = Some(Untangling {
             pairs: done.pairs_before,
             rounds: done.rounds,
@@ -151,13 +154,19 @@ impl Start<'_> {
         let all = Obstacles::new(self.obstacles);
         let mut values = Vec::new();
         all.positions_at(0.0, &mut values);
-        let mut surface =
-            Surface { positions: positions.clone(), triangles: triangles.clone(), groups: Vec::new(), names: Vec::new() };
+        let mut surface = Surface {
+            positions: positions.clone(),
+            triangles: triangles.clone(),
+            groups: Vec::new(),
+            names: Vec::new(),
+        };
         surface.positions.extend_from_slice(bytemuck::cast_slice(&values));
         surface.triangles.extend(all.triangles().iter().map(|corners| corners.map(|v| v + positions.len() as u32)));
         for (cloth, &flat) in merged.cloths.iter().zip(self.flat) {
             let kind = if flat { GroupKind::FlatCloth } else { GroupKind::Cloth };
-            surface.groups.push(Group { triangles: cloth.triangles.start as usize..cloth.triangles.end as usize, kind });
+            surface
+                .groups
+                .push(Group { triangles: cloth.triangles.start as usize..cloth.triangles.end as usize, kind });
             surface.names.push(format!("`{}`", cloth.name));
         }
         let mut first = triangles.len();

@@ -74,7 +74,9 @@ impl Tangle<'_> {
             self.smooth(positions, &mut now, &shape, &left);
             left = crossings(&now, self.triangles, &groups);
             // Lists that are full say nothing about progress.
-            if left.len() < best.left.len() || (left.len() == best.left.len() && left.len() >= super::crossings::MOST_PAIRS) {
+            if left.len() < best.left.len()
+                || (left.len() == best.left.len() && left.len() >= super::crossings::MOST_PAIRS)
+            {
                 (best.positions, best.left, best.rounds) = (now.clone(), left.clone(), round);
             }
             if best.left.is_empty() || round - best.rounds >= PATIENCE || moves.iter().all(|by| *by == DVec3::ZERO) {

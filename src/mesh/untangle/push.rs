@@ -136,7 +136,9 @@ impl Round<'_> {
             let [low, high] = [from, to].map(|p| normal.dot(p - corner));
             if low == high {
                 // In the plane of a face there is neither in nor out.
-                edge.iter().for_each(|&v| drop(self.end(&same[0], v)));
+                for v in edge {
+                    self.end(&same[0], v);
+                }
                 return;
             }
             faces.push(((low / (low - high)).clamp(0.0, 1.0), same[0].face));

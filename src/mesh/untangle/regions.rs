@@ -139,7 +139,12 @@ pub(super) fn through(hits: &[Hit]) -> impl Iterator<Item = (&[Hit], bool)> {
 }
 
 /// The regions, in the order in which they should be looked at, and a number for the part that every vertex is in.
-pub(super) fn regions(positions: &[Vec3], triangles: &[[u32; 3]], shape: &Shape, hits: &[Hit]) -> (Vec<Region>, Vec<u32>) {
+pub(super) fn regions(
+    positions: &[Vec3],
+    triangles: &[[u32; 3]],
+    shape: &Shape,
+    hits: &[Hit],
+) -> (Vec<Region>, Vec<u32>) {
     let odd = || through(hits).filter(|(_, odd)| *odd).map(|(run, _)| run);
     let mut cut: Vec<[u32; 2]> = odd().map(|run| run[0].edge).collect();
     cut.dedup();

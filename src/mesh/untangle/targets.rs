@@ -42,11 +42,8 @@ impl<'a> Targets<'a> {
     ) -> Targets<'a> {
         let (u, v) = along.any_orthonormal_pair();
         let own = part[region.vertices[0] as usize];
-        let mut pieces: Vec<u32> = region
-            .cuts
-            .iter()
-            .map(|(hit, _)| shape.piece[tangle.triangles[hit.face as usize][0] as usize])
-            .collect();
+        let mut pieces: Vec<u32> =
+            region.cuts.iter().map(|(hit, _)| shape.piece[tangle.triangles[hit.face as usize][0] as usize]).collect();
         pieces.sort_unstable();
         pieces.dedup();
         let flat = |p: DVec3| DVec2::new(u.dot(p), v.dot(p));
@@ -65,8 +62,18 @@ impl<'a> Targets<'a> {
         }
         let side = ((near.len() as f64).sqrt() as usize).clamp(1, SIDE_MOST);
         let cell = ((high - low) / side as f64).max(DVec2::splat(f64::MIN_POSITIVE));
-        let mut targets =
-            Targets { positions, tangle, shape, along, across: [u, v], low, cell, side, start: vec![0], list: Vec::new() };
+        let mut targets = Targets {
+            positions,
+            tangle,
+            shape,
+            along,
+            across: [u, v],
+            low,
+            cell,
+            side,
+            start: vec![0],
+            list: Vec::new(),
+        };
         let mut entries: Vec<(u32, u32)> = Vec::new();
         for (t, a, b) in near {
             let [from, to] = [targets.cell_of(a), targets.cell_of(b)];
@@ -125,4 +132,3 @@ impl<'a> Targets<'a> {
         (distance_m >= 0.0 && weights.iter().all(|&w| w >= -1e-9)).then_some((distance_m, weights, rate > 0.0))
     }
 }
-
