@@ -25,7 +25,7 @@ fn test_data(folder: &str) -> Option<PathBuf> {
 /// What `loomtree check` prints, or its sentence.
 fn checked(path: &Path) -> Result<String, String> {
     let mut out = Vec::new();
-    match check(&CheckArgs { file: path.into(), resolution: None, write_crossings: None }, &mut out) {
+    match check(&CheckArgs { file: path.into(), resolution: None, write_crossings: None, untangle: None }, &mut out) {
         Ok(()) => Ok(String::from_utf8(out).expect("a summary is text")),
         Err(error) => {
             assert_eq!((error.exit_code, error.message.lines().count()), (2, 1), "{}", error.message);

@@ -4,9 +4,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::mesh::{MaterialSource, TriangleMesh, first_intersection, hinges, read_mesh};
-use crate::scene::{Movement, Overrides, Scene, SceneError, load, load_fabric};
+use crate::scene::{Movement, Overrides, Scene, load, load_fabric, load_untangled};
 
 use super::CliError;
+use super::start_state::{Places, untangled_line, write_mesh};
 
 /// Arguments of `loomtree check`.
 #[derive(Debug, clap::Args)]
@@ -19,6 +20,9 @@ pub struct CheckArgs {
     /// Where to write the triangles that cross or touch at the start, if there are any (.obj)
     #[arg(long, value_name = "FILE")]
     pub write_crossings: Option<PathBuf>,
+    /// Untangle a start state that crosses, and write where the cloth then is, or how far it went (.obj)
+    #[arg(long, value_name = "FILE")]
+    pub untangle: Option<PathBuf>,
 }
 
 /// Prints a summary of the file to `out`.
@@ -27,17 +31,38 @@ pub struct CheckArgs {
 /// Exit code 2 and one sentence if the file cannot be used.
 pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let is_scene = match extension.as_str() {
+        "obj" | "ply" => false,
+        "json" => !is_fabric(&args.file),
+        _ => true,
+    };
+    if let (false, Some(_)) = (is_scene, &args.untangle) {
+        return Err(CliError::bad_input("--untangle needs a scene: name the mesh in one (docs/scene.md)"));
+    }
     let summary = match extension.as_str() {
         "obj" | "ply" => mesh_summary(&args.file)?,
-        "json" if is_fabric(&args.file) => {
+        "json" if !is_scene => {
             let fabric = load_fabric(&args.file).map_err(CliError::bad_input)?;
             format!("fabric {}: valid\n  density     {} kg/m^2\n", fabric.name, fabric.density_kg_m2)
         }
         _ => {
             let overrides = Overrides { resolution: args.resolution, frames: None };
-            match load(&args.file, &overrides) {
-                Ok(scene) => scene_summary(&scene),
-                Err(error) => return Err(refusal(&error, args.write_crossings.as_deref())),
+            let places = Places { crossings: args.write_crossings.clone(), best: args.untangle.clone() };
+            let refuse = |mut error| CliError::bad_input(places.refuse(&mut error));
+            match &args.untangle {
+                None => scene_summary(&load(&args.file, &overrides).map_err(refuse)?),
+                Some(file) => {
+                    let (scene, done) = load_untangled(&args.file, &overrides).map_err(refuse)?;
+                    let did = match &done {
+                        Some(done) => {
+                            let TriangleMesh { positions, triangles, .. } = &scene.mesh;
+                            write_mesh(file, positions, triangles).map_err(CliError::failed)?;
+                            format!("{}; written to {}", untangled_line(done), file.display())
+                        }
+                        None => "nothing to untangle".to_owned(),
+                    };
+                    format!("{}  start       {did}\n", scene_summary(&scene))
+                }
             }
         }
     };
@@ -47,24 +72,6 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
             Err(CliError::failed(format!("cannot write the summary: {error}")))
         }
         _ => Ok(()),
-    }
-}
-
-/// The refusal of a scene; with a file named, the triangles that cross are written there.
-fn refusal(error: &SceneError, file: Option<&Path>) -> CliError {
-    let (SceneError::Crossing { crossings, .. }, Some(file)) = (error, file) else { return CliError::bad_input(error) };
-    let write = |out: &mut std::io::BufWriter<std::fs::File>| -> std::io::Result<()> {
-        for p in &crossings.positions {
-            writeln!(out, "v {} {} {}", p.x, p.y, p.z)?;
-        }
-        for t in crossings.triangles() {
-            writeln!(out, "f {} {} {}", t[0] + 1, t[1] + 1, t[2] + 1)?;
-        }
-        out.flush()
-    };
-    match std::fs::File::create(file).and_then(|out| write(&mut std::io::BufWriter::new(out))) {
-        Ok(()) => CliError::bad_input(format!("{error}; {} has been written", file.display())),
-        Err(fault) => CliError::bad_input(format!("{error}; cannot write {}: {fault}", file.display())),
     }
 }
 

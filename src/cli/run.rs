@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering;
 use clap::ValueEnum;
 
 use super::CliError;
-use crate::coordinator::{Launch, RunError, RunOptions, RunPlaces, RunPlan, STOP_REQUESTED};
+use super::start_state::{Places, untangled_line};
+use crate::coordinator::{Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan, STOP_REQUESTED};
 use crate::interconnect::ScheduleKind;
 use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest, parse_formats};
 use crate::protocol::ExecutorChoice;
@@ -43,6 +44,9 @@ pub struct RunArgs {
     /// Run directory [default: out/<scene>]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Untangle a start state that crosses, as far as it goes, instead of refusing it
+    #[arg(long)]
+    pub untangle: bool,
     /// What a matrix-vector product exchanges: halo = only the rows that are read, full = whole sub-vectors (P-Cloth)
     #[arg(long, value_enum)]
     pub exchange: Option<ExchangeArg>,
@@ -179,6 +183,7 @@ impl RunArgs {
         base.threads = self.threads.map(usize::from).or(base.threads);
         base.frames = self.frames.or(base.frames);
         base.resolution = self.resolution.or(base.resolution);
+        base.untangle |= self.untangle;
         base.exchange = self.exchange.map_or(base.exchange, Into::into);
         base.schedule = self.schedule.unwrap_or(base.schedule);
         base.memory_limit_bytes = self.memory_limit.or(base.memory_limit_bytes);
@@ -201,6 +206,7 @@ pub fn defaults() -> RunOptions {
         threads: None,
         frames: None,
         resolution: None,
+        untangle: false,
         exchange: ExchangeMode::Halo,
         schedule: ScheduleKind::Auto,
         memory_limit_bytes: None,
@@ -216,7 +222,13 @@ pub fn defaults() -> RunOptions {
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     let (places, options) = resolve(&args)?;
     stop_on_ctrl_c()?;
-    let plan = RunPlan::new(&places.scene, &options).map_err(CliError::bad_input)?;
+    let plan = RunPlan::new(&places.scene, &options).map_err(|error| match error {
+        PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
+        other => CliError::bad_input(other),
+    })?;
+    if let Some(done) = &plan.untangled {
+        eprintln!("{}", untangled_line(done));
+    }
     for line in &plan.scene.left_out {
         eprintln!("left out: {line}");
     }

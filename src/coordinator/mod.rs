@@ -87,7 +87,7 @@ struct State {
 
 /// Runs a plan to its end.
 pub fn run(
-    mut plan: RunPlan,
+    plan: RunPlan,
     options: &RunOptions,
     places: &RunPlaces,
     launch: &Launch,
@@ -98,15 +98,12 @@ pub fn run(
         RecordError::BadInput(text) => RunError::BadInput(text),
         RecordError::Write(text) => RunError::Failed(text),
     })?;
-    let first_step = match &resumed {
-        Some(checkpoint) => {
-            plan.scene.mesh.positions.clone_from(&checkpoint.positions);
-            plan.scene.velocities.clone_from(&checkpoint.velocities);
-            checkpoint.step as u32
-        }
-        None => 0,
+    // Order of the vertices and places of the pins are those of the start, whatever state the run goes on from.
+    let (first_step, positions, velocities) = match &resumed {
+        Some(checkpoint) => (checkpoint.step as u32, &checkpoint.positions, &checkpoint.velocities),
+        None => (0, &plan.scene.mesh.positions, &plan.scene.velocities),
     };
-    let state = State { positions: plan.scene.mesh.positions.clone(), velocities: plan.scene.velocities.clone() };
+    let state = State { positions: positions.clone(), velocities: velocities.clone() };
     let mut crew = Crew::assemble(options.workers, launch, options.heartbeat()).map_err(failed)?;
     let mut driver = Driver {
         plan: &plan,
@@ -280,7 +277,8 @@ impl Driver<'_> {
 
     /// Sends every worker its part and waits until all are connected.
     fn set_up(&mut self, crew: &mut Crew) -> Result<Vec<WorkerReady>, DriveError> {
-        let model = self.plan.model();
+        let mut model = self.plan.model();
+        model.set_state(&self.state.positions, &self.state.velocities);
         let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
         let ranks = self.plan.partition.ranks();
         let setup = WorkerSetup {

@@ -12,7 +12,7 @@ use crate::model::GlobalModel;
 use crate::output::FrameFormat;
 use crate::partition::RowPartition;
 use crate::protocol::ExecutorChoice;
-use crate::scene::{Overrides, PreconditionerKind, Scene, SceneError};
+use crate::scene::{Overrides, PreconditionerKind, Scene, SceneError, Untangling, load, load_untangled};
 use crate::solver::ExchangeMode;
 use crate::transport::RANKS_MAX;
 
@@ -38,6 +38,9 @@ pub struct RunOptions {
     /// Triangles of procedural sheets; none: the scene's.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub resolution: Option<u64>,
+    /// Untangle a start state that crosses instead of refusing it.
+    #[serde(default)]
+    pub untangle: bool,
     /// What SpMV exchanges.
     pub exchange: ExchangeMode,
     /// How transfers are scheduled.
@@ -123,6 +126,8 @@ pub enum PlanError {
 pub struct RunPlan {
     /// The scene.
     pub scene: Scene,
+    /// What untangling the start state took, if it was asked for and needed.
+    pub untangled: Option<Untangling>,
     /// Rows and ranks.
     pub partition: RowPartition,
     /// Work queues and how they were chosen.
@@ -135,7 +140,11 @@ impl RunPlan {
     /// Reads and checks everything.
     pub fn new(scene_path: &Path, options: &RunOptions) -> Result<RunPlan, PlanError> {
         let overrides = Overrides { resolution: options.resolution, frames: options.frames };
-        RunPlan::of_scene(crate::scene::load(scene_path, &overrides)?, options)
+        if !options.untangle {
+            return RunPlan::of_scene(load(scene_path, &overrides)?, options);
+        }
+        let (scene, untangled) = load_untangled(scene_path, &overrides)?;
+        Ok(RunPlan { untangled, ..RunPlan::of_scene(scene, options)? })
     }
 
     /// As [`RunPlan::new`] for a scene that has been read.
@@ -160,7 +169,7 @@ impl RunPlan {
         let partition = RowPartition::new(rows, workers);
         let (transfers, topology) =
             plan_transfers(options.topology.as_deref(), options.schedule, workers, partition.sub_vector_rows())?;
-        Ok(RunPlan { scene, partition, transfers, topology })
+        Ok(RunPlan { scene, untangled: None, partition, transfers, topology })
     }
 
     /// The model in global order.

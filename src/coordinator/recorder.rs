@@ -118,6 +118,7 @@ impl Recorder {
             step_s: scene.settings.step_s,
             steps_per_frame: scene.settings.steps_per_frame,
             frames_wanted: scene.settings.frames,
+            untangled: plan.untangled,
             ..ReportHeader::now()
         };
         header.set_gravity(scene.settings.gravity_m_s2.to_array().map(f64::from));

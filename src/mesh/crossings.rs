@@ -1,7 +1,8 @@
 //! Start-state check: which pairs of triangles of a scene cross or touch? Exact for the f32 coordinates it is given.
 //!
-//! Looks at the geometry only: two layers closer than the thickness of the cloth are not its business, and triangles
-//! folded flat onto each other along a shared edge are not found.
+//! Touching is what the continuous collision test of a step takes for touching: vertices of different numbers at one place
+//! (an unwelded seam) and triangles folded flat onto each other at a common edge, too. Two layers closer than the
+//! thickness of the cloth are not its business.
 
 use std::ops::Range;
 
@@ -9,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::math::Vec3;
 
-use super::intersect::{edge_crosses_triangle, edge_meets_face};
+use super::intersect::{edge_crosses_triangle, in_one_plane};
 use super::{TriangleMesh, locality_order};
 
 /// Triangles of a leaf of a tree.
@@ -17,7 +18,7 @@ const LEAF: usize = 4;
 /// Times the work is split before it is given to threads.
 const ROUNDS: usize = 8;
 /// Pairs that are listed; two sheets laid onto each other would have millions.
-const MOST_PAIRS: usize = 10_000;
+pub(super) const MOST_PAIRS: usize = 10_000;
 
 /// Triangles that belong together, and what they need not be tested against.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,8 +42,7 @@ pub enum GroupKind {
 
 /// The pairs of triangles that share a point, each ascending, all in ascending order; at most 10,000 of them.
 ///
-/// Cloth triangles that share a vertex there, be it by number or by place (an unwelded seam), do not count. Touching an
-/// obstacle always counts.
+/// The vertices that two triangles have in common do not count.
 pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -> Vec<[u32; 2]> {
     let search = Search { positions, triangles };
     let boxes: Vec<Bounds> = groups.iter().map(|group| search.bounds(group.triangles.clone())).collect();
@@ -50,7 +50,7 @@ pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -
     for (i, one) in groups.iter().enumerate() {
         if one.kind == GroupKind::Cloth {
             let tree = search.tree(one.triangles.clone().map(|t| t as u32).collect());
-            found.extend(search.pairs(&tree, &tree, false));
+            found.extend(search.pairs(&tree, &tree));
         }
         for (j, other) in groups.iter().enumerate().skip(i + 1) {
             if one.kind == GroupKind::Obstacle && other.kind == GroupKind::Obstacle {
@@ -60,9 +60,8 @@ pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -
             let shared = boxes[i].shared(&boxes[j]);
             let parts = [one, other].map(|group| search.inside(group.triangles.clone(), &shared));
             if parts.iter().all(|part| !part.is_empty()) {
-                let touching = one.kind == GroupKind::Obstacle || other.kind == GroupKind::Obstacle;
                 let [one, other] = parts.map(|part| search.tree(part));
-                found.extend(search.pairs(&one, &other, touching));
+                found.extend(search.pairs(&one, &other));
             }
         }
     }
@@ -71,7 +70,7 @@ pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -
     found
 }
 
-/// The first pair of triangles that share a point without sharing the vertex there, of a mesh alone.
+/// The first pair of triangles that share a point other than their common vertices, of a mesh alone.
 pub fn first_intersection(mesh: &TriangleMesh) -> Option<[u32; 2]> {
     let whole = Group { triangles: 0..mesh.triangles.len(), kind: GroupKind::Cloth };
     crossings(&mesh.positions, &mesh.triangles, &[whole]).first().copied()
@@ -152,7 +151,7 @@ impl Search<'_> {
     }
 
     /// Pairs of one triangle of each tree, or of two of one tree, which is then given twice.
-    fn pairs(&self, one: &Tree, other: &Tree, touching: bool) -> Vec<[u32; 2]> {
+    fn pairs(&self, one: &Tree, other: &Tree) -> Vec<[u32; 2]> {
         // Split a few times, then every part on its own: what is found does not depend on who finds it.
         let mut parts = vec![(one.nodes.len() - 1, other.nodes.len() - 1)];
         for _ in 0..ROUNDS {
@@ -164,7 +163,7 @@ impl Search<'_> {
             while let Some(pair) = open.pop().filter(|_| found.len() < MOST_PAIRS) {
                 match split(one, other, pair) {
                     Some(parts) => open.extend(parts.into_iter().flatten()),
-                    None => self.leaves(one, other, pair, touching, &mut found),
+                    None => self.leaves(one, other, pair, &mut found),
                 }
             }
             found
@@ -173,22 +172,21 @@ impl Search<'_> {
     }
 
     /// Tests the triangles of two leaves.
-    fn leaves(&self, one: &Tree, other: &Tree, (a, b): (usize, usize), touching: bool, found: &mut Vec<[u32; 2]>) {
+    fn leaves(&self, one: &Tree, other: &Tree, (a, b): (usize, usize), found: &mut Vec<[u32; 2]>) {
         let (left, right) = (&one.nodes[a], &other.nodes[b]);
         let itself = std::ptr::eq(left, right);
         for s in left.start..left.start + left.len {
             for t in if itself { s + 1 } else { right.start }..right.start + right.len {
                 if one.boxes[s].overlaps(&other.boxes[t]) {
-                    self.test(one.order[s], other.order[t], touching, found);
+                    self.test(one.order[s], other.order[t], found);
                 }
             }
         }
     }
 
-    fn test(&self, s: u32, t: u32, touching: bool, found: &mut Vec<[u32; 2]>) {
+    fn test(&self, s: u32, t: u32, found: &mut Vec<[u32; 2]>) {
         let pair = [s.min(t), s.max(t)];
-        let [a, b] = pair.map(|t| self.corners(t));
-        if if touching { triangles_touch(a, b) } else { triangles_meet(a, b) } {
+        if triangles_meet(pair.map(|t| self.triangles[t as usize]), pair.map(|t| self.corners(t))) {
             found.push(pair);
         }
     }
@@ -224,42 +222,53 @@ fn build(boxes: &[Bounds], start: usize, nodes: &mut Vec<Node>) -> usize {
     nodes.len() - 1
 }
 
-/// Do the closed triangles share a point where they do not share a corner?
-fn triangles_meet(a: [Vec3; 3], b: [Vec3; 3]) -> bool {
-    let shared = a.iter().filter(|corner| b.contains(corner)).count();
-    // With two shared corners every edge of one begins at a corner of the other.
-    if shared >= 2 || on_one_side(a, b) || on_one_side(b, a) {
-        return false;
+/// Do the closed triangles share a point besides the vertices that they have in common? `corners` = vertex numbers.
+fn triangles_meet(corners: [[u32; 3]; 2], [a, b]: [[Vec3; 3]; 2]) -> bool {
+    let shared = corners[0].iter().filter(|v| corners[1].contains(v)).count();
+    if shared == 2 {
+        return folded_flat(corners, [a, b]);
     }
-    let meets = |edges: [Vec3; 3], face: [Vec3; 3]| (0..3).any(|i| edge_meets_face(edges[i], edges[(i + 1) % 3], face));
-    meets(a, b) || meets(b, a)
+    let [in_a, in_b] = [[0, 1], [1, 0]].map(|[i, j]: [usize; 2]| corners[i].map(|v| corners[j].contains(&v)));
+    if shared == 3 || on_one_side(a, b, in_b) || on_one_side(b, a, in_a) {
+        return shared == 3;
+    }
+    // An edge that begins at a common vertex meets the other triangle there; what else it meets, the opposite edge of one
+    // of the two meets as well.
+    let meets = |edges: [Vec3; 3], known: [bool; 3], [a, b, c]: [Vec3; 3]| {
+        let free = (0..3).map(|i| (i, (i + 1) % 3)).filter(|&(i, j)| !known[i] && !known[j]);
+        free.into_iter().any(|(i, j)| edge_crosses_triangle(edges[i], edges[j], a, b, c))
+    };
+    meets(a, in_a, b) || meets(b, in_b, a)
 }
 
-/// Do the closed triangles share a point?
-fn triangles_touch(a: [Vec3; 3], b: [Vec3; 3]) -> bool {
-    let meets = |edges: [Vec3; 3], [a, b, c]: [Vec3; 3]| {
-        (0..3).any(|i| edge_crosses_triangle(edges[i], edges[(i + 1) % 3], a, b, c))
-    };
-    meets(a, b) || meets(b, a)
+/// Do two triangles with a common edge lie in one plane, on the same side of the edge?
+fn folded_flat(corners: [[u32; 3]; 2], positions: [[Vec3; 3]; 2]) -> bool {
+    let edge: Vec<Vec3> = (0..3).filter(|&i| corners[1].contains(&corners[0][i])).map(|i| positions[0][i]).collect();
+    let opposite = [0, 1].map(|t: usize| {
+        let alone = (0..3).find(|&i| !corners[1 - t].contains(&corners[t][i]));
+        alone.map_or(edge[0], |i| positions[t][i])
+    });
+    let along = edge[1].as_dvec3() - edge[0].as_dvec3();
+    let [c, d] = opposite.map(|p| p.as_dvec3() - edge[0].as_dvec3());
+    // Twice the areas as vectors: opposed where the triangles lie flat beside each other.
+    along.cross(c).dot(along.cross(d)) > 0.0 && in_one_plane(edge[0], edge[1], opposite[0], opposite[1])
 }
 
 /// Do all corners of `other` but those shared lie on one side of the plane of `face`, by more than rounding? Then the
 /// triangles have at most the shared corners in common.
-fn on_one_side(face: [Vec3; 3], other: [Vec3; 3]) -> bool {
+fn on_one_side(face: [Vec3; 3], other: [Vec3; 3], shared: [bool; 3]) -> bool {
     /// Generous against a few dozen roundings, each of relative size 2^-53.
     const ROUNDING: f64 = 1e-14;
     let origin = face[0].as_dvec3();
     let [u, v] = [face[1].as_dvec3() - origin, face[2].as_dvec3() - origin];
     let normal = u.cross(v);
     let (mut above, mut below) = (true, true);
-    for corner in other {
-        if !face.contains(&corner) {
-            let offset = corner.as_dvec3() - origin;
-            let margin = ROUNDING * u.length() * v.length() * offset.length();
-            let side = normal.dot(offset);
-            above &= side > margin;
-            below &= side < -margin;
-        }
+    for (corner, _) in other.iter().zip(shared).filter(|(_, shared)| !shared) {
+        let offset = corner.as_dvec3() - origin;
+        let margin = ROUNDING * u.length() * v.length() * offset.length();
+        let side = normal.dot(offset);
+        above &= side > margin;
+        below &= side < -margin;
     }
     above || below
 }
@@ -271,9 +280,17 @@ mod tests {
     const FLOOR: [Vec3; 3] = [Vec3::ZERO, Vec3::new(4.0, 0.0, 0.0), Vec3::new(0.0, 4.0, 0.0)];
 
     fn meets(other: [[f32; 3]; 3]) -> bool {
-        let other = other.map(Vec3::from);
-        assert_eq!(triangles_meet(FLOOR, other), triangles_meet(other, FLOOR));
-        triangles_meet(FLOOR, other)
+        numbered([3, 4, 5], other)
+    }
+
+    /// `corners` = numbers of the other triangle's vertices; those of the floor are 0, 1, 2.
+    fn numbered(corners: [u32; 3], other: [[f32; 3]; 3]) -> bool {
+        let (floor, other) = ([0, 1, 2], other.map(Vec3::from));
+        let found = triangles_meet([floor, corners], [FLOOR, other]);
+        assert_eq!(triangles_meet([corners, floor], [other, FLOOR]), found);
+        let turned = [corners[1], corners[2], corners[0]];
+        assert_eq!(triangles_meet([floor, turned], [FLOOR, [other[1], other[2], other[0]]]), found);
+        found
     }
 
     #[test]
@@ -283,8 +300,11 @@ mod tests {
         assert!(meets([[1., 1., 0.], [1., 2., 1.], [2., 1., 1.]]), "a corner on the inside");
         assert!(!meets([[1., 1., 1e-30], [1., 2., 1.], [2., 1., 1.]]), "a corner just above");
         assert!(!meets([[3., 3., -1.], [3., 3., 1.], [9., 9., 0.5]]), "beside");
-        assert!(!meets([[0., 0., 0.], [1., -1., 1.], [1., -2., 1.]]), "the same corner");
-        assert!(meets([[0., 0., 0.], [1., 1., 1.], [1., 1., -1.]]), "the same corner, but through");
+        assert!(meets([[0., 0., 0.], [1., -1., 1.], [1., -2., 1.]]), "two vertices at one place");
+        assert!(!numbered([0, 3, 4], [[0., 0., 0.], [1., -1., 1.], [1., -2., 1.]]), "the same vertex");
+        assert!(numbered([0, 3, 4], [[0., 0., 0.], [1., 1., 1.], [1., 1., -1.]]), "the same vertex, but through");
+        assert!(numbered([0, 3, 4], [[0., 0., 0.], [1., 0., 0.], [1., -1., 1.]]), "the same vertex, along an edge");
+        assert!(numbered([0, 3, 4], [[0., 0., 0.], [9., 0., 0.], [1., -1., 1.]]), "the same vertex, all along an edge");
     }
 
     #[test]
@@ -292,16 +312,12 @@ mod tests {
         assert!(meets([[1., 1., 0.], [1., 9., 0.], [9., 1., 0.]]), "overlapping");
         assert!(meets([[1., 1., 0.], [1., 2., 0.], [2., 1., 0.]]), "inside");
         assert!(meets([[-9., -9., 0.], [30., -9., 0.], [-9., 30., 0.]]), "around");
-        assert!(!meets([[4., 0., 0.], [4., 4., 0.], [0., 4., 0.]]), "sharing an unwelded edge");
+        let (beside, onto) = ([[4., 0., 0.], [4., 4., 0.], [0., 4., 0.]], [[4., 0., 0.], [1., 1., 0.], [0., 4., 0.]]);
+        assert!(meets(beside), "an unwelded seam");
+        assert!(!numbered([1, 3, 2], beside) && numbered([1, 3, 2], onto), "beside at a common edge, and folded flat");
+        assert!(!numbered([1, 3, 2], onto.map(|[x, y, z]| [x, y, if x == y { 1e-30 } else { z }])), "nearly folded");
+        assert!(numbered([2, 0, 1], [[0., 4., 0.], [0., 0., 0.], [4., 0., 0.]]), "the same triangle");
         assert!(!meets([[5., 5., 0.], [5., 6., 0.], [6., 5., 0.]]), "beside");
-    }
-
-    #[test]
-    fn a_shared_corner_excuses_cloth_but_no_obstacle() {
-        let other = [[0., 0., 0.], [1., -1., 1.], [1., -2., 1.]].map(Vec3::from);
-        assert!(!triangles_meet(FLOOR, other) && triangles_touch(FLOOR, other));
-        let above = other.map(|p| p + Vec3::Z * 1e-6);
-        assert!(!triangles_touch(FLOOR, above) && !triangles_touch(above, FLOOR));
     }
 
     /// Two sheets of 7 x 7 cells; the second stands upright in or below the first.
@@ -328,7 +344,9 @@ mod tests {
             let mut expected = Vec::new();
             for s in 0..98 {
                 expected.extend(
-                    (98..196).filter(|&t| triangles_touch(corners(s), corners(t))).map(|t| [s as u32, t as u32]),
+                    (98..196)
+                        .filter(|&t| triangles_meet([s, t].map(|t| mesh.triangles[t]), [corners(s), corners(t)]))
+                        .map(|t| [s as u32, t as u32]),
                 );
             }
             assert_eq!(expected.is_empty(), lift == 0.5);

@@ -4,10 +4,9 @@ use robust::{Coord, Coord3D, orient2d, orient3d};
 
 use crate::math::Vec3;
 
-/// An edge that begins at a corner of the triangle does not count.
-pub(super) fn edge_meets_face(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
-    let [a, b, c] = face;
-    !face.contains(&p) && !face.contains(&q) && edge_crosses_triangle(p, q, a, b, c)
+/// Do four points lie in one plane? Exact, as [`edge_crosses_triangle`].
+pub(super) fn in_one_plane(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> bool {
+    orient(a, b, c, d) == 0.0
 }
 
 /// Do the closed segment pq and the closed triangle abc share a point? Exact for finite f32 coordinates whose products

@@ -11,6 +11,7 @@ mod obj;
 mod order;
 mod ply;
 pub mod shapes;
+mod untangle;
 mod validate;
 
 use std::path::{Path, PathBuf};
@@ -24,6 +25,7 @@ pub use material::{flatten_triangle, flatten_triangles};
 pub use obj::parse_obj;
 pub use order::{locality_order, ordering_coordinates};
 pub use ply::parse_ply;
+pub use untangle::{Tangle, Untangled};
 pub use validate::{MeshFault, check_obstacle, validate};
 
 /// A triangle mesh of cloth in its start state. Counter-clockwise triangles; every vertex is used by a triangle.

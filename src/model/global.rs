@@ -106,6 +106,14 @@ impl GlobalModel {
         }
     }
 
+    /// Goes on from another state than the start; positions and velocities in the mesh's order.
+    pub fn set_state(&mut self, positions: &[Vec3], velocities: &[Vec3]) {
+        for (row, &original) in self.original_from_global.iter().enumerate() {
+            self.positions[3 * row..][..3].copy_from_slice(&positions[original as usize].to_array());
+            self.velocities[3 * row..][..3].copy_from_slice(&velocities[original as usize].to_array());
+        }
+    }
+
     /// Number of vertices.
     pub fn rows(&self) -> usize {
         self.masses.len()

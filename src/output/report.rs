@@ -13,6 +13,7 @@ use thiserror::Error;
 
 use super::atomic::{WriteError, write_atomically};
 use super::machine::Machine;
+use crate::scene::Untangling;
 
 /// How a run stands.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -102,6 +103,9 @@ pub struct ReportHeader {
     pub status: Status,
     /// Where it was taken up again.
     pub resumed: Vec<Resumption>,
+    /// What untangling the start state took, where that was done.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub untangled: Option<Untangling>,
 }
 
 impl ReportHeader {
@@ -306,7 +310,7 @@ impl Report {
     pub fn save(&self, path: &Path) -> Result<(), WriteError> {
         write_atomically(path, |out| {
             let header = serde_json::to_string_pretty(&self.header)?;
-            out.write_all(header.trim_end_matches(['}', '\n']).as_bytes())?;
+            out.write_all(header.strip_suffix("\n}").unwrap_or(&header).as_bytes())?;
             out.write_all(b",\n  \"frames\": [")?;
             write_lines(out, &self.frames)?;
             out.write_all(b"],\n  \"steps\": [")?;

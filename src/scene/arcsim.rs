@@ -14,14 +14,19 @@ use crate::mesh::MaterialSource;
 
 use super::json::{Json, parse_json};
 use super::pieces::{Piece, Placement, merge, placed_mesh};
-use super::start::find_crossings;
+use super::start::{Start, StartState};
 use super::{CONTACT_STIFFNESS, Fabric, Motion, Overrides, Pin, Scene, SceneError, Settings, load_fabric, pins};
 
 /// ARCSim's limit of an endless scene is the user's patience; ours is this many seconds.
 const ENDLESS_S: f64 = 10.0;
 
 /// Reads an ARCSim scene; the files it names are looked up beside it, in the folder above and in the working directory.
-pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
+pub(super) fn parse(
+    text: &str,
+    path: &Path,
+    overrides: &Overrides,
+    start: &mut StartState,
+) -> Result<Scene, SceneError> {
     let value = parse_json(text, path)?;
     let root = Json::root(path, &value);
     if overrides.resolution.is_some() {
@@ -40,7 +45,7 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
     let mut pieces = cloths.iter().map(|cloth| piece(cloth, &mut left_out)).collect::<Result<Vec<Piece>, _>>()?;
     let mut settings = settings(&root, &mut left_out)?;
     settings.frames = overrides.frames.unwrap_or(settings.frames);
-    let merged = merge(&mut pieces, settings.friction)
+    let mut merged = merge(&mut pieces, settings.friction)
         .map_err(|what| root.required("cloths").map_or_else(|e| e, |cloths| cloths.error(what)))?;
     let motion_file = motions::MotionFile::of(&root)?;
     let obstacles = obstacles::obstacles(&root, &motion_file, &mut left_out)?;
@@ -54,12 +59,10 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
         root.error(format!("vertex {vertex} is held by two handles at the same time that move it differently"))
     })?;
     left_out.whole_scene(&root);
-    if settings.collisions {
-        let flat = vec![false; merged.cloths.len()];
-        if let Some(crossings) = find_crossings(path, None, &merged.mesh, &merged.cloths, &flat, &obstacles) {
-            return Err(SceneError::Crossing { path: path.into(), line: None, field: "cloths".into(), crossings });
-        }
-    }
+    let flat = vec![false; merged.cloths.len()];
+    Start { path, resolution: None, flat: &flat, obstacles: &obstacles, pins: &pins, settings: &settings }
+        .settle(&mut merged, start)
+        .map_err(|crossings| SceneError::Crossing { path: path.into(), line: None, field: "cloths".into(), crossings })?;
     left_out.lines.extend(pieces.into_iter().filter_map(|piece| piece.left_out));
     Ok(Scene {
         name: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),

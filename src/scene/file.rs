@@ -11,7 +11,7 @@ use super::fields::{Fields, Source, Value};
 use super::keyframes::motion;
 use super::obstacle_file::{OBSTACLE_FIELDS, obstacle};
 use super::pieces::{Piece, Placement, merge, placed_mesh};
-use super::start::find_crossings;
+use super::start::{Start, StartState};
 use super::{
     CONTACT_STIFFNESS, Fabric, Motion, Overrides, Pin, PreconditionerKind, RESOLUTIONS, Scene, SceneError, Settings,
     pins, sheet_cells,
@@ -21,7 +21,12 @@ use super::{
 const DEFAULT_RESOLUTION: u64 = 10_000;
 
 /// Reads a TOML scene; `path` is where relative file names start and what messages name.
-pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
+pub(super) fn parse(
+    text: &str,
+    path: &Path,
+    overrides: &Overrides,
+    start: &mut StartState,
+) -> Result<Scene, SceneError> {
     let source = Source { path, text };
     let document = DeTable::parse(text).map_err(|error| {
         let line =
@@ -45,7 +50,7 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
     }
     let mut settings = settings(&root)?;
     settings.frames = overrides.frames.unwrap_or(settings.frames);
-    let merged = merge(&mut pieces, settings.friction).map_err(|what| root.error_at("cloth", what))?;
+    let mut merged = merge(&mut pieces, settings.friction).map_err(|what| root.error_at("cloth", what))?;
     let mut obstacles = Vec::new();
     for (i, fields) in root.tables("obstacle", &OBSTACLE_FIELDS)?.iter().enumerate() {
         obstacles.push(obstacle(fields, i, settings.friction, path)?);
@@ -60,13 +65,10 @@ pub(super) fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Sc
         root.error_at("pin", format!("vertex {vertex} is held by two pins at the same time that move it differently"))
     })?;
 
-    if settings.collisions {
-        let flat: Vec<bool> = pieces.iter().map(|piece| piece.sheet.is_some()).collect();
-        let found = find_crossings(path, overrides.resolution, &merged.mesh, &merged.cloths, &flat, &obstacles);
-        if let Some(crossings) = found {
-            return Err(root.crossing_at("cloth", crossings));
-        }
-    }
+    let flat: Vec<bool> = pieces.iter().map(|piece| piece.sheet.is_some()).collect();
+    Start { path, resolution: overrides.resolution, flat: &flat, obstacles: &obstacles, pins: &pins, settings: &settings }
+        .settle(&mut merged, start)
+        .map_err(|crossings| root.crossing_at("cloth", crossings))?;
     Ok(Scene {
         name,
         mesh: merged.mesh,

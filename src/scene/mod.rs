@@ -25,7 +25,8 @@ pub use fabric::{load_fabric, parse_fabric};
 pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};
 pub use preconditioner::PreconditionerKind;
 pub use sheet::{Sheet, sheet_cells};
-pub use start::Crossings;
+use start::StartState;
+pub use start::{BestState, Crossings, Untangling};
 
 /// What the command line changes in a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -72,15 +73,27 @@ fn line_suffix(line: Option<usize>) -> String {
 /// Reads and checks a scene: `.toml` in the format of `docs/scene.md`, `.json` in ARCSim's.
 pub fn load(path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
     let parser = parser_of(path)?;
-    parser(&read_text(path)?, path, overrides)
+    parser(&read_text(path)?, path, overrides, &mut StartState::default())
+}
+
+/// As [`load`], but a start state that crosses is untangled where possible: then the scene starts with the positions that
+/// this led to (its rest shape stays) and the second value says what it took.
+///
+/// # Errors
+/// As [`load`]; [`SceneError::Crossing`] then holds the best state that was reached.
+pub fn load_untangled(path: &Path, overrides: &Overrides) -> Result<(Scene, Option<Untangling>), SceneError> {
+    let parser = parser_of(path)?;
+    let mut start = StartState { untangle: true, untangled: None };
+    let scene = parser(&read_text(path)?, path, overrides, &mut start)?;
+    Ok((scene, start.untangled))
 }
 
 /// [`load`] of a text that was the file `path`: files it names are looked up relative to that place.
 pub fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
-    parser_of(path)?(text, path, overrides)
+    parser_of(path)?(text, path, overrides, &mut StartState::default())
 }
 
-type Parser = fn(&str, &Path, &Overrides) -> Result<Scene, SceneError>;
+type Parser = fn(&str, &Path, &Overrides, &mut StartState) -> Result<Scene, SceneError>;
 
 fn parser_of(path: &Path) -> Result<Parser, SceneError> {
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase().as_str() {

@@ -1,12 +1,16 @@
 //! The state a scene starts in: no cloth may cross or touch itself, other cloth or an obstacle.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::math::Vec3;
-use crate::mesh::{Group, GroupKind, TriangleMesh, crossings};
+use crate::mesh::{Group, GroupKind, Tangle, TriangleMesh, crossings};
 
-use super::{Cloth, Obstacle, Obstacles};
+use super::pieces::Merged;
+use super::{Obstacle, Obstacles, Pin, Settings};
+
+/// Part of the thickness that is left between what was pushed apart: contacts then act and have room to.
+const GAP: f64 = 0.5;
 
 /// Pairs that meet, and where they are.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,18 +23,72 @@ pub struct Crossings {
     pub positions: Vec<Vec3>,
     /// The command that writes a mesh of them.
     pub command: String,
+    /// A file that holds a mesh of them, if there is one already.
+    pub written: Option<PathBuf>,
+    /// How far untangling went, if it was asked for: then all of the above is about its best state.
+    pub best: Option<BestState>,
+}
+
+/// What untangling that failed has reached.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BestState {
+    /// Pairs that met at the start.
+    pub pairs_before: usize,
+    /// Positions of the cloth, metres.
+    pub positions: Vec<Vec3>,
+    /// Triangles of the cloth.
+    pub triangles: Vec<[u32; 3]>,
+    /// A file that holds this mesh, if there is one already.
+    pub written: Option<PathBuf>,
+}
+
+/// A start state that was untangled.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Untangling {
+    /// Pairs of triangles that met before; the search ends at 10,000.
+    pub pairs: usize,
+    /// Rounds of pushing.
+    pub rounds: usize,
+    /// Vertices that were moved.
+    pub vertices_moved: usize,
+    /// Longest way that a vertex was moved, metres.
+    pub largest_m: f64,
+}
+
+/// What is to be done about crossings, and what was.
+#[derive(Debug, Default)]
+pub(super) struct StartState {
+    /// Untangle rather than refuse.
+    pub untangle: bool,
+    /// Set if there was something to untangle and it worked.
+    pub untangled: Option<Untangling>,
 }
 
 impl fmt::Display for Crossings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [one, other] = &self.first;
+        if let Some(best) = &self.best {
+            let (left, before) = (self.pairs, best.pairs_before);
+            write!(f, "untangling did not end, {left} of {before} pairs of triangles are left: ")?;
+        }
         write!(f, "{one} and {other} cross or touch at the start")?;
         match self.pairs {
             1 => {}
             2 => write!(f, ", and 1 more pair does")?,
             pairs => write!(f, ", and {} more pairs do", pairs - 1)?,
         }
-        write!(f, "; move them apart (`{}` writes a mesh of them)", self.command)
+        match &self.written {
+            Some(file) => write!(f, "; move them apart ({} holds a mesh of them", file.display())?,
+            None => write!(f, "; move them apart (`{}` writes a mesh of them", self.command)?,
+        }
+        match &self.best {
+            Some(BestState { written: Some(file), .. }) => {
+                write!(f, ", {} the best state of the cloth)", file.display())
+            }
+            Some(_) => write!(f, ")"),
+            None if self.written.is_some() => write!(f, "), or let `--untangle` try"),
+            None => write!(f, ")"),
+        }
     }
 }
 
@@ -41,59 +99,114 @@ impl Crossings {
     }
 }
 
-/// Looks for crossings at time 0. `flat` = whether each cloth is a plane sheet.
-pub(super) fn find_crossings(
-    path: &Path,
-    resolution: Option<u64>,
-    mesh: &TriangleMesh,
-    cloths: &[Cloth],
-    flat: &[bool],
-    obstacles: &[Obstacle],
-) -> Option<Box<Crossings>> {
-    let all = Obstacles::new(obstacles);
-    let mut values = Vec::new();
-    all.positions_at(0.0, &mut values);
-    let mut groups: Vec<Group> = Vec::new();
-    let mut names: Vec<&str> = Vec::new();
-    for (cloth, &flat) in cloths.iter().zip(flat) {
-        let kind = if flat { GroupKind::FlatCloth } else { GroupKind::Cloth };
-        groups.push(Group { triangles: cloth.triangles.start as usize..cloth.triangles.end as usize, kind });
-        names.push(&cloth.name);
+/// A scene at time 0, before it is one.
+pub(super) struct Start<'a> {
+    pub path: &'a Path,
+    pub resolution: Option<u64>,
+    /// Whether each cloth is a plane sheet.
+    pub flat: &'a [bool],
+    pub obstacles: &'a [Obstacle],
+    pub pins: &'a [Pin],
+    pub settings: &'a Settings,
+}
+
+impl Start<'_> {
+    /// Sees to it that nothing crosses: moves the cloth if `state` says so.
+    pub fn settle(&self, merged: &mut Merged, state: &mut StartState) -> Result<(), Box<Crossings>> {
+        if !self.settings.collisions {
+            return Ok(());
+        }
+        let surface = self.surface(merged);
+        let pairs = crossings(&surface.positions, &surface.triangles, &surface.groups);
+        if pairs.is_empty() {
+            return Ok(());
+        }
+        if !state.untangle {
+            return Err(self.refusal(&surface, &surface.positions, &pairs));
+        }
+        let cloth = merged.mesh.positions.len();
+        let mut movable = vec![true; cloth];
+        self.pins.iter().filter(|pin| pin.start_s <= 0.0).for_each(|pin| movable[pin.vertex as usize] = false);
+        movable.resize(surface.positions.len(), false);
+        let (triangles, groups, gap_m) = (&surface.triangles[..], &surface.groups[..], GAP * self.settings.thickness_m);
+        let done = Tangle { triangles, groups, movable: &movable, gap_m }.untangle(&surface.positions);
+        if !done.left.is_empty() {
+            let mut refusal = self.refusal(&surface, &done.positions, &done.left);
+            let (positions, triangles) = (done.positions[..cloth].to_vec(), merged.mesh.triangles.clone());
+            refusal.best = Some(BestState { pairs_before: done.pairs_before, positions, triangles, written: None });
+            return Err(refusal);
+        }
+        let ways =
+            merged.mesh.positions.iter().zip(&done.positions).map(|(from, to)| from.as_dvec3().distance(to.as_dvec3()));
+        state.untangled = Some(Untangling {
+            pairs: done.pairs_before,
+            rounds: done.rounds,
+            vertices_moved: ways.clone().filter(|&way| way > 0.0).count(),
+            largest_m: ways.fold(0.0, f64::max),
+        });
+        merged.mesh.positions.copy_from_slice(&done.positions[..cloth]);
+        Ok(())
     }
-    let mut first = mesh.triangles.len();
-    for obstacle in obstacles {
-        let triangles = first..first + obstacle.triangles.len();
-        first = triangles.end;
-        groups.push(Group { triangles, kind: GroupKind::Obstacle });
-        names.push(&obstacle.name);
+
+    /// Cloth and obstacles as one.
+    fn surface(&self, merged: &Merged) -> Surface {
+        let TriangleMesh { positions, triangles, .. } = &merged.mesh;
+        let all = Obstacles::new(self.obstacles);
+        let mut values = Vec::new();
+        all.positions_at(0.0, &mut values);
+        let mut surface = Surface {
+            positions: positions.clone(),
+            triangles: triangles.clone(),
+            groups: Vec::new(),
+            names: Vec::new(),
+        };
+        surface.positions.extend_from_slice(bytemuck::cast_slice(&values));
+        surface.triangles.extend(all.triangles().iter().map(|corners| corners.map(|v| v + positions.len() as u32)));
+        for (cloth, &flat) in merged.cloths.iter().zip(self.flat) {
+            let kind = if flat { GroupKind::FlatCloth } else { GroupKind::Cloth };
+            surface
+                .groups
+                .push(Group { triangles: cloth.triangles.start as usize..cloth.triangles.end as usize, kind });
+            surface.names.push(format!("`{}`", cloth.name));
+        }
+        let mut first = triangles.len();
+        for obstacle in self.obstacles {
+            let triangles = first..first + obstacle.triangles.len();
+            first = triangles.end;
+            surface.groups.push(Group { triangles, kind: GroupKind::Obstacle });
+            surface.names.push(format!("obstacle `{}`", obstacle.name));
+        }
+        surface
     }
-    // The arrays are joined for the search only where there is something to join.
-    let (mut positions, mut triangles);
-    let (positions, triangles) = if obstacles.is_empty() {
-        (&mesh.positions, &mesh.triangles)
-    } else {
-        positions = mesh.positions.clone();
-        positions.extend_from_slice(bytemuck::cast_slice(&values));
-        triangles = mesh.triangles.clone();
-        triangles.extend(all.triangles().iter().map(|corners| corners.map(|v| v + mesh.positions.len() as u32)));
-        (&positions, &triangles)
-    };
-    let pairs = crossings(positions, triangles, &groups);
-    let name_of = |t: u32| {
-        let group = groups.partition_point(|group| group.triangles.end <= t as usize);
-        let thing = if groups[group].kind == GroupKind::Obstacle { "obstacle " } else { "" };
-        format!("triangle {} of {thing}`{}`", t as usize - groups[group].triangles.start + 1, names[group])
-    };
-    let mut meeting: Vec<u32> = pairs.iter().flatten().copied().collect();
-    meeting.sort_unstable();
-    meeting.dedup();
-    let resolution = resolution.map(|triangles| format!(" --resolution {triangles}")).unwrap_or_default();
-    pairs.first().map(|pair| {
+
+    fn refusal(&self, surface: &Surface, positions: &[Vec3], pairs: &[[u32; 2]]) -> Box<Crossings> {
+        let mut meeting: Vec<u32> = pairs.iter().flatten().copied().collect();
+        meeting.sort_unstable();
+        meeting.dedup();
+        let corners = |&t: &u32| surface.triangles[t as usize].map(|v| positions[v as usize]);
+        let resolution = self.resolution.map(|triangles| format!(" --resolution {triangles}")).unwrap_or_default();
         Box::new(Crossings {
-            first: pair.map(name_of),
+            first: pairs[0].map(|t| surface.name_of(t)),
             pairs: pairs.len(),
-            positions: meeting.iter().flat_map(|&t| triangles[t as usize].map(|v| positions[v as usize])).collect(),
-            command: format!("loomtree check {}{resolution} --write-crossings crossings.obj", path.display()),
+            positions: meeting.iter().flat_map(corners).collect(),
+            command: format!("loomtree check {}{resolution} --write-crossings crossings.obj", self.path.display()),
+            written: None,
+            best: None,
         })
-    })
+    }
+}
+
+struct Surface {
+    positions: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    groups: Vec<Group>,
+    /// Of every group.
+    names: Vec<String>,
+}
+
+impl Surface {
+    fn name_of(&self, t: u32) -> String {
+        let group = self.groups.partition_point(|group| group.triangles.end <= t as usize);
+        format!("triangle {} of {}", t as usize - self.groups[group].triangles.start + 1, self.names[group])
+    }
 }

@@ -1,0 +1,73 @@
+//! What a command leaves behind when it refuses a start state: meshes of what crosses, and of the best that untangling
+//! has reached. Files appear whole or not at all.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use crate::math::Vec3;
+use crate::output::{WriteError, write_atomically};
+use crate::scene::SceneError;
+
+/// Where meshes of a refused start state go.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Places {
+    /// Of the triangles that cross.
+    pub crossings: Option<PathBuf>,
+    /// Of the cloth, as far as untangling went.
+    pub best: Option<PathBuf>,
+}
+
+impl Places {
+    /// Beside a run directory, or where that has no place yet, in the working directory.
+    pub fn beside(out: &Path) -> Places {
+        let place = |ending: &str| {
+            let mut name = out.file_name().unwrap_or("run".as_ref()).to_os_string();
+            name.push(ending);
+            let beside = out.with_file_name(&name);
+            let folder = beside.parent().filter(|folder| !folder.as_os_str().is_empty());
+            Some(if folder.is_none_or(Path::is_dir) { beside } else { PathBuf::from(name) })
+        };
+        Places { crossings: place(".crossings.obj"), best: place(".untangled.obj") }
+    }
+
+    /// The sentence of a refusal; writes the meshes if it is one of a start state.
+    pub fn refuse(&self, error: &mut SceneError) -> String {
+        let SceneError::Crossing { crossings, .. } = error else { return error.to_string() };
+        let mut faults = Vec::new();
+        if let Some(file) = &self.crossings {
+            match write_mesh(file, &crossings.positions, &crossings.triangles()) {
+                Ok(()) => crossings.written = Some(file.clone()),
+                Err(fault) => faults.push(fault.to_string()),
+            }
+        }
+        if let (Some(file), Some(best)) = (&self.best, &mut crossings.best) {
+            match write_mesh(file, &best.positions, &best.triangles) {
+                Ok(()) => best.written = Some(file.clone()),
+                Err(fault) => faults.push(fault.to_string()),
+            }
+        }
+        let faults: String = faults.iter().map(|fault| format!("; {fault}")).collect();
+        format!("{error}{faults}")
+    }
+}
+
+/// Writes an OBJ file of positions and triangles; every digit of a position is kept.
+pub(super) fn write_mesh(file: &Path, positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), WriteError> {
+    write_atomically(file, |out: &mut dyn Write| -> io::Result<()> {
+        for p in positions {
+            writeln!(out, "v {} {} {}", p.x, p.y, p.z)?;
+        }
+        for t in triangles {
+            writeln!(out, "f {} {} {}", t[0] + 1, t[1] + 1, t[2] + 1)?;
+        }
+        Ok(())
+    })
+}
+
+/// What untangling did, for the user.
+pub(super) fn untangled_line(done: &crate::scene::Untangling) -> String {
+    format!(
+        "untangled: {} pairs of triangles crossed; {} vertices moved, the farthest by {:.3e} m, in {} rounds",
+        done.pairs, done.vertices_moved, done.largest_m, done.rounds
+    )
+}
