@@ -20,6 +20,10 @@ enum Command {
     Run(cli::run::RunArgs),
     /// Show the work queues for a topology
     Schedule(cli::schedule::ScheduleArgs),
+    /// Re-time a recorded run on another machine (modelled, not measured)
+    Predict(cli::predict::PredictArgs),
+    /// Write a topology file for this machine
+    Topology(cli::topology::TopologyArgs),
     /// Check a scene or a mesh
     Check(cli::check::CheckArgs),
     /// Solve a symmetric positive definite system on N workers
@@ -42,6 +46,8 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(args) => cli::run::run(args, Launch::Spawn),
         Command::Schedule(args) => cli::schedule::run(args),
+        Command::Predict(args) => cli::predict::run(args),
+        Command::Topology(args) => cli::topology::run(args),
         Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
         Command::Solve(args) => cli::solve::run(args),
         Command::Render(args) => cli::render::run(args),

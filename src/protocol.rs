@@ -80,6 +80,8 @@ pub struct WorkerReady {
     pub epoch_unix_ns: u64,
     /// Bytes of device memory.
     pub memory_bytes: u64,
+    /// Preconditioner in use.
+    pub preconditioner: crate::scene::PreconditionerKind,
 }
 
 /// Why a worker cannot go on.

@@ -24,8 +24,11 @@ use crate::integrator::pins::{PinTargets, Pins};
 use crate::integrator::scatter::Scatter;
 use crate::interconnect::QueueNode;
 use crate::model::RankModel;
-use crate::scene::{Motion, Settings};
-use crate::solver::{ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, TrafficCounter};
+use crate::scene::{Motion, PreconditionerKind, Settings};
+use crate::solver::{
+    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz,
+    TrafficCounter,
+};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
@@ -36,6 +39,11 @@ use stats::{StageClock, peak_resident_bytes};
 
 /// Times a step may be cut in two if its end cannot be freed of penetrations otherwise.
 const HALVINGS_MAX: u32 = 4;
+/// Times a step may be cut in two because its impacts take many rounds: contact forces stop in short steps what zones have to
+/// disentangle after a long one.
+const HALVINGS_FOR_SPEED: u32 = 2;
+/// Rounds of impact zones before that.
+const ROUNDS_MOST: u32 = 5;
 
 /// How the ranks of a run exchange and who receives what when.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -77,6 +85,7 @@ pub struct Simulation {
     collisions: Option<Collisions>,
     rhs: DeviceVec<f32>,
     inverse_diagonal: DeviceVec<f32>,
+    schwarz: Option<Schwarz>,
     vectors: PcgVectors,
 
     stretch: Stretch,
@@ -123,6 +132,13 @@ impl Simulation {
                 Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s)
             })
             .transpose()?;
+        let schwarz =
+            Schwarz::wanted(settings.preconditioner, ex, &partition).map_err(SetupError::Preconditioner)?.then(|| {
+                let (offsets, block_address) = fill_tables.blocks();
+                let columns = fill_tables.local_columns(&matrix, &numbering);
+                let pattern = RankPattern { offsets, columns: &columns, block_address };
+                Schwarz::new(ex, &partition, &plan, exchange.mode, &exchange.queue, pattern)
+            });
         let simulation = Simulation {
             fabrics: DeviceVec::upload(ex, &arrays.fabrics),
             triangle_records: DeviceVec::zeros(ex, arrays.triangles.len() * TRIANGLE_RECORD_FLOATS),
@@ -143,6 +159,7 @@ impl Simulation {
             mode: exchange.mode,
             rhs: DeviceVec::zeros(ex, rows * 3),
             inverse_diagonal: DeviceVec::zeros(ex, rows * 6),
+            schwarz,
             vectors: PcgVectors::new(ex, rows, local_len),
             stretch: Stretch::new(ex),
             bend: Bend::new(ex),
@@ -203,7 +220,12 @@ impl Simulation {
         stats: &mut StepStats,
     ) -> Result<(), StepError> {
         let before = self.collisions.is_some().then(|| (self.state(), self.pins.clone()));
-        let Resolved::Squeezed(imposed) = self.solve_over(transport, span, stats)? else { return Ok(()) };
+        let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
+        let imposed = match self.solve_over(transport, span, rounds_most, stats)? {
+            Resolved::Free(_) => return Ok(()),
+            Resolved::Slow => Vec::new(),
+            Resolved::Squeezed(imposed) => imposed,
+        };
         let (Some((state, pins)), true) = (before, halvings < HALVINGS_MAX) else {
             return Err(StepError::Squeezed { step: stats.step, imposed });
         };
@@ -222,6 +244,7 @@ impl Simulation {
         &mut self,
         transport: &mut dyn Transport,
         span: Span,
+        rounds_most: u32,
         stats: &mut StepStats,
     ) -> Result<Resolved, StepError> {
         let clock = StageClock::start();
@@ -256,7 +279,7 @@ impl Simulation {
         clock.lap(&mut stats.seconds.advance);
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.
-        self.resolve_impacts(transport, span, stats)
+        self.resolve_impacts(transport, span, rounds_most, stats)
     }
 
     /// Times `repeat` products of the current matrix on a single rank: seconds of each, and the bytes that one moves.
@@ -309,6 +332,15 @@ impl Simulation {
             + self.rhs.bytes()
             + self.inverse_diagonal.bytes()
             + self.vectors.bytes()
+            + self.schwarz.as_ref().map_or(0, Schwarz::bytes)
+    }
+
+    /// The preconditioner in use.
+    pub fn preconditioner(&self) -> PreconditionerKind {
+        match self.schwarz {
+            None => PreconditionerKind::Jacobi,
+            Some(_) => PreconditionerKind::Schwarz,
+        }
     }
 
     /// Executor name, for reports.
@@ -336,9 +368,19 @@ impl Simulation {
         stats: &mut StepStats,
     ) -> Result<(), StepError> {
         let Some(collisions) = &mut self.collisions else { return Ok(()) };
-        let mut own = vec![0.0; self.own_rows * 3];
-        self.positions.read_range(&self.executor, self.own_start, &mut own);
-        let found = collisions.contacts(&self.executor, transport, &own, span, stats, &mut self.recorder)?;
+        let mut own = (vec![0.0; self.own_rows * 3], vec![0.0; self.own_rows * 3]);
+        self.positions.read_range(&self.executor, self.own_start, &mut own.0);
+        self.velocities.read_range(&self.executor, self.own_start, &mut own.1);
+        let gravity_m_s2 = self.settings.gravity_m_s2.to_array();
+        let found = collisions.contacts(
+            &self.executor,
+            transport,
+            (&own.0, &own.1),
+            gravity_m_s2,
+            span,
+            stats,
+            &mut self.recorder,
+        )?;
         let clock = StageClock::start();
         let start = self.recorder.now();
         let rows = found.plan.local_rows;
@@ -457,12 +499,19 @@ impl Simulation {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,
         };
+        let system = self.contacts.system(&self.matrix);
+        if let Some(schwarz) = &mut self.schwarz {
+            let (executor, halo, flags) = (&self.executor, self.spmv.halo(), &mut self.vectors.u);
+            let inverse = &self.inverse_diagonal;
+            schwarz.set_up(executor, transport, halo, &system, inverse, flags, &mut self.recorder)?;
+        }
         let solved = self.pcg.solve(
             &self.executor,
             transport,
             &mut self.spmv,
-            &self.contacts.system(&self.matrix),
+            &system,
             &self.inverse_diagonal,
+            self.schwarz.as_mut(),
             &self.rhs,
             &mut self.vectors,
             self.pins_move,
@@ -498,12 +547,13 @@ impl Simulation {
         &mut self,
         transport: &mut dyn Transport,
         span: Span,
+        rounds_most: u32,
         stats: &mut StepStats,
     ) -> Result<Resolved, StepError> {
         let Some(collisions) = &mut self.collisions else { return Ok(Resolved::Free(Vec::new())) };
         let mut own = vec![0.0; self.own_rows * 3];
         self.positions.read_range(&self.executor, self.own_start, &mut own);
-        let resolved = collisions.resolve(&self.executor, transport, &own, stats, &mut self.recorder)?;
+        let resolved = collisions.resolve(&self.executor, transport, &own, rounds_most, stats, &mut self.recorder)?;
         if let Resolved::Free(moved) = &resolved
             && !moved.is_empty()
         {

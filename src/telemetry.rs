@@ -30,6 +30,10 @@ macro_rules! event_names {
             pub fn text(self) -> &'static str { match self { $(EventName::$variant => $text),* } }
             /// The event with this number, if there is one.
             pub fn from_number(n: u32) -> Option<EventName> { Self::ALL.get(n as usize).copied() }
+            /// The event that is shown with this text, if there is one.
+            pub fn from_text(text: &str) -> Option<EventName> {
+                Self::ALL.iter().copied().find(|name| name.text() == text)
+            }
         }
     };
 }

@@ -12,7 +12,7 @@ use crate::gpu::Executor;
 use crate::linear_system::{RankSystem, RankSystemArrays, SolveError, SolveParams, solve_rank};
 use crate::model::RankModel;
 use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
-use crate::step::{ExchangePlan, Simulation, StepError};
+use crate::step::{ExchangePlan, SetupError, Simulation, StepError};
 use crate::transport::{
     ControlError, ControlWorker, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName, SoloTransport,
     Transport, TransportError, decode, encode,
@@ -147,8 +147,10 @@ fn simulate(
 ) -> Result<(), WorkerError> {
     let executor = make_executor(setup, rank).map_err(|message| inbox.fail(WorkerFailure::BadInput(message)))?;
     let (name, device) = (executor.name().to_string(), executor.device_name());
-    let mut simulation = Simulation::new(executor, model, exchange)
-        .map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
+    let mut simulation = Simulation::new(executor, model, exchange).map_err(|error| match error {
+        SetupError::Preconditioner(text) => inbox.fail(WorkerFailure::BadInput(text)),
+        other => inbox.fail(WorkerFailure::Other(other.to_string())),
+    })?;
     let mut transport = match connect(run, rank, inbox, setup) {
         Ok(transport) => transport,
         Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),
@@ -159,6 +161,7 @@ fn simulate(
         padding_ratio: simulation.padding_ratio,
         epoch_unix_ns: simulation.recorder.epoch_unix_ns,
         memory_bytes: simulation.memory_bytes(),
+        preconditioner: simulation.preconditioner(),
     };
     inbox.send(&ToCoordinator::Ready(ready), &[])?;
     loop {
@@ -210,6 +213,7 @@ fn solve(
             Ok(inbox.control.borrow_mut().flush()?)
         }
         Err(SolveError::Transport(error)) => inbox.interrupted(WorkerFailure::Transport(error.to_string())),
+        Err(SolveError::Preconditioner(text)) => Err(inbox.fail(WorkerFailure::BadInput(text))),
         Err(error) => Err(inbox.fail(WorkerFailure::Other(error.to_string()))),
     }
 }

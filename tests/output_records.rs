@@ -132,6 +132,7 @@ fn scene() -> Scene {
         air_drag_kg_m2_s: 0.0,
         relative_tolerance: 0.01,
         max_iterations: 500,
+        preconditioner: Default::default(),
         thickness_m: 0.001,
         friction: 0.3,
         collisions: true,

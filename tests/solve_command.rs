@@ -125,3 +125,49 @@ fn matrices_of_other_fields_reach_their_tolerance() {
         }
     }
 }
+
+/// A grid of 24 x 24 springs in row order as Matrix Market text, three unknowns per point.
+fn grid() -> String {
+    const SIDE: usize = 24;
+    let (mut lines, mut diagonal) = (Vec::new(), vec![0.02f64; SIDE * SIDE * 3]);
+    for i in 0..SIDE {
+        for j in 0..SIDE {
+            for (a, b) in [(i + 1, j), (i, j + 1)].into_iter().filter(|&(a, b)| a < SIDE && b < SIDE) {
+                for c in 0..3 {
+                    let (row, column) = ((a * SIDE + b) * 3 + c, (i * SIDE + j) * 3 + c);
+                    lines.push(format!("{} {} -1", row + 1, column + 1));
+                    diagonal[row] += 1.0;
+                    diagonal[column] += 1.0;
+                }
+            }
+        }
+    }
+    lines.extend(diagonal.iter().enumerate().map(|(row, v)| format!("{} {} {v}", row + 1, row + 1)));
+    let rows = diagonal.len();
+    format!("%%MatrixMarket matrix coordinate real symmetric\n{rows} {rows} {}\n{}\n", lines.len(), lines.join("\n"))
+}
+
+#[test]
+fn every_preconditioner_reaches_the_residual_and_the_solution_is_in_the_order_of_the_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let matrix = folder.path().join("grid.mtx");
+    std::fs::write(&matrix, grid()).expect("writes");
+    let (matrix, out) = (matrix.display().to_string(), folder.path().join("x.mtx").display().to_string());
+    for (preconditioner, used) in [("jacobi", "jacobi"), ("schwarz", "schwarz"), ("auto", "jacobi")] {
+        let mut bits = Vec::new();
+        for workers in ["1", "2", "3"] {
+            let common = ["--rtol", "1e-7", "--workers", workers, "--solution", &out];
+            let (json, code) = report(&[&[matrix.as_str(), "--preconditioner", preconditioner], &common[..]].concat());
+            assert_eq!(code, Some(0), "{json}");
+            assert_eq!(json["preconditioner"], used);
+            assert!(json["relative_residual"].as_f64().expect("a number") <= 1e-7, "{json}");
+            let text = std::fs::read_to_string(&out).expect("a solution");
+            let x: Vec<f64> = text.lines().filter_map(|line| line.trim().parse().ok()).collect();
+            assert_eq!(x.len(), 24 * 24 * 3);
+            // The right-hand side is A * 1.
+            assert!(x.iter().all(|x| (x - 1.0).abs() < 1e-4), "{x:?}");
+            bits.push(text);
+        }
+        assert!(bits.iter().all(|text| *text == bits[0]), "{preconditioner}: the bits depend on the workers");
+    }
+}

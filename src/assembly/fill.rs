@@ -135,6 +135,35 @@ impl FillTables {
         Ok((tables, matrix))
     }
 
+    /// Local columns of all blocks of `matrix`, row by row, ascending. Native executor only.
+    pub fn local_columns(&self, matrix: &SellMatrix, numbering: &Numbering<'_>) -> Vec<u32> {
+        let columns = matrix.columns.as_slice();
+        let addresses = self.block_address.as_slice();
+        let Some(cut) = &numbering.sub_vectors else {
+            return addresses.iter().map(|&address| columns[address as usize]).collect();
+        };
+        // Sections are sub-vectors: the own one first, then in the order of arrival; columns are positions in them.
+        let own = numbering.global_from_local[numbering.own.start] as usize;
+        let starts =
+            cut.rows_of.iter().filter(|rows| rows.contains(&own)).chain(cut.order.iter().map(|&r| &cut.rows_of[r]));
+        let starts: Vec<usize> = starts.map(|rows| rows.start).collect();
+        let section_ends: Vec<u32> = matrix.section_ends();
+        let local =
+            |global: u32| numbering.global_from_local[..numbering.columns].partition_point(|&g| g < global) as u32;
+        addresses
+            .iter()
+            .map(|&address| {
+                let section = section_ends.partition_point(|&end| end <= address / LANES as u32);
+                local(starts[section] as u32 + columns[address as usize])
+            })
+            .collect()
+    }
+
+    /// Start of every own row's blocks, and the address of every block. Native executor only.
+    pub fn blocks(&self) -> (&[u32], &[u32]) {
+        (self.row_offsets.as_slice(), self.block_address.as_slice())
+    }
+
     /// Device bytes.
     pub fn bytes(&self) -> u64 {
         self.row_offsets.bytes()

@@ -156,6 +156,33 @@ impl SellMatrix {
         self.columns.len() as f64 / self.blocks.max(1) as f64
     }
 
+    /// Slot after the last of each section. Native executor only.
+    pub(super) fn section_ends(&self) -> Vec<u32> {
+        self.sections.iter().map(|section| self.slice_offsets.as_slice()[section.end as usize]).collect()
+    }
+
+    /// Calls `visit(section, row, column, block)` for all blocks, padding included, row by row, in the order in which a row is
+    /// summed. Native executor only.
+    pub fn for_each_block(&self, mut visit: impl FnMut(usize, u32, u32, [f32; BLOCK])) {
+        let (offsets, lanes) = (self.slice_offsets.as_slice(), self.row_of_lane.as_slice());
+        let (columns, values) = (self.columns.as_slice(), self.values.as_slice());
+        let mut places: Vec<(u32, u32, u32)> = Vec::new();
+        for (section, slices) in self.sections.iter().enumerate() {
+            let lanes_of = slices.start as usize * LANES..slices.end as usize * LANES;
+            let rows = lanes_of.filter(|&lane| lanes[lane] != NO_ROW);
+            places.extend(rows.map(|lane| (lanes[lane], section as u32, lane as u32)));
+        }
+        places.sort_unstable();
+        for (row, section, lane) in places {
+            let (slice, lane) = (lane as usize / LANES, lane % LANES as u32);
+            for slot in offsets[slice]..offsets[slice + 1] {
+                let address = slot * LANES as u32 + lane;
+                let block = std::array::from_fn(|c| values[value_index(address, c)]);
+                visit(section as usize, row, columns[address as usize], block);
+            }
+        }
+    }
+
     /// Bytes that multiplying section `section` moves: values and columns once, the vector entries at least once.
     pub fn section_bytes(&self, section: usize) -> u64 {
         (self.section_slots[section] * (BLOCK * 4 + 4) + self.sections[section].len() * LANES * 12) as u64

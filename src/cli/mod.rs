@@ -5,10 +5,12 @@ pub mod check;
 pub mod ccd;
 mod ccd_frames;
 pub mod doctor;
+pub mod predict;
 pub mod render;
 pub mod run;
 pub mod schedule;
 pub mod solve;
+pub mod topology;
 pub mod worker;
 
 /// A command that ended without its result: what to print to stderr and how to exit.

@@ -10,6 +10,7 @@ use crate::coordinator::{Launch, RunError, RunOptions, RunPlaces, RunPlan, STOP_
 use crate::interconnect::ScheduleKind;
 use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest, parse_formats};
 use crate::protocol::ExecutorChoice;
+use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
 
 /// Arguments of `loomtree run`.
@@ -51,6 +52,9 @@ pub struct RunArgs {
     /// Memory for the collision tables of each worker; what does not fit is done in batches (for example 500M, 2G)
     #[arg(long, value_name = "BYTES", value_parser = bytes)]
     pub memory_limit: Option<u64>,
+    /// Preconditioner of the solver; auto = the fastest for the executor and size [default: the scene's, which is auto]
+    #[arg(long, value_enum)]
+    pub preconditioner: Option<PreconditionerArg>,
     /// Write a checkpoint every K frames (one is always left at the end, at Ctrl-C and after a failure) [default: 10]
     #[arg(long, value_name = "K")]
     pub checkpoint_every: Option<u32>,
@@ -105,6 +109,31 @@ impl From<ExchangeArg> for ExchangeMode {
     }
 }
 
+/// Preconditioner on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PreconditionerArg {
+    Auto,
+    Jacobi,
+    Schwarz,
+}
+
+impl PreconditionerArg {
+    /// True unless it is Jacobi.
+    pub fn may_sweep(self) -> bool {
+        self != PreconditionerArg::Jacobi
+    }
+}
+
+impl From<PreconditionerArg> for PreconditionerKind {
+    fn from(arg: PreconditionerArg) -> PreconditionerKind {
+        match arg {
+            PreconditionerArg::Auto => PreconditionerKind::Auto,
+            PreconditionerArg::Jacobi => PreconditionerKind::Jacobi,
+            PreconditionerArg::Schwarz => PreconditionerKind::Schwarz,
+        }
+    }
+}
+
 /// A list of frame formats.
 #[derive(Clone, Debug)]
 pub struct FormatList(Vec<FrameFormat>);
@@ -153,6 +182,7 @@ impl RunArgs {
         base.exchange = self.exchange.map_or(base.exchange, Into::into);
         base.schedule = self.schedule.unwrap_or(base.schedule);
         base.memory_limit_bytes = self.memory_limit.or(base.memory_limit_bytes);
+        base.preconditioner = self.preconditioner.map(Into::into).or(base.preconditioner);
         base.checkpoint_every = self.checkpoint_every.unwrap_or(base.checkpoint_every);
         base.formats = self.format.clone().map_or(base.formats, |list| list.0);
         base.heartbeat_s = self.heartbeat.unwrap_or(base.heartbeat_s);
@@ -174,6 +204,7 @@ pub fn defaults() -> RunOptions {
         exchange: ExchangeMode::Halo,
         schedule: ScheduleKind::Auto,
         memory_limit_bytes: None,
+        preconditioner: None,
         checkpoint_every: 10,
         formats: vec![FrameFormat::Ply],
         heartbeat_s: 10.0,

@@ -6,11 +6,14 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::CliError;
-use super::run::{ExchangeArg, ExecutorArg};
+use super::run::{ExchangeArg, ExecutorArg, PreconditionerArg};
 use crate::coordinator::plan::plan_transfers;
 use crate::coordinator::{Crew, CrewError, Launch};
 use crate::interconnect::{Plan, ScheduleKind};
-use crate::linear_system::{BlockSystem, SolveParams, SolveResult, read_right_hand_side, read_system, write_solution};
+use crate::linear_system::{
+    BlockSystem, SolveParams, SolveResult, locality_order, read_right_hand_side, read_system, share_between_chunks,
+    write_solution,
+};
 use crate::math::DIM;
 use crate::output::write_atomically;
 use crate::partition::RowPartition;
@@ -46,6 +49,9 @@ pub struct SolveArgs {
     /// Order of the transfers; auto = the cheapest by the modelled cost
     #[arg(long, default_value = "auto")]
     pub schedule: ScheduleKind,
+    /// Preconditioner; auto = the fastest for the executor and size
+    #[arg(long, value_enum, default_value = "auto")]
+    pub preconditioner: PreconditionerArg,
     /// Topology file; workers sit on its first GPUs [default: a balanced binary tree]
     #[arg(long, value_name = "FILE")]
     pub topology: Option<PathBuf>,
@@ -86,6 +92,10 @@ pub struct SolveJob {
     pub params: SolveParams,
     /// Threads of each rank on the cpu executor.
     pub threads: usize,
+    /// Rows of the matrix in the file.
+    pub file_rows: usize,
+    /// Block row of the file of each block row of the system, if it was reordered.
+    pub order: Option<Vec<u32>>,
 }
 
 /// What the report needs beyond the results.
@@ -98,6 +108,7 @@ pub struct SolveFacts {
     rtol: f64,
     max_iterations: u32,
     solution: Option<PathBuf>,
+    order: Option<Vec<u32>>,
 }
 
 /// The JSON on stdout. The first six names are a contract.
@@ -111,7 +122,7 @@ pub struct SolveReport {
     pub converged: bool,
     /// |b - A x| / |b| in double precision.
     pub relative_residual: f64,
-    /// Seconds of the solve, after the setup (median if repeated).
+    /// Seconds of the solve, the preconditioner's set-up for the values included (median if repeated).
     pub seconds: f64,
     /// Bytes that all workers received from each other in one solve.
     pub bytes_exchanged: u64,
@@ -119,6 +130,7 @@ pub struct SolveReport {
     executor: String,
     exchange: ExchangeMode,
     schedule: &'static str,
+    preconditioner: &'static str,
     block_rows: usize,
     blocks: u64,
     /// Block slots, padding included, over stored blocks.
@@ -193,15 +205,37 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
         repeat: args.repeat,
         time_products: args.repeat > 1,
         host_threads: threads,
+        preconditioner: args.preconditioner.into(),
     };
-    Ok(SolveJob { args, system, rhs, partition, transfers, params, threads })
+    let file_rows = system.scalar_rows;
+    let order = args.preconditioner.may_sweep().then(|| better_order(&system, partition.chunk_rows())).flatten();
+    let (system, rhs) = match &order {
+        None => (system, rhs),
+        Some(order) => (system.reordered(order), blockwise(order, rhs)),
+    };
+    Ok(SolveJob { args, system, rhs, partition, transfers, params, threads, file_rows, order })
+}
+
+/// An order that brings coupled rows together, if it cuts clearly fewer couplings between chunks than the file's.
+fn better_order(system: &BlockSystem, chunk_rows: usize) -> Option<Vec<u32>> {
+    const CLEARLY: f64 = 0.8;
+    let natural: Vec<u32> = (0..system.block_rows() as u32).collect();
+    let order = locality_order(system);
+    let share = |order: &[u32]| share_between_chunks(system, order, chunk_rows);
+    (share(&order) < CLEARLY * share(&natural)).then_some(order)
+}
+
+/// Values of a vector in another order of the block rows; missing ones are zero.
+fn blockwise(order: &[u32], values: Vec<f64>) -> Vec<f64> {
+    let at = |index: usize| values.get(index).copied().unwrap_or(0.0);
+    order.iter().flat_map(|&old| (0..DIM).map(move |c| old as usize * DIM + c)).map(at).collect()
 }
 
 impl SolveJob {
     /// What the report needs of the job once the system is given away.
     pub fn facts(&self) -> SolveFacts {
         SolveFacts {
-            rows: self.system.scalar_rows,
+            rows: self.file_rows,
             block_rows: self.system.block_rows(),
             workers: self.args.workers,
             exchange: self.args.exchange.into(),
@@ -209,6 +243,7 @@ impl SolveJob {
             rtol: self.args.rtol,
             max_iterations: self.args.max_iterations,
             solution: self.args.solution.clone(),
+            order: self.order.clone(),
         }
     }
 }
@@ -221,7 +256,7 @@ const SILENCE_LIMIT: Duration = Duration::from_secs(300);
 /// # Errors
 /// A worker failed or its executor cannot be had.
 pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliError> {
-    let SolveJob { args, system, rhs, partition, transfers, params, threads } = job;
+    let SolveJob { args, system, rhs, partition, transfers, params, threads, .. } = job;
     let ranks = partition.ranks();
     let max_message_values = partition.sub_vector_rows() * 2 * DIM;
     let (_, free) = shared_memory_space().map_err(CliError::failed)?;
@@ -280,6 +315,13 @@ pub fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> Re
     if let Some(path) = &facts.solution {
         let mut x: Vec<f64> = results.iter().flat_map(|result| result.x.iter().copied()).collect();
         debug_assert_eq!(x.len(), facts.block_rows * DIM);
+        if let Some(order) = &facts.order {
+            let mut in_file = vec![0.0; x.len()];
+            for (from, &to) in x.as_chunks::<DIM>().0.iter().zip(order) {
+                in_file[to as usize * DIM..][..DIM].copy_from_slice(from);
+            }
+            x = in_file;
+        }
         x.truncate(facts.rows);
         write_atomically(path, |out| write_solution(out, &x)).map_err(CliError::bad_input)?;
     }
@@ -320,6 +362,7 @@ impl SolveReport {
             executor: executor.to_string(),
             exchange: facts.exchange,
             schedule: facts.schedule.name(),
+            preconditioner: stats.preconditioner.name(),
             block_rows: facts.block_rows,
             blocks: stats.blocks,
             padding_ratio: stats.slots as f64 / stats.blocks as f64,

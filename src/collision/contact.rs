@@ -38,6 +38,16 @@ pub(super) struct Pair {
     pub distance_m: f32,
 }
 
+impl Pair {
+    /// How much closer the closest points come along the normal on the way from `x` to `ahead`, metres.
+    pub fn approach(&self, x: &[f32], ahead: &[f32]) -> f32 {
+        let at = |x: &[f32], v: u32| Vec3::from_slice(&x[3 * v as usize..]);
+        let present = self.vertices.iter().zip(self.weights).filter(|(v, _)| **v != NO_VERTEX);
+        let parting = present.fold(Vec3::ZERO, |sum, (&v, weight)| sum + weight * (at(ahead, v) - at(x, v)));
+        -self.normal.dot(parting)
+    }
+}
+
 /// What pairs are formed from.
 pub(super) struct Surfaces<'a> {
     pub mesh: &'a CollisionMesh,

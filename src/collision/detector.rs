@@ -109,6 +109,8 @@ pub(super) struct Rules {
     reach_within_piece_m: Vec<f32>,
     /// The largest of these.
     widest_within_piece_m: f32,
+    /// The largest thickness of all pairs: less than that of the parameters where there is one piece only.
+    widest_m: f32,
 }
 
 /// Since a moment, at most what 64 bits hold.
@@ -122,8 +124,12 @@ impl Rules {
         let within_piece_m: Vec<f32> = params.smallest_altitudes_m.iter().map(limit).collect();
         let widest_within_piece_m = within_piece_m[..mesh.cloth_vertices].iter().fold(0.0, |a: f32, &b| a.max(b));
         let reach_within_piece_m = within_piece_m.iter().map(|thickness_m| thickness_m * WIDER).collect();
+        let mut pieces = mesh.triangles.iter().map(|face| mesh.pieces[face[0] as usize]);
+        let first = pieces.next();
+        let one_piece = pieces.all(|piece| Some(piece) == first);
+        let widest_m = if one_piece { widest_within_piece_m } else { params.thickness_m };
         let (pieces, cloth_vertices) = (mesh.pieces.clone(), mesh.cloth_vertices);
-        Rules { params, cloth_vertices, pieces, within_piece_m, reach_within_piece_m, widest_within_piece_m }
+        Rules { params, cloth_vertices, pieces, within_piece_m, reach_within_piece_m, widest_within_piece_m, widest_m }
     }
 
     fn bytes(&self) -> u64 {
@@ -155,9 +161,9 @@ impl Rules {
         vertices().fold(self.params.thickness_m, |least, v| least.min(self.within_piece_m[v]))
     }
 
-    /// Whether a pair is closer than its thickness.
-    pub fn is_near(&self, pair: &Pair) -> bool {
-        pair.distance_m < self.thickness_m(pair)
+    /// Whether a pair is closer than its thickness, or will be once it has come closer by `approach_m`.
+    pub fn is_near(&self, pair: &Pair, approach_m: f32) -> bool {
+        pair.distance_m - approach_m.max(0.0) < self.thickness_m(pair)
     }
 
     /// The element of a contact; none if nothing in it can move.
@@ -260,7 +266,8 @@ impl Detector {
     /// with every candidate.
     pub fn contact(&self, x: &[f32], stencil: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.searches.native.mesh(), around: &self.around, x };
-        let pair = surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair))?;
+        let pair =
+            surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair, 0.0))?;
         self.rules.element(&pair)
     }
 
@@ -279,15 +286,37 @@ impl Detector {
         memory_limit_bytes: Option<u64>,
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
+        self.contacts_ahead(on, x, x, rank, ranks, memory_limit_bytes, out)
+    }
+
+    /// As [`Detector::contacts`], with those pairs, too, that are farther apart at `x` and come closer than their thickness
+    /// on the straight way to `ahead`, as their closest points at `x` see it: fast cloth then meets a repulsion before it
+    /// meets cloth. Of those that only come closer, kinds of executors may find a few others: a direction that keeps a pair
+    /// apart may be found by one and not by the other.
+    ///
+    /// # Errors
+    /// As [`Broad::candidates`].
+    pub fn contacts_ahead<'a>(
+        &mut self,
+        on: impl Into<RunsOn<'a>>,
+        x: &[f32],
+        ahead: &[f32],
+        rank: usize,
+        ranks: usize,
+        memory_limit_bytes: Option<u64>,
+        out: &mut Vec<ContactElement>,
+    ) -> Result<DetectionStats, BroadError> {
         out.clear();
         let Detector { searches, around, rules } = self;
         let mesh = searches.native.mesh().clone();
         let surfaces = Surfaces { mesh: &mesh, around, x };
         let wide = |thickness_m: f32| thickness_m * WIDER;
-        let query = Query { x_t0: x, x_t1: x, radius_m: wide(rules.params.thickness_m) };
+        let query = Query { x_t0: x, x_t1: ahead, radius_m: wide(rules.widest_m) };
+        let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
         let choice = Choice { piece_radius_m: Some(wide(rules.widest_within_piece_m)), ..Choice::default() };
-        let filter = Filter::AtRest { reach_m: query.radius_m, within_piece_m: &rules.reach_within_piece_m };
-        let start = || ContactSink { surfaces: &surfaces, rules, found: Found::new() };
+        let reach_m = wide(rules.params.thickness_m);
+        let filter = Filter::ByStencil { reach_m, within_piece_m: &rules.reach_within_piece_m };
+        let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ContactSink| all.append(sink.found);
         let (on, split) = (on.into(), (rank, ranks));
@@ -323,7 +352,7 @@ impl Detector {
         let start = || ImpactSink { x_t0, x_t1, separation_m, touched, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ImpactSink| all.append(sink.found);
-        let (on, split, filter) = (on.into(), (rank, ranks), Filter::Moving { separation_m });
+        let (on, split, filter) = (on.into(), (rank, ranks), Filter::Separation { separation_m });
         let stats = self.searches.search(on, &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
         let stats = self.stats(stats, &all);
         *out = all.items;

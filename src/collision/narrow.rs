@@ -4,7 +4,7 @@
 use glam::Vec4;
 
 use super::broad::Sink;
-use super::contact::Surfaces;
+use super::contact::{Pair, Surfaces};
 use super::detector::{Rules, nanoseconds};
 use super::elementary::lanes::{Lanes, undecided, undecided_at_rest};
 use super::elementary::{StencilKind, ccd};
@@ -91,9 +91,21 @@ fn left(mask: u32, count: usize) -> impl Iterator<Item = usize> {
     (0..count).filter(move |&i| mask >> i & 1 != 0)
 }
 
+/// More than the parts of a stencil can come closer on the way to `ahead`, metres.
+fn closing_bound(candidate: &Candidate, x: &[f32], ahead: &[f32]) -> f32 {
+    let at = |x: &[f32], v: u32| Vec3::from_slice(&x[3 * v as usize..]);
+    let [a, b, c, d] = candidate.vertices.map(|v| at(ahead, v) - at(x, v));
+    let pairs: &[(Vec3, Vec3)] =
+        if candidate.is_vertex_face() { &[(a, b), (a, c), (a, d)] } else { &[(a, c), (a, d), (b, c), (b, d)] };
+    // Rounding of the differences is far below the margin.
+    1.001 * pairs.iter().map(|(one, other)| (*one - *other).length()).fold(0.0, f32::max)
+}
+
 /// Finds contacts.
 pub(super) struct ContactSink<'a> {
     pub surfaces: &'a Surfaces<'a>,
+    /// Positions that the step is heading for, if they differ.
+    pub ahead: Option<&'a [f32]>,
     pub rules: &'a Rules,
     pub found: Found<ContactElement>,
 }
@@ -101,17 +113,23 @@ pub(super) struct ContactSink<'a> {
 impl Sink for ContactSink<'_> {
     fn take(&mut self, found: &[Candidate]) {
         let started = Instant::now();
-        let (surfaces, rules, own) = (self.surfaces, self.rules, &mut self.found);
+        let (surfaces, ahead, rules, own) = (self.surfaces, self.ahead, self.rules, &mut self.found);
         in_fours(
             found,
             |_| true,
             |kind, group, count| {
                 let reach = Vec4::from_array(group.each_ref().map(|candidate| rules.reach_m(candidate)));
-                for i in left(undecided_at_rest(kind, &gather(surfaces.x, group), reach), count) {
+                let start = gather(surfaces.x, group);
+                let mask = match ahead {
+                    None => undecided_at_rest(kind, &start, reach),
+                    Some(ahead) => undecided(kind, &start, &gather(ahead, group), reach),
+                };
+                for i in left(mask, count) {
                     own.tested += 1;
-                    let Some(pair) = surfaces.closest(&group[i], reach[i]).filter(|pair| rules.is_near(pair)) else {
-                        continue;
-                    };
+                    let closing = ahead.map_or(0.0, |ahead| closing_bound(&group[i], surfaces.x, ahead));
+                    let pair = surfaces.closest(&group[i], reach[i] + closing);
+                    let near = |pair: &Pair| rules.is_near(pair, ahead.map_or(0.0, |x| pair.approach(surfaces.x, x)));
+                    let Some(pair) = pair.filter(near) else { continue };
                     own.smallest_gap_m = own.smallest_gap_m.min(pair.distance_m);
                     own.items.extend(rules.element(&pair));
                 }

@@ -12,7 +12,7 @@ use crate::model::GlobalModel;
 use crate::output::FrameFormat;
 use crate::partition::RowPartition;
 use crate::protocol::ExecutorChoice;
-use crate::scene::{Overrides, Scene, SceneError};
+use crate::scene::{Overrides, PreconditionerKind, Scene, SceneError};
 use crate::solver::ExchangeMode;
 use crate::transport::RANKS_MAX;
 
@@ -46,6 +46,9 @@ pub struct RunOptions {
     /// Bytes that the collision tables of a worker may take; none: as many as they need.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub memory_limit_bytes: Option<u64>,
+    /// Preconditioner; none: the scene's.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub preconditioner: Option<PreconditionerKind>,
     /// Frames between checkpoints; 0: only when stopped.
     pub checkpoint_every: u32,
     /// Frame formats.
@@ -136,7 +139,8 @@ impl RunPlan {
     }
 
     /// As [`RunPlan::new`] for a scene that has been read.
-    pub fn of_scene(scene: Scene, options: &RunOptions) -> Result<RunPlan, PlanError> {
+    pub fn of_scene(mut scene: Scene, options: &RunOptions) -> Result<RunPlan, PlanError> {
+        scene.settings.preconditioner = options.preconditioner.unwrap_or(scene.settings.preconditioner);
         let rows = scene.mesh.positions.len();
         let workers = options.workers;
         if workers == 0 || workers > RANKS_MAX {

@@ -111,6 +111,7 @@ impl Recorder {
             devices: devices.clone(),
             exchange: format!("{:?}", self.options.exchange).to_lowercase(),
             schedule: plan.transfers.kind.name().to_string(),
+            preconditioner: ready.first().map_or_else(String::new, |worker| worker.preconditioner.name().into()),
             topology: plan.topology.clone(),
             triangles: scene.mesh.triangles.len(),
             vertices: scene.mesh.positions.len(),

@@ -44,7 +44,8 @@ fn contact(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let depth = element.thickness_m - element.distance_m;
     let predicted = depth - dt * un;
     let at = e * 3u;
-    if (!(depth > 0.0 && predicted > 0.0)) {
+    // A depth below zero is a contact that the motion will close.
+    if (!(predicted > 0.0)) {
         records[at] = vec4<f32>(0.0);
         records[at + 1u] = vec4<f32>(0.0);
         records[at + 2u] = vec4<f32>(0.0);
@@ -52,7 +53,7 @@ fn contact(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     }
     let k = element.stiffness_n_m;
     let ut = u - n * un;
-    let friction = element.friction * (k * min(depth, predicted));
+    let friction = element.friction * (k * max(min(depth, predicted), 0.0));
     let beta = dt * (friction / max(sqrt(dot(ut, ut)), STICK_SPEED_M_S));
     let g = n * (dt * k * predicted) - ut * beta;
     records[at] = element.weights;

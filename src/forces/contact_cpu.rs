@@ -44,11 +44,12 @@ fn one_record(step_s: f32, element: &ContactElement, velocities: &[f32]) -> [f32
     let un = n.dot(u);
     let depth = element.thickness_m - element.distance_m;
     let predicted = depth - step_s * un;
-    if !(depth > 0.0 && predicted > 0.0) {
+    // A depth below zero is a contact that the motion will close.
+    if !(predicted > 0.0) {
         return [0.0; CONTACT_RECORD_FLOATS];
     }
     let ut = u - n * un;
-    let friction = element.friction * (k * depth.min(predicted));
+    let friction = element.friction * (k * depth.min(predicted).max(0.0));
     let beta = step_s * (friction / ut.length().max(STICK_SPEED_M_S));
     let g = n * (step_s * k * predicted) - ut * beta;
     let [w0, w1, w2, w3] = element.weights;

@@ -1,67 +1,76 @@
-//! Modelled cost of a schedule on a topology: stage by stage, with contention on links. A model, not a measurement: no
-//! protocol overhead, no compute, all transfers of a stage start together and the next stage begins when all are done.
-
-use std::collections::HashMap;
+//! Modelled time of a schedule on a topology, by the clock (`clock.rs`). A model, not a measurement: no protocol overhead
+//! and no compute.
+//!
+//! Every rank receives in the order of its queue: a transfer starts when the one before it in the queue has arrived and its
+//! source holds the sub-vector, like copies in one stream. Stages are not separated by a barrier. With pieces
+//! (`pieces.rs`) every lane of a rank is such a queue, but the next piece is posted ahead: it follows as soon as the links
+//! are free, so that latencies overlap.
 
 use super::Schedule;
-use super::topology::{Duplex, Topology};
+use super::clock::{Program, Span};
+use super::pieces::Pieces;
+use super::topology::Topology;
+use super::transfers::TransferPlan;
 
 /// Modelled times of a schedule, seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScheduleCost {
-    /// Time of every stage, seconds.
+    /// How much later than every rank's stage s - 1 every rank's stage s is complete; the first counts from the start.
     pub stage_s: Vec<f64>,
-    /// Sum of the stages, seconds.
+    /// When every rank holds everything.
     pub total_s: f64,
-}
-
-/// What the transfers of one stage put on one channel (a direction of a link, or a whole half-duplex link).
-#[derive(Clone, Copy, Default)]
-struct Load {
-    transfers: usize,
-    latency_s: f64,
 }
 
 /// Modelled cost of `schedule` on `topology` if every sub-vector has `sub_vector_bytes` bytes.
 ///
-/// A transfer occupies every link of its path in its direction; a half-duplex link counts both directions as one.
-/// With B = bytes of a sub-vector, k_l = transfers of the stage on link l, w_l = its bandwidth and L_l = the longest
-/// sum of latencies over the path of a transfer that uses l:
-///
-/// ```text
-/// stage = max over links l of (L_l + k_l * B / w_l),    total = sum over stages
-/// ```
-///
-/// Transfers of ranks that the topology does not have are not on any of its links and cost nothing;
-/// [`super::check_schedule`] finds such schedules.
+/// Nodes that name ranks that the topology does not have cost nothing, and a schedule whose ranks wait for each other in a
+/// circle costs infinity; [`super::check_schedule`] finds both.
 pub fn modelled_cost(schedule: &Schedule, topology: &Topology, sub_vector_bytes: f64) -> ScheduleCost {
-    let stages = schedule.queues.iter().map(Vec::len).max().unwrap_or(0);
-    let stage_s: Vec<f64> =
-        (0..stages).map(|stage| stage_cost_s(schedule, topology, sub_vector_bytes, stage)).collect();
-    let total_s = stage_s.iter().sum();
-    ScheduleCost { stage_s, total_s }
+    let mut plan = TransferPlan::of_schedule(schedule, sub_vector_bytes);
+    plan.queues.truncate(topology.gpus());
+    plan.queues.iter_mut().for_each(|queue| queue.retain(|transfer| transfer.source < topology.gpus()));
+    let spans = transfer_times(&plan, topology);
+    let stages = spans.iter().map(Vec::len).max().unwrap_or(0);
+    let of_stage = |stage: usize| spans.iter().filter_map(move |queue| queue.get(stage)).map(|span| span.done_s);
+    ScheduleCost::of_stages((0..stages).map(|stage| of_stage(stage).fold(0.0, f64::max)).collect())
 }
 
-fn stage_cost_s(schedule: &Schedule, topology: &Topology, sub_vector_bytes: f64, stage: usize) -> f64 {
-    let links = topology.links();
-    let mut loads: HashMap<(usize, bool), Load> = HashMap::new();
-    for (rank, queue) in schedule.queues.iter().enumerate() {
-        let Some(node) = queue.get(stage) else { continue };
-        if rank >= topology.gpus() || node.source >= topology.gpus() {
-            continue;
+/// Modelled cost of moving every sub-vector in pieces.
+pub fn pieces_cost(pieces: &Pieces, topology: &Topology, sub_vector_bytes: f64) -> ScheduleCost {
+    let gpus = topology.gpus();
+    let spans = transfer_times(&TransferPlan::of_pieces(pieces, sub_vector_bytes), topology);
+    // When a rank holds all of its k-th sub-vector; its own one is there from the start.
+    let mut whole_s = vec![vec![0.0f64; gpus]; gpus];
+    for (rank, (queue, spans)) in pieces.queues.iter().zip(&spans).enumerate() {
+        for (piece, span) in queue.iter().zip(spans) {
+            let at_s = &mut whole_s[rank][piece.vector];
+            *at_s = at_s.max(span.done_s);
         }
-        let path = topology.path(node.source, rank);
-        let latency_s = path.iter().map(|hop| links[hop.link].latency_us * 1e-6).sum();
-        for hop in path {
-            let direction = hop.forward || links[hop.link].duplex == Duplex::Half;
-            let load = loads.entry((hop.link, direction)).or_default();
-            load.transfers += 1;
-            load.latency_s = load.latency_s.max(latency_s);
-        }
+        whole_s[rank].sort_by(f64::total_cmp);
     }
-    // The maximum does not depend on the map's order.
-    let time_s = |((link, _), load): (&(usize, bool), &Load)| {
-        load.latency_s + load.transfers as f64 * sub_vector_bytes / (links[*link].bandwidth_gb_s * 1e9)
-    };
-    loads.iter().map(time_s).fold(0.0, f64::max)
+    ScheduleCost::of_stages((1..gpus).map(|k| whole_s.iter().map(|times| times[k]).fold(0.0, f64::max)).collect())
+}
+
+/// When every transfer of every rank is under way, in the order of its queue; never if transfers wait in a circle.
+pub fn transfer_times(plan: &TransferPlan, topology: &Topology) -> Vec<Vec<Span>> {
+    let mut program = Program::default();
+    let tasks = plan.add_to(&mut program, None);
+    let spans = program.run(topology).unwrap_or_else(|_| vec![Span::NEVER; program.len()]);
+    tasks.iter().map(|queue| queue.iter().map(|&task| spans[task]).collect()).collect()
+}
+
+impl ScheduleCost {
+    /// `complete_s[s]`: when stage s is complete on every rank.
+    fn of_stages(complete_s: Vec<f64>) -> ScheduleCost {
+        let mut before_s = 0.0f64;
+        let step = |at_s: &f64| {
+            let later_s = at_s.max(before_s);
+            // Infinity less infinity is no time.
+            let took_s = if later_s == before_s { 0.0 } else { later_s - before_s };
+            before_s = later_s;
+            took_s
+        };
+        let stage_s = complete_s.iter().map(step).collect();
+        ScheduleCost { stage_s, total_s: before_s }
+    }
 }

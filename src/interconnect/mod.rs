@@ -1,4 +1,4 @@
-//! Interconnect: topology file -> switch tree, work queues, schedules. Pure: no devices, no processes.
+//! Interconnect: topology file -> switch tree, work queues, schedules, modelled times. Pure: no devices, no processes.
 //!
 //! Rank r of a run sits on GPU r of the topology. Every time computed here is modelled from the topology file; nothing
 //! in this folder measures anything. Each concept has one file:
@@ -6,24 +6,51 @@
 //!   paths in `routing.rs`);
 //! - [`fat_tree`], [`ring`], [`direct`], [`plan`]: work queues (`queues.rs`);
 //! - [`check_schedule`], [`root_crossings`]: what every schedule must hold (`check.rs`);
-//! - [`modelled_cost`]: stage times under link contention (`cost.rs`).
+//! - [`Program`]: the clock, transfers and kernels in virtual time (`clock.rs`; shared links in `network.rs`);
+//! - [`TransferPlan`]: what one exchange moves (`transfers.rs`); [`modelled_cost`]: how long that takes (`cost.rs`);
+//! - [`lower_bound`]: what no schedule beats (`bound.rs`, maximum flows in `flow.rs`);
+//! - [`Pieces`] and schedule `best`: `synthesis.rs` tries chunked rings, rings over islands (`islands.rs`) and packed trees
+//!   (`packing.rs`), put in order by `ordering.rs`;
+//! - [`product_s`]: the matrix-vector product of the paper's Fig. 3 and Eqs. 6-9 (`product.rs`);
+//! - [`RecordedStep`], [`replay()`]: recorded steps on another machine (`recorded.rs`, `replay.rs`).
 
+mod bound;
 mod check;
+mod clock;
 mod cost;
+mod flow;
+mod islands;
+mod network;
+mod ordering;
+mod packing;
+mod pieces;
+mod product;
 mod queues;
+mod recorded;
+mod replay;
 mod routing;
+mod synthesis;
 mod topology;
 mod topology_file;
 #[cfg(test)]
 mod topology_tests;
+mod transfers;
 mod validate;
 
+pub use bound::{LowerBound, demand_bound_s, lower_bound};
 pub use check::{ScheduleFault, check_schedule, root_crossings};
-pub use cost::{ScheduleCost, modelled_cost};
+pub use clock::{Circle, Moment, Program, Span, Work};
+pub use cost::{ScheduleCost, modelled_cost, pieces_cost, transfer_times};
+pub use packing::Demand;
+pub use pieces::{Piece, PieceFault, Pieces};
+pub use product::{ProductKernels, add_product, product_s};
 pub use queues::{Plan, ScheduleError, ScheduleKind, candidates, direct, fat_tree, plan, ring};
+pub use recorded::{Kernel, Phase, RecordFault, RecordedProduct, RecordedStep, Traffic};
+pub use replay::{KernelTimes, ProductExchange, Replay, ReplaySpan, ReplayedStep, STAGES, replay};
 pub use routing::Hop;
 pub use topology::{DeviceModel, Duplex, Link, MAX_GPUS, Topology};
 pub use topology_file::TopologyError;
+pub use transfers::{Transfer, TransferPlan};
 
 /// One entry of a work queue: in its stage the queue's rank receives sub-vector `vector` from rank `source`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

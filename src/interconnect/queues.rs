@@ -2,14 +2,17 @@
 //! [`super::check_schedule`]; which one is cheapest is a matter of the modelled cost (`cost.rs`).
 
 use super::cost::{ScheduleCost, modelled_cost};
+use super::pieces::Pieces;
+use super::synthesis::synthesize;
 use super::topology::Topology;
+use super::transfers::TransferPlan;
 use super::{QueueNode, Schedule};
 
 /// A way to make work queues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ScheduleKind {
-    /// The cheapest of the others by modelled cost.
+    /// The cheapest of the others by the clock.
     Auto,
     /// The recursion of the paper, for powers of two [Li et al. 2020, Sec. 3.1.2].
     FatTree,
@@ -17,12 +20,14 @@ pub enum ScheduleKind {
     Ring,
     /// Everybody pulls from every owner.
     Direct,
+    /// Made for the given machine (`synthesis.rs`).
+    Best,
 }
 
 impl ScheduleKind {
     /// All kinds, in the order in which they are offered to the user.
-    pub const ALL: [ScheduleKind; 4] =
-        [ScheduleKind::Auto, ScheduleKind::FatTree, ScheduleKind::Ring, ScheduleKind::Direct];
+    pub const ALL: [ScheduleKind; 5] =
+        [ScheduleKind::Auto, ScheduleKind::FatTree, ScheduleKind::Ring, ScheduleKind::Direct, ScheduleKind::Best];
 
     /// Name on the command line.
     pub fn name(self) -> &'static str {
@@ -31,6 +36,7 @@ impl ScheduleKind {
             ScheduleKind::FatTree => "fat-tree",
             ScheduleKind::Ring => "ring",
             ScheduleKind::Direct => "direct",
+            ScheduleKind::Best => "best",
         }
     }
 }
@@ -45,7 +51,7 @@ impl std::fmt::Display for ScheduleKind {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ScheduleError {
     /// The paper's recursion halves the ranks until one is left.
-    #[error("schedule fat-tree needs a power of two of GPUs and there are {gpus}: use ring, direct or auto")]
+    #[error("schedule fat-tree needs a power of two of GPUs and there are {gpus}: use ring, direct, best or auto")]
     NotPowerOfTwo {
         /// GPUs there are.
         gpus: usize,
@@ -118,15 +124,28 @@ fn in_order(schedule: Schedule, order: &[usize]) -> Schedule {
     Schedule { gpus: schedule.gpus, queues }
 }
 
-/// Work queues made for a topology, and what they cost by the model.
+/// Work queues made for a topology, and what they cost by the clock.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// How they were made; never [`ScheduleKind::Auto`].
     pub kind: ScheduleKind,
-    /// The work queues.
+    /// The work queues. Of [`ScheduleKind::Best`]: the order in which whole sub-vectors are taken, the cheapest of the
+    /// other kinds.
     pub schedule: Schedule,
-    /// Modelled, not measured.
+    /// Of [`ScheduleKind::Best`]: how the sub-vectors travel in pieces.
+    pub pieces: Option<Pieces>,
+    /// Modelled, not measured; of the pieces if there are any.
     pub cost: ScheduleCost,
+}
+
+impl Plan {
+    /// The transfers that move sub-vectors of `sub_vector_bytes` bytes.
+    pub fn transfers(&self, sub_vector_bytes: f64) -> TransferPlan {
+        match &self.pieces {
+            Some(pieces) => TransferPlan::of_pieces(pieces, sub_vector_bytes),
+            None => TransferPlan::of_schedule(&self.schedule, sub_vector_bytes),
+        }
+    }
 }
 
 /// Work queues of the wanted kind for a topology, ranks taken in tree order ([`Topology::leaf_order`]), so that GPU ids
@@ -137,7 +156,8 @@ pub fn plan(kind: ScheduleKind, topology: &Topology, sub_vector_bytes: f64) -> R
         ScheduleKind::FatTree => fat_tree(gpus)?,
         ScheduleKind::Ring => ring(gpus),
         ScheduleKind::Direct => direct(gpus),
-        ScheduleKind::Auto => return Ok(cheapest(topology, sub_vector_bytes)),
+        ScheduleKind::Best => return Ok(best(topology, known(topology, sub_vector_bytes), sub_vector_bytes)),
+        ScheduleKind::Auto => return Ok(cheapest(candidates(topology, sub_vector_bytes))),
     };
     Ok(priced(kind, schedule, topology, sub_vector_bytes))
 }
@@ -145,23 +165,36 @@ pub fn plan(kind: ScheduleKind, topology: &Topology, sub_vector_bytes: f64) -> R
 /// One plan for every kind that is applicable to the topology. On equal cost `auto` takes the earlier one: without
 /// forwarding first (no rank waits for another's receipt), then the simpler one.
 pub fn candidates(topology: &Topology, sub_vector_bytes: f64) -> Vec<Plan> {
+    let mut plans = known(topology, sub_vector_bytes);
+    plans.push(best(topology, plans.clone(), sub_vector_bytes));
+    plans
+}
+
+/// Plans of the kinds that do not look at the links.
+fn known(topology: &Topology, sub_vector_bytes: f64) -> Vec<Plan> {
     [ScheduleKind::Direct, ScheduleKind::Ring, ScheduleKind::FatTree]
         .into_iter()
         .filter_map(|kind| plan(kind, topology, sub_vector_bytes).ok())
         .collect()
 }
 
-fn cheapest(topology: &Topology, sub_vector_bytes: f64) -> Plan {
+fn best(topology: &Topology, known: Vec<Plan>, sub_vector_bytes: f64) -> Plan {
+    let schedules: Vec<&Schedule> = known.iter().map(|plan| &plan.schedule).collect();
+    let (pieces, cost) = synthesize(topology, &schedules, sub_vector_bytes);
+    Plan { kind: ScheduleKind::Best, pieces: Some(pieces), cost, ..cheapest(known) }
+}
+
+/// # Panics
+/// Without plans; `direct` and `ring` always exist.
+fn cheapest(plans: Vec<Plan>) -> Plan {
     // Sums in different order differ in the last bits; that must not decide.
     const EQUAL: f64 = 1.0 - 1e-9;
-    let direct = priced(ScheduleKind::Direct, direct(topology.gpus()), topology, sub_vector_bytes);
-    candidates(topology, sub_vector_bytes)
-        .into_iter()
-        .fold(direct, |best, other| if other.cost.total_s < best.cost.total_s * EQUAL { other } else { best })
+    let cheaper = |best: Plan, other: Plan| if other.cost.total_s < best.cost.total_s * EQUAL { other } else { best };
+    plans.into_iter().reduce(cheaper).expect("direct and ring exist for every topology")
 }
 
 fn priced(kind: ScheduleKind, schedule: Schedule, topology: &Topology, sub_vector_bytes: f64) -> Plan {
     let schedule = in_order(schedule, &topology.leaf_order());
     let cost = modelled_cost(&schedule, topology, sub_vector_bytes);
-    Plan { kind, schedule, cost }
+    Plan { kind, schedule, pieces: None, cost }
 }

@@ -20,7 +20,8 @@ pub(super) struct Routes {
 
 impl Routes {
     /// Finds for every pair the widest path (largest bandwidth of its narrowest link), among those the one with fewest
-    /// links, among those the first in file order. Err: two GPUs without a path.
+    /// links, among those the first in file order. GPUs with a link between them never go through a third one. Err: two
+    /// GPUs without a path.
     pub fn find(graph: &Graph) -> Result<Routes, (usize, usize)> {
         let mut widths: Vec<f64> = graph.links.iter().map(|link| link.bandwidth_gb_s).collect();
         widths.sort_by(|a, b| b.total_cmp(a));
@@ -34,14 +35,18 @@ impl Routes {
         let mut paths = vec![Vec::new(); graph.gpus * graph.gpus];
         for from in 0..graph.gpus {
             let mut missing = graph.gpus - 1;
-            for width in &widths {
+            let around = widths.iter().map(|width| (*width, false));
+            let through = widths.iter().map(|width| (*width, true)).filter(|_| graph.gpus_forward);
+            for (width, through_gpus) in around.chain(through) {
                 if missing == 0 {
                     break;
                 }
-                let arrival = breadth_first(graph, &neighbours, from, *width);
+                let arrival = breadth_first(graph, &neighbours, from, width, through_gpus);
                 for to in 0..graph.gpus {
                     let path = &mut paths[from * graph.gpus + to];
-                    if to != from && path.is_empty() && arrival[to].is_some() {
+                    let linked = || neighbours[from].iter().any(|(next, _)| *next == to);
+                    let may_go = through_gpus || !graph.gpus_forward || linked();
+                    if to != from && path.is_empty() && arrival[to].is_some() && may_go {
                         *path = trace_back(&arrival, from, to);
                         missing -= 1;
                     }
@@ -67,12 +72,13 @@ fn breadth_first(
     neighbours: &[Vec<(usize, Hop)>],
     from: usize,
     width: f64,
+    through_gpus: bool,
 ) -> Vec<Option<(usize, Hop)>> {
     let mut arrival = vec![None; graph.nodes];
     let mut queue = std::collections::VecDeque::from([from]);
     while let Some(node) = queue.pop_front() {
         // A GPU ends a path unless it passes transfers on.
-        if node != from && node < graph.gpus && !graph.gpus_forward {
+        if node != from && node < graph.gpus && !through_gpus {
             continue;
         }
         for &(next, hop) in &neighbours[node] {

@@ -47,6 +47,21 @@ pub struct DeviceModel {
     pub bandwidth_gb_s: f64,
     /// Single-precision rate, 10^9 operations/s.
     pub gflops: f64,
+    /// What starting a kernel costs besides its work, microseconds.
+    #[serde(default = "DeviceModel::usual_launch_us")]
+    pub launch_us: f64,
+}
+
+impl DeviceModel {
+    /// Launch cost where a file states none: what back-to-back kernels of one stream cost on current GPUs, about.
+    fn usual_launch_us() -> f64 {
+        3.0
+    }
+
+    /// Modelled time of a kernel that moves `bytes` and computes `flops`: the slower of the two, after its launch.
+    pub fn kernel_s(&self, bytes: f64, flops: f64) -> f64 {
+        self.launch_us * 1e-6 + (bytes / (self.bandwidth_gb_s * 1e9)).max(flops / (self.gflops * 1e9))
+    }
 }
 
 /// A machine: connected, with GPU ids 0..n-1 and a path between every two GPUs.
@@ -114,8 +129,13 @@ impl Topology {
         if gpus == 0 || gpus > MAX_GPUS {
             return Err(TopologyError::GpuCount { gpus });
         }
-        let device =
-            DeviceModel { name: "NVIDIA Titan Xp".into(), memory_gb: 12.0, bandwidth_gb_s: 547.7, gflops: 12_150.0 };
+        let device = DeviceModel {
+            name: "NVIDIA Titan Xp".into(),
+            memory_gb: 12.0,
+            bandwidth_gb_s: 547.7,
+            gflops: 12_150.0,
+            launch_us: DeviceModel::usual_launch_us(),
+        };
         let link = Link { ends: [0, 0], bandwidth_gb_s, latency_us, duplex };
         let mut parts = Parts {
             name: format!("balanced tree of {gpus}"),
@@ -202,6 +222,11 @@ impl Topology {
     /// The GPU at every leaf.
     pub fn device(&self) -> &DeviceModel {
         &self.device
+    }
+
+    /// Number of nodes: GPUs and switches.
+    pub fn nodes(&self) -> usize {
+        self.gpu_names.len() + self.switch_names.len()
     }
 
     /// All links.

@@ -26,6 +26,7 @@ pub(super) fn check_device(device: &DeviceModel) -> Result<(), Fault> {
         .and_then(|()| check_range("memory_gb", device.memory_gb, 1e-3, 1e6, "GB"))
         .and_then(|()| check_range("bandwidth_gb_s", device.bandwidth_gb_s, 1e-3, 1e6, "GB/s"))
         .and_then(|()| check_range("gflops", device.gflops, 1e-3, 1e9, "Gflop/s"))
+        .and_then(|()| check_range("launch_us", device.launch_us, 0.0, 1e6, "us"))
         .or_else(|message| fault(Place::Device, format!("device: {message}")))
 }
 

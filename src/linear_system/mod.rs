@@ -1,10 +1,11 @@
 //! Linear systems of any origin: readers of matrix and right-hand-side files, block form, the parts of the ranks, and the
 //! distributed solve of one system to a residual that is checked in double precision.
 //!
-//! Rows stay in the order of the file; a system whose neighbours lie far apart in that order exchanges more.
+//! Rows are taken in an order of locality where that serves the preconditioner (`order`), else in the order of the file.
 
 mod block_csr_file;
 mod matrix_market;
+mod order;
 mod precondition;
 mod rank_system;
 mod residual;
@@ -17,6 +18,7 @@ mod validate;
 
 pub use block_csr_file::{BLOCK_CSR_MAGIC, parse_block_csr, read_block_csr};
 pub use matrix_market::{parse_matrix_market, read_matrix_market};
+pub use order::{locality_order, share_between_chunks};
 pub use rank_system::{RankSystem, RankSystemArrays, RankSystemError};
 pub use right_hand_side::{parse_right_hand_side, read_right_hand_side, write_solution};
 pub use solve::{SolveError, SolveParams, SolveResult, SolveStats, solve_rank};

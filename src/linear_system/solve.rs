@@ -18,7 +18,10 @@ use crate::assembly::{SellLayout, SellMatrix};
 use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::math::DIM;
-use crate::solver::{ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv};
+use crate::solver::{
+    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, PreconditionerKind, RankPattern,
+    Schwarz,
+};
 use crate::telemetry::Recorder;
 use crate::transport::{Transport, TransportError};
 
@@ -42,6 +45,8 @@ pub struct SolveParams {
     pub time_products: bool,
     /// Threads of the residual on the host.
     pub host_threads: usize,
+    /// What PCG multiplies the residual by.
+    pub preconditioner: PreconditionerKind,
 }
 
 /// What came of it; the same on all ranks.
@@ -57,8 +62,10 @@ pub struct SolveStats {
     pub refinements: u32,
     /// Matrix-vector products of one solve.
     pub products: u32,
-    /// Seconds of each solve: the slowest rank, from the first product to the last iteration. The residual that confirms
-    /// the result is left out, those that lead to a refinement are in.
+    /// The preconditioner that was used.
+    pub preconditioner: PreconditionerKind,
+    /// Seconds of each solve: the slowest rank, from the set-up of the preconditioner, which follows the values of the matrix,
+    /// to the last iteration. The residual that confirms the result is left out, those that lead to a refinement are in.
     pub seconds: Vec<f64>,
     /// Bytes received by all ranks in one solve, residuals included.
     pub bytes_exchanged: u64,
@@ -87,6 +94,9 @@ pub enum SolveError {
     /// A transfer failed.
     #[error(transparent)]
     Transport(#[from] TransportError),
+    /// The preconditioner that was asked for is not to be had here.
+    #[error("{0}")]
+    Preconditioner(String),
     /// Indefinite, or too ill-conditioned to be told from it in f32.
     #[error(
         "the matrix is not positive definite, or too ill-conditioned for single precision: p'Ap = {curvature:.3e} in iteration {iteration}, with a relative residual of {relative_residual:.3e}"
@@ -122,7 +132,9 @@ pub fn solve_rank(
     queue: &[QueueNode],
     params: &SolveParams,
 ) -> Result<SolveResult, SolveError> {
-    let mut solver = RankSolver::new(executor, system, mode, queue, params);
+    let schwarz =
+        Schwarz::wanted(params.preconditioner, executor, &system.partition).map_err(SolveError::Preconditioner)?;
+    let mut solver = RankSolver::new(executor, system, mode, queue, params, schwarz);
     let mut stats = SolveStats::default();
     let mut seconds = Vec::new();
     for _ in 0..params.repeat.max(1) {
@@ -147,6 +159,7 @@ struct RankSolver<'a> {
     matrix: SellMatrix,
     inverse_diagonal: DeviceVec<f32>,
     rhs: DeviceVec<f32>,
+    schwarz: Option<Schwarz>,
     vectors: PcgVectors,
     spmv: PipelinedSpmv,
     pcg: Pcg,
@@ -162,6 +175,7 @@ impl<'a> RankSolver<'a> {
         mode: ExchangeMode,
         queue: &[QueueNode],
         params: &SolveParams,
+        schwarz: bool,
     ) -> RankSolver<'a> {
         let (partition, plan, arrays) = (&system.partition, &system.plan, &system.arrays);
         let layout = match mode {
@@ -178,8 +192,12 @@ impl<'a> RankSolver<'a> {
         let (values, inverse_diagonal) = device_values(system, &layout);
         matrix.values = DeviceVec::upload(executor, &values);
         let halo = HaloExchange::new(plan.clone(), queue.to_vec());
+        let pattern =
+            RankPattern { offsets: &arrays.offsets, columns: &arrays.columns, block_address: &layout.block_address };
+        let schwarz = schwarz.then(|| Schwarz::new(executor, partition, plan, mode, queue, pattern));
         RankSolver {
             inverse_diagonal: DeviceVec::upload(executor, &inverse_diagonal),
+            schwarz,
             rhs: DeviceVec::zeros(executor, rows * DIM),
             vectors: PcgVectors::new(executor, rows, plan.local_rows * DIM),
             spmv: PipelinedSpmv::new(executor, mode, halo, queue.to_vec(), partition.sub_vector_rows()),
@@ -201,12 +219,21 @@ impl<'a> RankSolver<'a> {
     ) -> Result<SolveStats, SolveError> {
         self.residual.reset();
         self.spmv.traffic = Default::default();
-        let mut stats =
-            SolveStats { blocks: self.matrix.blocks as u64, slots: self.slots as u64, ..Default::default() };
+        let preconditioner = match self.schwarz {
+            None => PreconditionerKind::Jacobi,
+            Some(_) => PreconditionerKind::Schwarz,
+        };
+        let (blocks, slots) = (self.matrix.blocks as u64, self.slots as u64);
+        let mut stats = SolveStats { blocks, slots, preconditioner, ..Default::default() };
         let b_norm = self.residual.norm(transport)?;
         let mut norm = b_norm;
         stats.converged = b_norm == 0.0;
         let mut clock = Instant::now();
+        if let Some(schwarz) = &mut self.schwarz {
+            let (executor, halo) = (self.executor, self.spmv.halo());
+            let (inverse, flags) = (&self.inverse_diagonal, &mut self.vectors.u);
+            schwarz.set_up(executor, transport, halo, &(&self.matrix).into(), inverse, flags, &mut self.recorder)?;
+        }
         while !stats.converged {
             let relative = norm / b_norm;
             let wanted = params.relative_tolerance / relative;
@@ -264,6 +291,7 @@ impl<'a> RankSolver<'a> {
             &mut self.spmv,
             &(&self.matrix).into(),
             inverse,
+            self.schwarz.as_mut(),
             &self.rhs,
             vectors,
             false,

@@ -6,7 +6,7 @@ use super::*;
 use crate::gpu::Executor;
 use crate::interconnect::direct;
 use crate::partition::RowPartition;
-use crate::solver::ExchangeMode;
+use crate::solver::{ExchangeMode, PreconditionerKind};
 use crate::transport::InProcessTransport;
 
 fn market(text: &str) -> Result<BlockSystem, SystemError> {
@@ -22,7 +22,14 @@ fn symmetric(body: &str) -> String {
 }
 
 fn params(relative_tolerance: f64) -> SolveParams {
-    SolveParams { relative_tolerance, max_iterations: 2000, repeat: 1, time_products: false, host_threads: 1 }
+    SolveParams {
+        relative_tolerance,
+        max_iterations: 2000,
+        repeat: 1,
+        time_products: false,
+        host_threads: 1,
+        preconditioner: PreconditionerKind::Auto,
+    }
 }
 
 /// Solves on `ranks` threads; every rank's result.

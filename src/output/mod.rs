@@ -16,7 +16,9 @@ pub mod plot;
 pub mod ply;
 mod read;
 mod report;
+mod timeline;
 mod trace;
+mod trace_read;
 
 pub use atomic::{WriteError, write_atomically};
 pub use checkpoint::Checkpoint;
@@ -30,4 +32,6 @@ pub use report::{
     FrameRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, StageSeconds, Status,
     StepRecord,
 };
+pub use timeline::{Timeline, TimelineBox, timeline_svg, write_timeline};
 pub use trace::{RankEvents, TraceWriter};
+pub use trace_read::{TraceReadError, read_trace};

@@ -74,6 +74,8 @@ pub struct ReportHeader {
     pub exchange: String,
     /// Schedule of the transfers.
     pub schedule: String,
+    /// Preconditioner of the solver.
+    pub preconditioner: String,
     /// Topology file, or how one was made up.
     pub topology: String,
     /// Triangles of the mesh.

@@ -154,7 +154,9 @@ impl TraceWriter {
         let category = TRACKS[kind(event)];
         let (ts, dur) = (self.micros(start_ns), self.micros(end_ns - start_ns));
         let Event { step, stage, source, vector, bytes, flops, .. } = *event;
-        let route = match event.activity == Activity::Compute as u32 {
+        // A block's kernel says which sub-vector it multiplies.
+        let plain = event.activity == Activity::Compute as u32 && event.name != EventName::SpmvBlock as u32;
+        let route = match plain {
             true => String::new(),
             false => format!(r#","stage":{stage},"source":{source},"vector":{vector}"#),
         };

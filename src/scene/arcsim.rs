@@ -316,6 +316,7 @@ fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError>
         air_drag_kg_m2_s: wind.or("drag", 0.0, Json::not_negative)?,
         relative_tolerance: 0.01,
         max_iterations: 500,
+        preconditioner: Default::default(),
         thickness_m: magic.or("repulsion_thickness", 1e-3, Json::positive)?,
         friction: root.or("friction", 0.6, Json::not_negative)?,
         collisions,

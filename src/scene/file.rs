@@ -13,7 +13,8 @@ use super::obstacle_file::{OBSTACLE_FIELDS, obstacle};
 use super::pieces::{Piece, Placement, merge, placed_mesh};
 use super::start::find_crossings;
 use super::{
-    CONTACT_STIFFNESS, Fabric, Motion, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, pins, sheet_cells,
+    CONTACT_STIFFNESS, Fabric, Motion, Overrides, Pin, PreconditionerKind, RESOLUTIONS, Scene, SceneError, Settings,
+    pins, sheet_cells,
 };
 
 /// Triangles of all sheets together where neither the scene nor the command line says.
@@ -90,6 +91,7 @@ fn settings(root: &Fields) -> Result<Settings, SceneError> {
         "gravity_m_s2",
         "relative_tolerance",
         "max_iterations",
+        "preconditioner",
         "thickness_m",
         "friction",
         "collisions",
@@ -130,6 +132,8 @@ fn settings(root: &Fields) -> Result<Settings, SceneError> {
         air_drag_kg_m2_s: air.or("drag_kg_m2_s", 0.0, Value::not_negative)?,
         relative_tolerance,
         max_iterations: simulation.or("max_iterations", 500, |value| value.whole(1..=1_000_000))? as u32,
+        preconditioner: simulation
+            .or("preconditioner", PreconditionerKind::Auto, |value| value.choice(&PreconditionerKind::CHOICES))?,
         thickness_m: simulation.or("thickness_m", 0.002, Value::positive)?,
         friction: simulation.or("friction", 0.3, Value::not_negative)?,
         collisions: simulation.or("collisions", true, Value::boolean)?,

@@ -11,6 +11,7 @@ mod obstacle;
 mod obstacle_file;
 mod pieces;
 mod pins;
+mod preconditioner;
 mod sequence;
 mod sheet;
 mod start;
@@ -22,6 +23,7 @@ use crate::mesh::{MeshReadError, TriangleMesh};
 
 pub use fabric::{load_fabric, parse_fabric};
 pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};
+pub use preconditioner::PreconditionerKind;
 pub use sheet::{Sheet, sheet_cells};
 pub use start::Crossings;
 
@@ -223,6 +225,8 @@ pub struct Settings {
     pub relative_tolerance: f64,
     /// Most PCG iterations per step.
     pub max_iterations: u32,
+    /// What PCG multiplies the residual by.
+    pub preconditioner: PreconditionerKind,
     /// Thickness of the cloth for contacts, metres.
     pub thickness_m: f64,
     /// Coulomb friction coefficient of contacts for everything that has none of its own.

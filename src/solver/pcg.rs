@@ -8,6 +8,7 @@ use thiserror::Error;
 
 use super::pipelined::PipelinedSpmv;
 use super::reduction::ReductionTree;
+use super::schwarz::Schwarz;
 use super::vector::{ChunkSums, VectorOps};
 use crate::assembly::SystemMatrix;
 use crate::gpu::{DeviceVec, Executor};
@@ -94,6 +95,9 @@ pub struct Pcg {
     ops: VectorOps,
     tree: ReductionTree,
     chunk_sums: Vec<ChunkSums>,
+    /// Sums of w over the own chunks, and over all of them.
+    own_restricted: Vec<f64>,
+    restricted: Vec<f64>,
 }
 
 impl Pcg {
@@ -104,11 +108,14 @@ impl Pcg {
             ops: VectorOps::new(executor, rows, partition.chunk_rows()),
             tree: ReductionTree::new(partition),
             chunk_sums: Vec::new(),
+            own_restricted: Vec::new(),
+            restricted: Vec::new(),
         }
     }
 
     /// Solves A x = b for x = `vectors.x`. Rows with a zero `inverse_diagonal` keep their start value (pins). `nonzero_start`
-    /// says that x may differ from zero on some rank; all ranks must agree on it.
+    /// says that x may differ from zero on some rank; all ranks must agree on it. `schwarz`: the preconditioner, set up with this
+    /// matrix; without it, block Jacobi.
     pub fn solve(
         &mut self,
         executor: &Executor,
@@ -116,6 +123,7 @@ impl Pcg {
         spmv: &mut PipelinedSpmv,
         matrix: &SystemMatrix<'_>,
         inverse_diagonal: &DeviceVec<f32>,
+        mut schwarz: Option<&mut Schwarz>,
         b: &DeviceVec<f32>,
         vectors: &mut PcgVectors,
         nonzero_start: bool,
@@ -125,6 +133,7 @@ impl Pcg {
         let own = spmv.own_start();
         let v = vectors;
         let mut products = 0;
+        self.own_restricted.clear();
         if nonzero_start {
             // w = A x0, through u because only u has halo rows.
             v.u.copy_range(executor, own, &v.x, 0, v.x.len());
@@ -138,20 +147,43 @@ impl Pcg {
         // r = b - A x0; u = M^-1 r; gamma = r.u
         self.ops.start(executor, b, &v.w, inverse_diagonal, &mut v.r, &mut v.u, own);
 
+        if let Some(schwarz) = schwarz.as_deref_mut() {
+            self.start_schwarz(executor, transport, schwarz, inverse_diagonal, v, own)?;
+        }
+
         let (mut gamma_old, mut alpha_old) = (1.0, 1.0);
         let mut start_residual = 0.0;
         for iteration in 0.. {
             transport.alive()?;
-            // w = A u
-            spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
+            // w = A u; delta = w.u, together with gamma = r.u and r.r of the last pass: one all-reduce
+            match schwarz.as_deref_mut() {
+                None => {
+                    spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
+                    let start = recorder.now();
+                    self.ops.dot(executor, &v.w, &v.u, own);
+                    self.ops.sums(executor, &mut self.chunk_sums);
+                    let bytes = v.w.bytes() * 2;
+                    recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, v.w.len() as u64 * 2);
+                }
+                Some(schwarz) => {
+                    // The sweep has left the product with the blocks inside chunks in w.
+                    spmv.accumulate = true;
+                    let outer = SystemMatrix { elastic: schwarz.outer(), contact: matrix.contact };
+                    let applied = spmv.apply(executor, transport, &outer, &mut v.u, &mut v.w, recorder);
+                    spmv.accumulate = false;
+                    applied?;
+                    let start = recorder.now();
+                    let (scalars, restricted) = (&mut self.chunk_sums, &mut self.own_restricted);
+                    schwarz.sums(executor, inverse_diagonal, &mut v.w, &v.u, own, scalars, restricted);
+                    let bytes = v.w.bytes() * 5;
+                    recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, v.w.len() as u64 * 3);
+                }
+            }
             products += 1;
-            // delta = w.u, together with gamma = r.u and r.r of the last pass: one all-reduce
             let start = recorder.now();
-            self.ops.dot(executor, &v.w, &v.u, own);
-            self.ops.sums(executor, &mut self.chunk_sums);
-            recorder.end(EventName::VectorUpdate, Activity::Compute, start, v.w.bytes() * 2, v.w.len() as u64 * 2);
-            let start = recorder.now();
-            let [gamma, rr, delta] = self.tree.all_reduce(transport, &self.chunk_sums)?;
+            let (tree, own_restricted) = (&self.tree, &self.own_restricted);
+            let [gamma, rr, delta] =
+                tree.all_reduce_and_gather(transport, &self.chunk_sums, own_restricted, &mut self.restricted)?;
             recorder.end(EventName::AllReduce, Activity::Wait, start, 24, 0);
             if !(gamma.is_finite() && rr.is_finite() && delta.is_finite()) {
                 return Err(PcgError::NotFinite { iteration });
@@ -190,6 +222,16 @@ impl Pcg {
             }
             let alpha = gamma / curvature;
             let start = recorder.now();
+            if let Some(schwarz) = schwarz.as_deref_mut() {
+                schwarz.coarse.update(&self.restricted, alpha, beta);
+                let PcgVectors { u, x, r, w, p, s } = &mut *v;
+                let update = Some((alpha as f32, beta as f32));
+                schwarz.sweep(executor, update, inverse_diagonal, w, u, own, p, s, x, r);
+                let (bytes, flops) = (schwarz.sweep_bytes(), schwarz.sweep_flops());
+                recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, flops);
+                (gamma_old, alpha_old) = (gamma, alpha);
+                continue;
+            }
             self.ops.update(
                 executor,
                 alpha as f32,
@@ -207,5 +249,25 @@ impl Pcg {
             (gamma_old, alpha_old) = (gamma, alpha);
         }
         unreachable!("the loop ends at max_iterations")
+    }
+
+    /// First coarse correction, u and the inner part of w, from r.
+    fn start_schwarz(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        schwarz: &mut Schwarz,
+        inverse_diagonal: &DeviceVec<f32>,
+        v: &mut PcgVectors,
+        own: usize,
+    ) -> Result<(), TransportError> {
+        // The sums of r; r is zero on pinned rows.
+        let PcgVectors { u, x, r, w, p, s } = v;
+        schwarz.sums(executor, inverse_diagonal, r, u, own, &mut self.chunk_sums, &mut self.own_restricted);
+        let (sums, restricted) = (&self.chunk_sums, &mut self.restricted);
+        self.tree.all_reduce_and_gather(transport, sums, &self.own_restricted, restricted)?;
+        schwarz.coarse.start(restricted);
+        schwarz.sweep(executor, None, inverse_diagonal, w, u, own, p, s, x, r);
+        Ok(())
     }
 }

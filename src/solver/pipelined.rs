@@ -23,6 +23,8 @@ pub struct PipelinedSpmv {
     queue: Vec<QueueNode>,
     sub_vector_len: usize,
     staging: Vec<f32>,
+    /// True: products are added to y instead of overwriting it.
+    pub accumulate: bool,
     /// Vector bytes received by products since the last reset.
     pub traffic: TrafficCounter,
 }
@@ -43,6 +45,7 @@ impl PipelinedSpmv {
             queue,
             sub_vector_len: sub_vector_rows * 3,
             staging: Vec::new(),
+            accumulate: false,
             traffic: TrafficCounter::default(),
         }
     }
@@ -110,7 +113,7 @@ impl PipelinedSpmv {
         u: &DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
     ) {
-        self.kernel.apply(executor, matrix.elastic, section, false, u, y);
+        self.kernel.apply(executor, matrix.elastic, section, self.accumulate, u, y);
         if let Some(contact) = matrix.contact {
             self.kernel.apply(executor, contact, section, true, u, y);
         }
@@ -137,7 +140,7 @@ impl PipelinedSpmv {
         }
         let block = (0, rank as u32, rank as u32);
         let start = recorder.now();
-        self.kernel.apply_host(executor, matrix.elastic, 0, false, &self.staging, y);
+        self.kernel.apply_host(executor, matrix.elastic, 0, self.accumulate, &self.staging, y);
         if let Some(contact) = matrix.contact {
             self.kernel.apply_host(executor, contact, 0, true, &self.staging, y);
         }

@@ -35,16 +35,46 @@ impl ReductionTree {
         transport: &mut dyn Transport,
         chunk_sums: &[[f64; WIDTH]],
     ) -> Result<[f64; WIDTH], TransportError> {
-        let own = &self.ranges[transport.rank()];
+        self.all_reduce_and_gather(transport, chunk_sums, &[], &mut Vec::new())
+    }
+
+    /// As [`ReductionTree::all_reduce`]; the same message carries `own` of every rank to `gathered`, in rank order.
+    pub fn all_reduce_and_gather<const WIDTH: usize>(
+        &self,
+        transport: &mut dyn Transport,
+        chunk_sums: &[[f64; WIDTH]],
+        own: &[f64],
+        gathered: &mut Vec<f64>,
+    ) -> Result<[f64; WIDTH], TransportError> {
         let mut roots = Vec::new();
-        self.collect(0..self.leaves, own, chunk_sums, &mut roots);
+        self.collect(0..self.leaves, &self.ranges[transport.rank()], chunk_sums, &mut roots);
+        gathered.clear();
         if self.ranges.len() == 1 {
+            gathered.extend_from_slice(own);
             return Ok(roots[0]);
         }
-        let mut gathered = Vec::new();
-        transport.all_gather(roots.as_flattened(), &mut gathered)?;
-        let mut streams: Vec<_> = gathered.iter().map(|values| values.as_chunks::<WIDTH>().0.iter()).collect();
+        let sent: Vec<f64> = roots.as_flattened().iter().chain(own).copied().collect();
+        let mut messages = Vec::new();
+        transport.all_gather(&sent, &mut messages)?;
+        let mut streams = Vec::with_capacity(messages.len());
+        for (values, range) in messages.iter().zip(&self.ranges) {
+            let roots = (self.roots(0..self.leaves, range) * WIDTH).min(values.len());
+            streams.push(values[..roots].as_chunks::<WIDTH>().0.iter());
+            gathered.extend_from_slice(&values[roots..]);
+        }
         Ok(self.finish(0..self.leaves, &mut streams))
+    }
+
+    /// Number of subtrees that the owner of the leaves `own` sends.
+    fn roots(&self, node: Range<usize>, own: &Range<usize>) -> usize {
+        if node.end <= own.start || node.start >= own.end {
+            return 0;
+        }
+        if own.start <= node.start && node.end <= own.end {
+            return 1;
+        }
+        let middle = node.start.midpoint(node.end);
+        self.roots(node.start..middle, own) + self.roots(middle..node.end, own)
     }
 
     fn collect<const WIDTH: usize>(

@@ -11,7 +11,7 @@ const SUM_LANES: usize = 16;
 
 /// Sum of a*b over a tile.
 #[inline(always)]
-fn dot_tile(a: &[f32], b: &[f32]) -> f64 {
+pub(super) fn dot_tile(a: &[f32], b: &[f32]) -> f64 {
     let mut lanes = [0.0f32; SUM_LANES];
     let (a, a_rest) = a.as_chunks::<SUM_LANES>();
     let (b, b_rest) = b.as_chunks::<SUM_LANES>();
@@ -39,7 +39,7 @@ fn precondition(inverse: &[f32; 6], r: [f32; 3]) -> [f32; 3] {
 
 /// Disjoint parts of several vectors, one chunk at a time.
 #[derive(Clone, Copy)]
-struct Shared(*mut f32);
+pub(super) struct Shared(pub(super) *mut f32);
 // SAFETY: `part` is called with the range of the chunk that the thread owns.
 unsafe impl Send for Shared {}
 unsafe impl Sync for Shared {}
@@ -47,7 +47,7 @@ unsafe impl Sync for Shared {}
 impl Shared {
     /// # Safety
     /// No two live parts overlap and `start + len` is within the vector.
-    unsafe fn part<'a>(self, start: usize, len: usize) -> &'a mut [f32] {
+    pub(super) unsafe fn part<'a>(self, start: usize, len: usize) -> &'a mut [f32] {
         // SAFETY: contract.
         unsafe { std::slice::from_raw_parts_mut(self.0.add(start), len) }
     }

@@ -52,6 +52,8 @@ pub(super) struct RankContacts {
 pub(super) enum Resolved {
     /// Own rows (within the row block) that zones moved, and where to.
     Free(Vec<(u32, [f32; 3])>),
+    /// Not within the rounds allowed: a shorter step has an easier end.
+    Slow,
     /// Not at all: what the scene moves leaves no room.
     Squeezed(Vec<Imposed>),
 }
@@ -147,12 +149,13 @@ impl Collisions {
     }
 
     /// Obstacles at both ends of `span`, pinned vertices; finds the contacts of the state at its start, whose own rows are
-    /// `own` (xyz), and tells everybody who needs which rows.
+    /// `own` (positions, velocities; xyz), and those it is heading for, and tells everybody who needs which rows.
     pub fn contacts(
         &mut self,
         executor: &Executor,
         transport: &mut dyn Transport,
-        own: &[f32],
+        own: (&[f32], &[f32]),
+        gravity_m_s2: [f32; 3],
         span: Span,
         stats: &mut StepStats,
         recorder: &mut Recorder,
@@ -160,7 +163,7 @@ impl Collisions {
         let clock = StageClock::start();
         let start = recorder.now();
         if !self.state_known {
-            share_positions(transport, &self.partition, own, &mut self.x_t0)?;
+            share_positions(transport, &self.partition, own.0, &mut self.x_t0)?;
             self.state_known = true;
         }
         let cloth = self.partition.rows() * 3;
@@ -169,18 +172,14 @@ impl Collisions {
             x[cloth..].copy_from_slice(&self.obstacle_positions);
         }
         self.set_step(span).map_err(|error| detection_failed(stats.step, error))?;
+        let ahead = self.heading_for(own, gravity_m_s2, span);
+        share_positions(transport, &self.partition, &ahead, &mut self.x_t1)?;
         let (rank, ranks) = (transport.rank(), transport.ranks());
         let mut found = Vec::new();
+        let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
         let query = self
             .detector
-            .contacts(
-                RunsOn::new(executor, &self.cpu),
-                &self.x_t0,
-                rank,
-                ranks,
-                self.model.memory_limit_bytes,
-                &mut found,
-            )
+            .contacts_ahead(on, &self.x_t0, &self.x_t1, rank, ranks, limit, &mut found)
             .map_err(|error| detection_failed(stats.step, error))?;
         stats.proximity.add(&query);
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
@@ -194,6 +193,19 @@ impl Collisions {
         recorder.end(EventName::ShareContacts, Activity::Transfer, start, size_of_val(&found[..]) as u64, 0);
         clock.lap(&mut stats.seconds.contacts);
         Ok(contacts)
+    }
+
+    /// Where the own rows would be at the end of `span` if nothing but gravity acted on them.
+    fn heading_for(&self, (x, v): (&[f32], &[f32]), gravity_m_s2: [f32; 3], span: Span) -> Vec<f32> {
+        let step_s = span.length_s as f32;
+        let rows = self.partition.rows_of(self.plan.rank);
+        let mobile = &self.detector.params().inverse_masses_per_kg[rows];
+        let mut ahead = Vec::with_capacity(x.len());
+        for (i, (x, v)) in x.iter().zip(v).enumerate() {
+            let falls = if mobile[i / 3] > 0.0 { step_s * gravity_m_s2[i % 3] } else { 0.0 };
+            ahead.push(x + step_s * (v + falls));
+        }
+        ahead
     }
 
     /// Contacts of all ranks that touch own rows, sorted, each once.
@@ -262,13 +274,14 @@ impl Collisions {
         Ok(RankContacts { elements, plan, obstacle_positions, obstacle_velocities })
     }
 
-    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones, in
-    /// rounds until nothing penetrates.
+    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones, in at
+    /// most `rounds_most` rounds until nothing penetrates.
     pub fn resolve(
         &mut self,
         executor: &Executor,
         transport: &mut dyn Transport,
         own: &[f32],
+        rounds_most: u32,
         stats: &mut StepStats,
         recorder: &mut Recorder,
     ) -> Result<Resolved, StepError> {
@@ -286,6 +299,10 @@ impl Collisions {
             clock.lap(&mut stats.seconds.continuous);
             if impacts.is_empty() {
                 break;
+            }
+            if zones.counts().rounds >= rounds_most {
+                stats.zones.add(&zones.counts());
+                return Ok(Resolved::Slow);
             }
             let start = recorder.now();
             let inverse_masses = &self.detector.params().inverse_masses_per_kg;

@@ -11,6 +11,9 @@ pub enum SetupError {
     /// A vertex with too many neighbours.
     #[error(transparent)]
     RowTooLong(#[from] crate::assembly::RowTooLong),
+    /// The preconditioner that was asked for is not to be had on this executor.
+    #[error("{0}")]
+    Preconditioner(String),
     /// What collisions are to work on does not fit together.
     #[error("collisions: {0}")]
     Collision(String),

@@ -55,7 +55,7 @@ pub enum TransportError {
 }
 
 /// Most values that one rank may contribute to [`Transport::all_gather`].
-pub const ALL_GATHER_MAX: usize = 96;
+pub const ALL_GATHER_MAX: usize = 1024;
 
 /// Most ranks of a run.
 pub const RANKS_MAX: usize = 64;

@@ -72,6 +72,7 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
             air_drag_kg_m2_s: 0.0,
             relative_tolerance: 0.01,
             max_iterations: 500,
+            preconditioner: Default::default(),
             thickness_m: 1e-3,
             friction: 0.0,
             collisions: false,

@@ -1,8 +1,9 @@
-//! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, never
-//! modelled; each table names what it ran on.
+//! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, and each table
+//! names what it ran on; only `bench interconnect` is modelled, and its titles say so.
 
 mod collision;
 mod device;
+mod interconnect;
 mod runs;
 mod spmv;
 mod step;
@@ -36,6 +37,8 @@ enum Bench {
     Step(runs::SceneBench),
     /// Memory of a scene's workers per structure and vertex
     Memory(runs::SceneBench),
+    /// Modelled, not measured: products on the machines of topology files, every exchange and schedule
+    Interconnect(interconnect::InterconnectBench),
 }
 
 /// What all benchmarks take.
@@ -68,13 +71,16 @@ impl Common {
 
 /// Runs the command.
 pub fn run(args: BenchArgs) -> Result<(), CliError> {
-    warn_of_load();
+    if !matches!(args.what, Bench::Interconnect(_)) {
+        warn_of_load();
+    }
     match args.what {
         Bench::Device(bench) => device::run(&bench),
         Bench::Spmv(bench) => spmv::run(&bench),
         Bench::Collision(bench) => collision::run(&bench),
         Bench::Step(bench) => step::time(&bench),
         Bench::Memory(bench) => step::memory(&bench),
+        Bench::Interconnect(bench) => interconnect::run(&bench),
     }
 }
 

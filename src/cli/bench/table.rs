@@ -11,7 +11,7 @@ use crate::output::{Machine, write_atomically};
 
 /// Column heads and rows of numbers.
 pub struct Table {
-    name: &'static str,
+    name: String,
     title: String,
     columns: Vec<&'static str>,
     rows: Vec<Vec<f64>>,
@@ -19,8 +19,8 @@ pub struct Table {
 
 impl Table {
     /// An empty table; `name` names its files.
-    pub fn new(name: &'static str, title: String, columns: Vec<&'static str>) -> Table {
-        Table { name, title, columns, rows: Vec::new() }
+    pub fn new(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
+        Table { name: name.into(), title, columns, rows: Vec::new() }
     }
 
     /// Adds a row.

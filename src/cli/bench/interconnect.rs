@@ -1,0 +1,140 @@
+//! `loomtree bench interconnect`: the matrix-vector product of the paper's Fig. 5 by the clock. Everything it prints is
+//! modelled from a topology file; nothing is measured.
+
+use std::path::PathBuf;
+
+use super::CliError;
+use super::table::Table;
+use crate::interconnect::{Demand, DeviceModel, ProductKernels, ScheduleKind, Topology, TransferPlan, plan, product_s};
+
+/// Arguments of `loomtree bench interconnect`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct InterconnectBench {
+    /// Machines (topology files)
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "topology/titan_xp_4.toml,topology/titan_v_8.toml,topology/pcie5_4.toml"
+    )]
+    topology: Vec<PathBuf>,
+    /// Block rows of the matrix
+    #[arg(long, default_value_t = 500_000, value_parser = clap::value_parser!(u32).range(64..))]
+    rows: u32,
+    /// 3x3 blocks per row
+    #[arg(long, default_value_t = 13.5, value_parser = positive)]
+    blocks: f64,
+    /// Shares of the memory bandwidth that the kernel reaches
+    #[arg(long, value_delimiter = ',', default_value = "1,0.333", value_parser = positive)]
+    efficiency: Vec<f64>,
+    /// Also write the tables as JSON and SVG into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value < 1e6 => Ok(value),
+        _ => Err("expected a positive number".to_string()),
+    }
+}
+
+/// Bytes of a row of a vector.
+const ROW_BYTES: f64 = 12.0;
+/// Values and column of a block.
+const BLOCK_BYTES: f64 = 40.0;
+const BLOCK_FLOPS: f64 = 18.0;
+
+/// What one product costs on one machine; speed-ups over one GPU.
+struct Speedups {
+    one_gpu_ms: f64,
+    gather_first: f64,
+    full: [f64; 3],
+    halo: f64,
+}
+
+pub fn run(bench: &InterconnectBench) -> Result<(), CliError> {
+    for file in &bench.topology {
+        let machine = Topology::read(file).map_err(CliError::bad_input)?;
+        for &efficiency in &bench.efficiency {
+            let title = format!(
+                "modelled, not measured: speed-up of a product over one GPU, {} rows, {}, kernel at {:.0} % of the memory \
+                 bandwidth",
+                bench.rows,
+                machine.device().name,
+                efficiency * 100.0
+            );
+            let name = format!("interconnect_{}_{:.0}", machine.name(), efficiency * 100.0);
+            let columns =
+                vec!["gpus", "one_gpu_ms", "gather_first", "full_fat_tree", "full_ring", "full_best", "halo_best"];
+            let mut table = Table::new(&name, title, columns);
+            for gpus in [2, 4, 8, 16].into_iter().filter(|gpus| *gpus <= machine.gpus()) {
+                let topology = machine.with_first_gpus(gpus).map_err(CliError::bad_input)?;
+                let found = speedups(&topology, bench, efficiency)?;
+                let [fat_tree, ring, best] = found.full;
+                table.push(vec![gpus as f64, found.one_gpu_ms, found.gather_first, fat_tree, ring, best, found.halo]);
+            }
+            table.finish(bench.out.as_deref(), Some(("gpus", "halo_best")))?;
+        }
+    }
+    Ok(())
+}
+
+/// Rank r holds rows / n rows. A square sheet is cut into strips, so that neighbouring ranks read sqrt(rows) rows of each
+/// other; a halo row is in three blocks of the reader.
+fn speedups(topology: &Topology, bench: &InterconnectBench, efficiency: f64) -> Result<Speedups, CliError> {
+    let ranks = topology.gpus();
+    let rows = f64::from(bench.rows);
+    let (own_rows, border_rows) = (rows / ranks as f64, rows.sqrt());
+    let device =
+        DeviceModel { bandwidth_gb_s: topology.device().bandwidth_gb_s * efficiency, ..topology.device().clone() };
+    // Blocks once, a row of the result and one of the vector.
+    let kernel_s = |blocks: f64, rows: f64| match blocks {
+        0.0 => 0.0,
+        _ => device.kernel_s(blocks * BLOCK_BYTES + rows * 2.0 * ROW_BYTES, blocks * BLOCK_FLOPS),
+    };
+    let one_gpu_s = kernel_s(rows * bench.blocks, rows);
+    let neighbours = |rank: usize| (0..ranks).filter(move |other| rank.abs_diff(*other) == 1);
+    let own_blocks = own_rows * bench.blocks;
+    let block = |rank: usize, vector: usize| {
+        let remote_blocks = 3.0 * border_rows;
+        match rank.abs_diff(vector) {
+            0 => kernel_s(own_blocks - neighbours(rank).count() as f64 * remote_blocks, own_rows),
+            1 => kernel_s(remote_blocks, border_rows),
+            _ => 0.0,
+        }
+    };
+    let blocks = (0..ranks).map(|rank| (0..ranks).map(|vector| block(rank, vector)).collect()).collect();
+    let blocks = ProductKernels::Blocks(blocks);
+    let sub_vector_bytes = (rows / ranks as f64).ceil() * ROW_BYTES;
+    let modelled = |transfers: &TransferPlan, kernels: &ProductKernels, order: &[Vec<usize>]| {
+        product_s(topology, transfers, kernels, order).map_err(|error| CliError::failed(error.to_string()))
+    };
+    let full = |kind: ScheduleKind, kernels: &ProductKernels| {
+        let plan = plan(kind, topology, sub_vector_bytes).map_err(CliError::bad_input)?;
+        let vectors = |queue: &Vec<crate::interconnect::QueueNode>| queue.iter().map(|node| node.vector).collect();
+        let order: Vec<Vec<usize>> = plan.schedule.queues.iter().map(vectors).collect();
+        Ok::<f64, CliError>(one_gpu_s / modelled(&plan.transfers(sub_vector_bytes), kernels, &order)?)
+    };
+    let whole = ProductKernels::Whole(vec![kernel_s(own_blocks, own_rows); ranks]);
+    let halves = |rank: usize| {
+        let remote_rows = neighbours(rank).count() as f64 * border_rows;
+        let local_rows = own_rows - remote_rows;
+        (kernel_s(local_rows * bench.blocks, local_rows), kernel_s(remote_rows * bench.blocks, remote_rows))
+    };
+    let halves = ProductKernels::Halo((0..ranks).map(halves).collect());
+    let demands: Vec<Demand> = (0..ranks)
+        .flat_map(|owner| neighbours(owner).map(move |reader| (owner, reader)))
+        .map(|(owner, reader)| Demand { owner, bytes: border_rows * ROW_BYTES, readers: vec![reader] })
+        .collect();
+    let (halo, _) = TransferPlan::best_for(topology, &demands);
+    Ok(Speedups {
+        one_gpu_ms: one_gpu_s * 1e3,
+        gather_first: full(ScheduleKind::Direct, &whole)?,
+        full: [
+            full(ScheduleKind::FatTree, &blocks)?,
+            full(ScheduleKind::Ring, &blocks)?,
+            full(ScheduleKind::Best, &blocks)?,
+        ],
+        halo: one_gpu_s / modelled(&halo, &halves, &vec![Vec::new(); ranks])?,
+    })
+}

@@ -1,0 +1,34 @@
+//! The choice of a preconditioner, as scenes and command lines name it; `solver` has what it stands for.
+
+use serde::{Deserialize, Serialize};
+
+/// What PCG multiplies the residual by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PreconditionerKind {
+    /// The fastest one that the executor has, by the number of rows.
+    #[default]
+    Auto,
+    /// Inverses of the 3x3 diagonal blocks.
+    Jacobi,
+    /// Sweeps inside chunks of rows and a coarse level (`solver::Schwarz`).
+    Schwarz,
+}
+
+impl PreconditionerKind {
+    /// Names and choices.
+    pub const CHOICES: [(&str, PreconditionerKind); 3] = [
+        ("auto", PreconditionerKind::Auto),
+        ("jacobi", PreconditionerKind::Jacobi),
+        ("schwarz", PreconditionerKind::Schwarz),
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            PreconditionerKind::Auto => "auto",
+            PreconditionerKind::Jacobi => "jacobi",
+            PreconditionerKind::Schwarz => "schwarz",
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! The coarse level of the Schwarz preconditioner: one displacement per group of chunks, P' A P solved exactly, in f64, by
+//! every rank for itself.
+//!
+//! The restricted residual P' r follows its own recurrence from P' w, which travels with the scalars of the iteration's
+//! all-reduce: the coarse level costs no message of its own. Groups are made of chunks, so nothing depends on ranks.
+
+use std::ops::Range;
+
+use crate::partition::RowPartition;
+use crate::transport::{ALL_GATHER_MAX, Transport, TransportError};
+
+/// Most groups: what a factorization costs if contacts couple all of them stays within a few per cent of a solve.
+const GROUPS_MAX: usize = 240;
+/// Values of a sent entry: chunk and group in one number, then the block.
+const ENTRY: usize = 10;
+/// A pivot smaller than this part of its diagonal value is rounding.
+const PIVOT_MIN: f64 = 1e-10;
+
+/// Coarse residual, its recurrence and the factor.
+pub(super) struct Coarse {
+    chunks: usize,
+    own: Range<usize>,
+    per_group: usize,
+    factor: Option<Skyline>,
+    residual: Vec<f64>,
+    image: Vec<f64>,
+    solution: Vec<f64>,
+    /// Three values per own chunk.
+    pub correction: Vec<f32>,
+}
+
+impl Coarse {
+    pub fn new(partition: &RowPartition, rank: usize) -> Coarse {
+        let (chunks, own) = (partition.chunks(), partition.chunks_of(rank));
+        let per_group = chunks.div_ceil(GROUPS_MAX);
+        let values = chunks.div_ceil(per_group) * 3;
+        Coarse {
+            chunks,
+            per_group,
+            factor: None,
+            residual: vec![0.0; values],
+            image: vec![0.0; values],
+            solution: vec![0.0; values],
+            correction: vec![0.0; own.len() * 3],
+            own,
+        }
+    }
+
+    /// First own chunk.
+    pub fn first_chunk(&self) -> usize {
+        self.own.start
+    }
+
+    /// Group of a chunk.
+    pub fn group(&self, chunk: usize) -> usize {
+        chunk / self.per_group
+    }
+
+    /// Factors P' A P. `entries`: of every own chunk, ascending groups of the columns and the sums of the blocks.
+    pub fn set_up(
+        &mut self,
+        transport: &mut dyn Transport,
+        entries: &[Vec<(u32, [f64; 9])>],
+    ) -> Result<(), TransportError> {
+        let mut own = Vec::new();
+        for (chunk, entries) in self.own.clone().zip(entries) {
+            for (group, block) in entries {
+                own.push((chunk * self.chunks + *group as usize) as f64);
+                own.extend_from_slice(block);
+            }
+        }
+        let all = gather(transport, &own)?;
+        let groups = self.residual.len() / 3;
+        let mut blocks: Vec<Vec<(u32, [f64; 9])>> = vec![Vec::new(); groups];
+        for entry in all.as_chunks::<ENTRY>().0 {
+            let (chunk, column) = (entry[0] as usize / self.chunks, entry[0] as usize % self.chunks);
+            let row = &mut blocks[self.group(chunk)];
+            let block: [f64; 9] = std::array::from_fn(|c| entry[1 + c]);
+            match row.iter_mut().find(|(c, _)| *c as usize == column) {
+                Some((_, sum)) => sum.iter_mut().zip(block).for_each(|(sum, v)| *sum += v),
+                None => row.push((column as u32, block)),
+            }
+        }
+        self.factor = Skyline::new(&blocks);
+        Ok(())
+    }
+
+    /// Begins a solve with the residual's sums over all chunks, three values each.
+    pub fn start(&mut self, chunk_sums: &[f64]) {
+        self.image.fill(0.0);
+        self.residual.fill(0.0);
+        self.add_chunks(chunk_sums, |coarse, at, v| coarse.residual[at] += v);
+        self.correct();
+    }
+
+    /// s = w + beta s, r -= alpha s, then the next correction. `chunk_sums`: of w, over all chunks.
+    pub fn update(&mut self, chunk_sums: &[f64], alpha: f64, beta: f64) {
+        self.image.iter_mut().for_each(|s| *s *= beta);
+        self.add_chunks(chunk_sums, |coarse, at, v| coarse.image[at] += v);
+        for (r, s) in self.residual.iter_mut().zip(&self.image) {
+            *r -= alpha * s;
+        }
+        self.correct();
+    }
+
+    fn add_chunks(&mut self, chunk_sums: &[f64], add: impl Fn(&mut Coarse, usize, f64)) {
+        for (chunk, sums) in chunk_sums.as_chunks::<3>().0.iter().enumerate() {
+            for (c, &sum) in sums.iter().enumerate() {
+                add(self, self.group(chunk) * 3 + c, sum);
+            }
+        }
+    }
+
+    fn correct(&mut self) {
+        let Some(factor) = &mut self.factor else { return };
+        factor.solve(&self.residual, &mut self.solution);
+        for (chunk, correction) in self.own.clone().zip(self.correction.as_chunks_mut::<3>().0) {
+            let at = chunk / self.per_group * 3;
+            *correction = std::array::from_fn(|c| self.solution[at + c] as f32);
+        }
+    }
+}
+
+/// The values of all ranks, in rank order, however many.
+fn gather(transport: &mut dyn Transport, own: &[f64]) -> Result<Vec<f64>, TransportError> {
+    if transport.ranks() == 1 {
+        return Ok(own.to_vec());
+    }
+    let mut parts = Vec::new();
+    transport.all_gather(&[own.len() as f64], &mut parts)?;
+    let lengths: Vec<usize> = parts.iter().map(|part| part.first().map_or(0, |&n| n as usize)).collect();
+    let mut all: Vec<Vec<f64>> = vec![Vec::new(); lengths.len()];
+    let rounds = lengths.iter().max().map_or(0, |n| n.div_ceil(ALL_GATHER_MAX));
+    for round in 0..rounds {
+        let range = (round * ALL_GATHER_MAX).min(own.len())..((round + 1) * ALL_GATHER_MAX).min(own.len());
+        transport.all_gather(&own[range], &mut parts)?;
+        for (all, part) in all.iter_mut().zip(&parts) {
+            all.extend_from_slice(part);
+        }
+    }
+    Ok(all.concat())
+}
+
+/// Cholesky factor within the envelope of a symmetric matrix of 3x3 blocks, in reverse Cuthill-McKee order
+/// [George and Liu 1981].
+struct Skyline {
+    /// Old row of each new row, in scalars.
+    order: Vec<usize>,
+    /// First column of each row of the factor.
+    first: Vec<usize>,
+    /// Start of each row's values; its last value is the diagonal.
+    start: Vec<usize>,
+    values: Vec<f64>,
+    work: Vec<f64>,
+}
+
+impl Skyline {
+    /// None if the matrix is not positive definite.
+    fn new(blocks: &[Vec<(u32, [f64; 9])>]) -> Option<Skyline> {
+        let nodes = cuthill_mckee(blocks);
+        let mut place = vec![0; nodes.len()];
+        nodes.iter().enumerate().for_each(|(new, &old)| place[old] = new);
+        let n = nodes.len() * 3;
+        let (mut first, mut start) = (vec![0; n], vec![0; n + 1]);
+        for (new, &old) in nodes.iter().enumerate() {
+            let lowest = blocks[old].iter().map(|(c, _)| place[*c as usize]).fold(new, usize::min);
+            for c in 0..3 {
+                let row = new * 3 + c;
+                first[row] = lowest * 3;
+                start[row + 1] = start[row] + row + 1 - first[row];
+            }
+        }
+        let mut values = vec![0.0; start[n]];
+        for (new, &old) in nodes.iter().enumerate() {
+            for (column, block) in &blocks[old] {
+                for (i, &v) in block.iter().enumerate() {
+                    let (row, column) = (new * 3 + i / 3, place[*column as usize] * 3 + i % 3);
+                    if column <= row {
+                        values[start[row] + column - first[row]] += v;
+                    }
+                }
+            }
+        }
+        let order = nodes.iter().flat_map(|&old| [old * 3, old * 3 + 1, old * 3 + 2]).collect();
+        let mut factor = Skyline { order, first, start, values, work: vec![0.0; n] };
+        factor.factor().then_some(factor)
+    }
+
+    fn factor(&mut self) -> bool {
+        for row in 0..self.first.len() {
+            let (done, rest) = self.values.split_at_mut(self.start[row]);
+            let own = &mut rest[..row + 1 - self.first[row]];
+            for column in self.first[row]..row {
+                let from = self.first[row].max(self.first[column]);
+                let other = &done[self.start[column] + from - self.first[column]..self.start[column + 1]];
+                let (other, diagonal) = other.split_at(column - from);
+                let sum = dot(&own[from - self.first[row]..column - self.first[row]], other);
+                own[column - self.first[row]] = (own[column - self.first[row]] - sum) / diagonal[0];
+            }
+            let last = own.len() - 1;
+            let whole = own[last];
+            let pivot = whole - dot(&own[..last], &own[..last]);
+            // A group of pinned rows has zeros only and corrects nothing.
+            own[last] = match whole {
+                0.0 => 1.0,
+                _ if pivot > PIVOT_MIN * whole => pivot.sqrt(),
+                _ => return false,
+            };
+        }
+        true
+    }
+
+    fn solve(&mut self, b: &[f64], x: &mut [f64]) {
+        let (first, start, values, work) = (&self.first, &self.start, &self.values, &mut self.work);
+        let n = work.len();
+        for row in 0..n {
+            let (own, diagonal) = (&values[start[row]..start[row + 1] - 1], values[start[row + 1] - 1]);
+            work[row] = (b[self.order[row]] - dot(own, &work[first[row]..row])) / diagonal;
+        }
+        for row in (0..n).rev() {
+            let value = work[row] / values[start[row + 1] - 1];
+            work[row] = value;
+            for (w, l) in work[first[row]..row].iter_mut().zip(&values[start[row]..start[row + 1] - 1]) {
+                *w -= l * value;
+            }
+        }
+        self.order.iter().zip(work).for_each(|(&old, &mut v)| x[old] = v);
+    }
+}
+
+/// Sum of products in eight fixed lanes.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut lanes = [0.0; 8];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    for (a, b) in a.iter().zip(b) {
+        for l in 0..8 {
+            lanes[l] += a[l] * b[l];
+        }
+    }
+    a_rest.iter().zip(b_rest).zip(&mut lanes).for_each(|((a, b), lane)| *lane += a * b);
+    lanes.iter().sum()
+}
+
+/// New order of the nodes: breadth first from a node of lowest degree, neighbours by degree, reversed.
+fn cuthill_mckee(blocks: &[Vec<(u32, [f64; 9])>]) -> Vec<usize> {
+    let degree = |node: usize| (blocks[node].len(), node);
+    let mut seen = vec![false; blocks.len()];
+    let mut order = Vec::with_capacity(blocks.len());
+    let mut roots: Vec<usize> = (0..blocks.len()).collect();
+    roots.sort_unstable_by_key(|&node| degree(node));
+    for root in roots {
+        if std::mem::replace(&mut seen[root], true) {
+            continue;
+        }
+        let mut next = order.len();
+        order.push(root);
+        while next < order.len() {
+            let mut found: Vec<usize> = blocks[order[next]].iter().map(|(c, _)| *c as usize).collect();
+            found.retain(|&node| !std::mem::replace(&mut seen[node], true));
+            found.sort_unstable_by_key(|&node| degree(node));
+            order.append(&mut found);
+            next += 1;
+        }
+    }
+    order.reverse();
+    order
+}

@@ -1,0 +1,326 @@
+//! The preconditioner on a seeded cloth-like system: symmetric, positive, zero on pins, the same on every number of ranks.
+
+use super::*;
+use crate::gpu::test_support::Seeded;
+use crate::partition::halo_plans;
+use crate::solver::PipelinedSpmv;
+use crate::solver::pcg::{Pcg, PcgParams, PcgVectors};
+use crate::transport::InProcessTransport;
+
+const SIDE: usize = 90;
+const ROWS: usize = SIDE * SIDE;
+
+/// Blocks of a grid in strips of 5 columns, so that consecutive rows are neighbours: springs along edges and diagonals, a few
+/// links between far rows, little mass.
+fn system() -> Vec<Vec<(usize, [f32; BLOCK])>> {
+    let mut seeded = Seeded::new(11);
+    let at = |i: usize, j: usize| i / 5 * 5 * SIDE + j * 5 + i % 5;
+    let mut rows: Vec<std::collections::BTreeMap<usize, [f32; BLOCK]>> = vec![Default::default(); ROWS];
+    let mut spring = |a: usize, b: usize, k: f32| {
+        let d = [(); 3].map(|()| seeded.uniform(-1.0, 1.0));
+        let length = d.iter().map(|v| v * v).sum::<f32>().max(0.01);
+        for c in 0..BLOCK {
+            let v = k * d[c / 3] * d[c % 3] / length + if c % 4 == 0 { 0.1 * k } else { 0.0 };
+            for (row, column, sign) in [(a, a, 1.0), (b, b, 1.0), (a, b, -1.0), (b, a, -1.0)] {
+                rows[row].entry(column).or_default()[c] += sign * v;
+            }
+        }
+    };
+    for i in 0..SIDE {
+        for j in 0..SIDE {
+            for (a, b) in [(i + 1, j), (i, j + 1), (i + 1, j + 1)].into_iter().filter(|&(a, b)| a < SIDE && b < SIDE) {
+                spring(at(i, j), at(a, b), 1.0);
+            }
+        }
+    }
+    for k in 0..60 {
+        spring(k * 131, ROWS - 1 - k * 97, 3.0);
+    }
+    for (row, blocks) in rows.iter_mut().enumerate() {
+        let own = blocks.entry(row).or_default();
+        [0, 4, 8].iter().for_each(|&c| own[c] += 2e-4);
+    }
+    rows.into_iter().map(|row| row.into_iter().collect()).collect()
+}
+
+fn pinned(row: usize) -> bool {
+    row < 40 || row % 1000 == 7
+}
+
+fn right_hand_side(row: usize) -> [f32; 3] {
+    [0.3, 0.7, 1.1].map(|k| (row as f32 * k).sin())
+}
+
+/// What a rank of a solve has at the end.
+struct Solved {
+    x: Vec<f32>,
+    iterations: u32,
+}
+
+/// Runs `work` on every rank with its matrix, inverses, tables that are set up, and transport.
+fn on_ranks<T: Send>(
+    ranks: usize,
+    mode: ExchangeMode,
+    threads: usize,
+    work: impl Fn(&Executor, &mut InProcessTransport, &mut Rank) -> T + Sync,
+) -> Vec<T> {
+    let (system, partition) = (system(), RowPartition::new(ROWS, ranks));
+    let halos: Vec<Vec<u32>> = (0..ranks)
+        .map(|rank| {
+            let own = partition.rows_of(rank);
+            let columns = system[own.clone()].iter().flatten().map(|(column, _)| *column as u32);
+            let mut halo: Vec<u32> = columns.filter(|&column| !own.contains(&(column as usize))).collect();
+            halo.sort_unstable();
+            halo.dedup();
+            halo
+        })
+        .collect();
+    let plans = halo_plans(&partition, &halos);
+    let schedule = crate::interconnect::direct(ranks);
+    let (system, work) = (&system, &work);
+    std::thread::scope(|scope| {
+        let started: Vec<_> = plans
+            .into_iter()
+            .zip(InProcessTransport::group(ranks))
+            .zip(&schedule.queues)
+            .map(|((plan, mut transport), queue)| {
+                scope.spawn(move || {
+                    let executor = Executor::cpu(threads);
+                    let mut rank = Rank::new(&executor, system, partition, plan, mode, queue);
+                    rank.set_up(&executor, &mut transport);
+                    work(&executor, &mut transport, &mut rank)
+                })
+            })
+            .collect();
+        started.into_iter().map(|thread| thread.join().expect("no panic")).collect()
+    })
+}
+
+struct Rank {
+    matrix: SellMatrix,
+    inverse: DeviceVec<f32>,
+    b: DeviceVec<f32>,
+    vectors: PcgVectors,
+    spmv: PipelinedSpmv,
+    pcg: Pcg,
+    schwarz: Schwarz,
+}
+
+impl Rank {
+    fn new(
+        executor: &Executor,
+        system: &[Vec<(usize, [f32; BLOCK])>],
+        partition: RowPartition,
+        plan: HaloPlan,
+        mode: ExchangeMode,
+        queue: &[QueueNode],
+    ) -> Rank {
+        let own = partition.rows_of(plan.rank);
+        let (mut offsets, mut columns) = (vec![0u32], Vec::new());
+        for row in own.clone() {
+            let local = |column: &usize| plan.local_from_global(*column as u32).expect("held");
+            columns.extend(system[row].iter().map(|(column, _)| local(column)));
+            offsets.push(columns.len() as u32);
+        }
+        let layout = match mode {
+            ExchangeMode::Halo => SellLayout::halo(&offsets, &columns, plan.own.clone()),
+            ExchangeMode::Full => outer_layout(&partition, &plan, mode, queue, &offsets, &columns),
+        };
+        let mut matrix = SellMatrix::new(executor, own.len(), &layout);
+        let mut inverse = Vec::new();
+        let mut k = 0;
+        for row in own.clone() {
+            for (column, block) in &system[row] {
+                for (c, &v) in block.iter().enumerate() {
+                    matrix.values.as_mut_slice()[value_index(layout.block_address[k], c)] = v;
+                }
+                if *column == row {
+                    let inverted = crate::assembly::fill::inverse_symmetric(block);
+                    inverse.extend(if pinned(row) { [0.0; 6] } else { inverted });
+                }
+                k += 1;
+            }
+        }
+        let pattern = RankPattern { offsets: &offsets, columns: &columns, block_address: &layout.block_address };
+        let b: Vec<f32> = own.clone().flat_map(right_hand_side).collect();
+        Rank {
+            schwarz: Schwarz::new(executor, &partition, &plan, mode, queue, pattern),
+            inverse: DeviceVec::upload(executor, &inverse),
+            b: DeviceVec::upload(executor, &b),
+            vectors: PcgVectors::new(executor, own.len(), plan.local_rows * 3),
+            pcg: Pcg::new(executor, &partition, plan.rank),
+            spmv: PipelinedSpmv::new(
+                executor,
+                mode,
+                HaloExchange::new(plan, queue.to_vec()),
+                queue.to_vec(),
+                partition.sub_vector_rows(),
+            ),
+            matrix,
+        }
+    }
+
+    fn set_up(&mut self, executor: &Executor, transport: &mut dyn Transport) {
+        let (halo, flags) = (self.spmv.halo(), &mut self.vectors.u);
+        let set = self.schwarz.set_up(
+            executor,
+            transport,
+            halo,
+            &(&self.matrix).into(),
+            &self.inverse,
+            flags,
+            &mut Recorder::new(),
+        );
+        set.expect("sets up");
+    }
+
+    fn solve(&mut self, executor: &Executor, transport: &mut dyn Transport, sweep: bool) -> Solved {
+        self.vectors.x.fill_zero(executor);
+        let params = PcgParams { relative_tolerance: 1e-3, max_iterations: 2000 };
+        let schwarz = sweep.then_some(&mut self.schwarz);
+        let (matrix, inverse, vectors) = (&self.matrix, &self.inverse, &mut self.vectors);
+        let info = self
+            .pcg
+            .solve(
+                executor,
+                transport,
+                &mut self.spmv,
+                &(&*matrix).into(),
+                inverse,
+                schwarz,
+                &self.b,
+                vectors,
+                false,
+                &params,
+                &mut Recorder::new(),
+            )
+            .expect("solves");
+        assert!(info.converged, "{info:?}");
+        Solved { x: self.vectors.x.read(executor), iterations: info.iterations }
+    }
+
+    /// M^-1 r on a single rank.
+    fn precondition(&mut self, executor: &Executor, r: &[f32]) -> Vec<f32> {
+        let own = |values: &[f32]| DeviceVec::upload(executor, values);
+        let zeros = || DeviceVec::zeros(executor, r.len());
+        let (mut r, mut w, mut u) = (own(r), zeros(), zeros());
+        let (mut scalars, mut restricted) = (Vec::new(), Vec::new());
+        self.schwarz.sums(executor, &self.inverse, &mut r, &u, 0, &mut scalars, &mut restricted);
+        self.schwarz.coarse.start(&restricted);
+        let (mut p, mut s, mut x) = (zeros(), zeros(), zeros());
+        self.schwarz.sweep(executor, None, &self.inverse, &mut w, &mut u, 0, &mut p, &mut s, &mut x, &mut r);
+        u.read(executor)
+    }
+}
+
+fn dot(a: &[f32], b: &[f32]) -> f64 {
+    a.iter().zip(b).map(|(&a, &b)| a as f64 * b as f64).sum()
+}
+
+#[test]
+fn it_is_symmetric_positive_and_zero_on_pins() {
+    on_ranks(1, ExchangeMode::Halo, 1, |executor, _, rank| {
+        let mut seeded = Seeded::new(3);
+        for _ in 0..4 {
+            let mut vector = || (0..ROWS * 3).map(|_| seeded.uniform(-1.0, 1.0)).collect::<Vec<f32>>();
+            let (y, z) = (vector(), vector());
+            let (my, mz) = (rank.precondition(executor, &y), rank.precondition(executor, &z));
+            let (zmy, ymz, ymy) = (dot(&z, &my), dot(&y, &mz), dot(&y, &my));
+            assert!(ymy > 0.0 && (zmy - ymz).abs() < 1e-5 * ymy, "{zmy} {ymz} {ymy}");
+            for row in (0..ROWS).filter(|&row| pinned(row)) {
+                assert_eq!(my[row * 3..row * 3 + 3], [0.0; 3], "row {row}");
+            }
+        }
+    });
+}
+
+/// |b - A x| / |b| over the rows that are not pinned, in f64.
+fn true_residual(x: &[f32]) -> f64 {
+    let (mut rr, mut bb) = (0.0, 0.0);
+    for (row, blocks) in system().iter().enumerate().filter(|(row, _)| !pinned(*row)) {
+        let b = right_hand_side(row).map(f64::from);
+        let mut r = b;
+        for (column, block) in blocks {
+            for (c, &v) in block.iter().enumerate() {
+                r[c / 3] -= v as f64 * x[column * 3 + c % 3] as f64;
+            }
+        }
+        rr += r.iter().map(|v| v * v).sum::<f64>();
+        bb += b.iter().map(|v| v * v).sum::<f64>();
+    }
+    (rr / bb).sqrt()
+}
+
+/// Iterations of textbook PCG in f64 [Hestenes and Stiefel 1952] with this preconditioner.
+fn textbook_iterations(executor: &Executor, rank: &mut Rank) -> u32 {
+    let system = system();
+    let narrow = |v: &[f64]| v.iter().map(|&v| v as f32).collect::<Vec<f32>>();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let free = |row: usize| f64::from(u8::from(!pinned(row)));
+    let mut r: Vec<f64> = (0..ROWS).flat_map(|row| right_hand_side(row).map(|v| v as f64 * free(row))).collect();
+    let start = dot(&r, &r).sqrt();
+    let (mut p, mut old) = (vec![0.0; r.len()], 1.0);
+    for iteration in 0..2000 {
+        if dot(&r, &r).sqrt() <= 1e-3 * start {
+            return iteration;
+        }
+        let z: Vec<f64> = rank.precondition(executor, &narrow(&r)).iter().map(|&v| v as f64).collect();
+        let gamma = dot(&r, &z);
+        let beta = if iteration == 0 { 0.0 } else { gamma / old };
+        p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + beta * *p);
+        let mut image = vec![0.0; r.len()];
+        for (row, blocks) in system.iter().enumerate() {
+            for (column, block) in blocks {
+                for (c, &v) in block.iter().enumerate() {
+                    image[row * 3 + c / 3] += v as f64 * p[column * 3 + c % 3] * free(row);
+                }
+            }
+        }
+        let alpha = gamma / dot(&p, &image);
+        r.iter_mut().zip(&image).for_each(|(r, s)| *r -= alpha * s);
+        old = gamma;
+    }
+    2000
+}
+
+#[test]
+fn iterations_are_those_of_textbook_pcg_and_far_fewer_than_with_jacobi() {
+    on_ranks(1, ExchangeMode::Halo, 1, |executor, transport, rank| {
+        let jacobi = rank.solve(executor, transport, false);
+        let textbook = textbook_iterations(executor, rank);
+        let schwarz = rank.solve(executor, transport, true);
+        println!("jacobi {}, schwarz {}, textbook {textbook}", jacobi.iterations, schwarz.iterations);
+        assert!(schwarz.iterations.abs_diff(textbook) <= 2, "{} {textbook}", schwarz.iterations);
+        // Chunks of 17 rows, the shortest that are worth it: twice is what such short ones give.
+        assert!(schwarz.iterations * 2 <= jacobi.iterations, "{} {}", schwarz.iterations, jacobi.iterations);
+        for x in [&jacobi.x, &schwarz.x] {
+            let reached = true_residual(x);
+            assert!(reached < 1.05e-3, "{reached}");
+        }
+    });
+}
+
+#[test]
+fn the_bits_are_those_of_one_rank_whatever_the_ranks_and_threads() {
+    let solve = |ranks, threads| {
+        let solved = on_ranks(ranks, ExchangeMode::Halo, threads, |executor, transport, rank| {
+            rank.solve(executor, transport, true)
+        });
+        let bits: Vec<u32> = solved.iter().flat_map(|s| s.x.iter().map(|v| v.to_bits())).collect();
+        (bits, solved[0].iterations)
+    };
+    let one = solve(1, 1);
+    for (ranks, threads) in [(1, 3), (2, 1), (3, 1), (4, 2), (8, 1)] {
+        assert!(solve(ranks, threads) == one, "{ranks} ranks, {threads} threads");
+    }
+}
+
+#[test]
+fn whole_sub_vectors_give_the_same_solution_within_rounding() {
+    let one = on_ranks(1, ExchangeMode::Halo, 1, |executor, transport, rank| rank.solve(executor, transport, true));
+    let full = on_ranks(3, ExchangeMode::Full, 1, |executor, transport, rank| rank.solve(executor, transport, true));
+    let x: Vec<f32> = full.iter().flat_map(|s| s.x.iter().copied()).collect();
+    let difference: Vec<f32> = one[0].x.iter().zip(&x).map(|(a, b)| a - b).collect();
+    assert!(full[0].iterations.abs_diff(one[0].iterations) <= 1);
+    assert!(dot(&difference, &difference) < 1e-4 * dot(&x, &x));
+}
