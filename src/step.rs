@@ -132,9 +132,8 @@ impl Simulation {
                 Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s)
             })
             .transpose()?;
-        let schwarz = Schwarz::wanted(settings.preconditioner, ex, &partition)
-            .map_err(SetupError::Preconditioner)?
-            .then(|| {
+        let schwarz =
+            Schwarz::wanted(settings.preconditioner, ex, &partition).map_err(SetupError::Preconditioner)?.then(|| {
                 let (offsets, block_address) = fill_tables.blocks();
                 let columns = fill_tables.local_columns(&matrix, &numbering);
                 let pattern = RankPattern { offsets, columns: &columns, block_address };
@@ -373,9 +372,15 @@ impl Simulation {
         self.positions.read_range(&self.executor, self.own_start, &mut own.0);
         self.velocities.read_range(&self.executor, self.own_start, &mut own.1);
         let gravity_m_s2 = self.settings.gravity_m_s2.to_array();
-        let (executor, own) = (&self.executor, (&own.0[..], &own.1[..]));
-        let found =
-            collisions.contacts(executor, transport, own, gravity_m_s2, span, stats, &mut self.recorder)?;
+        let found = collisions.contacts(
+            &self.executor,
+            transport,
+            (&own.0, &own.1),
+            gravity_m_s2,
+            span,
+            stats,
+            &mut self.recorder,
+        )?;
         let clock = StageClock::start();
         let start = self.recorder.now();
         let rows = found.plan.local_rows;

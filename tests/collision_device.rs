@@ -186,6 +186,38 @@ fn contacts_and_impacts_have_the_bits_of_native_detection() {
 }
 
 #[test]
+fn contacts_ahead_do_not_depend_on_the_number_of_ranks() {
+    let host = CpuExecutor::new(2);
+    for executor in executors() {
+        let model = scene(24, 12);
+        let (x, ahead) = (flat(&model.x0), flat(&model.x1));
+        let mut detector = Detector::new(model.mesh(), params(&model, 0.006, 0.0)).expect("a detector");
+        let on = RunsOn { host: &host, kernels: Some(&executor) };
+        let mut merged = |ranks: usize| {
+            let lists: Vec<_> = (0..ranks)
+                .map(|rank| {
+                    let mut out = vec![];
+                    detector.contacts_ahead(on, x, ahead, rank, ranks, None, &mut out).expect("contacts");
+                    out
+                })
+                .collect();
+            merge_contacts(&lists.iter().map(Vec::as_slice).collect::<Vec<_>>())
+        };
+        let one = merged(1);
+        assert!([2, 3, 4].into_iter().all(|ranks| merged(ranks) == one), "{}", executor.name());
+        let mut near = vec![];
+        detector.contacts(&host, x, 0, 1, None, &mut near).expect("contacts");
+        assert!(near.iter().all(|contact| one.contains(contact)) && one.len() > near.len() + 20);
+        // A few pairs may be proven apart here and not there.
+        let mut native = vec![];
+        detector.contacts_ahead(&host, x, ahead, 0, 1, None, &mut native).expect("contacts");
+        let differ =
+            native.iter().filter(|c| !one.contains(c)).count() + one.iter().filter(|c| !native.contains(c)).count();
+        assert!(1000 * differ <= native.len(), "{differ} of {}", native.len());
+    }
+}
+
+#[test]
 fn nothing_near_the_reach_is_dropped() {
     // Pairs around the reach within roundoffs, far from the origin and of bad shape: what the filter drops must be apart.
     for executor in executors() {

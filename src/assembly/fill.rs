@@ -144,10 +144,12 @@ impl FillTables {
         };
         // Sections are sub-vectors: the own one first, then in the order of arrival; columns are positions in them.
         let own = numbering.global_from_local[numbering.own.start] as usize;
-        let starts = cut.rows_of.iter().filter(|rows| rows.contains(&own)).chain(cut.order.iter().map(|&r| &cut.rows_of[r]));
+        let starts =
+            cut.rows_of.iter().filter(|rows| rows.contains(&own)).chain(cut.order.iter().map(|&r| &cut.rows_of[r]));
         let starts: Vec<usize> = starts.map(|rows| rows.start).collect();
         let section_ends: Vec<u32> = matrix.section_ends();
-        let local = |global: u32| numbering.global_from_local[..numbering.columns].partition_point(|&g| g < global) as u32;
+        let local =
+            |global: u32| numbering.global_from_local[..numbering.columns].partition_point(|&g| g < global) as u32;
         addresses
             .iter()
             .map(|&address| {

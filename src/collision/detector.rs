@@ -123,21 +123,13 @@ impl Rules {
         let limit = |&altitude_m: &f32| params.thickness_m.min(0.5 * altitude_m.max(0.0));
         let within_piece_m: Vec<f32> = params.smallest_altitudes_m.iter().map(limit).collect();
         let widest_within_piece_m = within_piece_m[..mesh.cloth_vertices].iter().fold(0.0, |a: f32, &b| a.max(b));
+        let reach_within_piece_m = within_piece_m.iter().map(|thickness_m| thickness_m * WIDER).collect();
         let mut pieces = mesh.triangles.iter().map(|face| mesh.pieces[face[0] as usize]);
         let first = pieces.next();
         let one_piece = pieces.all(|piece| Some(piece) == first);
         let widest_m = if one_piece { widest_within_piece_m } else { params.thickness_m };
-        let reach_within_piece_m = within_piece_m.iter().map(|thickness_m| thickness_m * WIDER).collect();
         let (pieces, cloth_vertices) = (mesh.pieces.clone(), mesh.cloth_vertices);
-        Rules {
-            params,
-            cloth_vertices,
-            pieces,
-            within_piece_m,
-            reach_within_piece_m,
-            widest_within_piece_m,
-            widest_m,
-        }
+        Rules { params, cloth_vertices, pieces, within_piece_m, reach_within_piece_m, widest_within_piece_m, widest_m }
     }
 
     fn bytes(&self) -> u64 {
@@ -274,7 +266,8 @@ impl Detector {
     /// with every candidate.
     pub fn contact(&self, x: &[f32], stencil: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.searches.native.mesh(), around: &self.around, x };
-        let pair = surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair, 0.0))?;
+        let pair =
+            surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair, 0.0))?;
         self.rules.element(&pair)
     }
 
@@ -298,7 +291,8 @@ impl Detector {
 
     /// As [`Detector::contacts`], with those pairs, too, that are farther apart at `x` and come closer than their thickness
     /// on the straight way to `ahead`, as their closest points at `x` see it: fast cloth then meets a repulsion before it
-    /// meets cloth.
+    /// meets cloth. Of those that only come closer, kinds of executors may find a few others: a direction that keeps a pair
+    /// apart may be found by one and not by the other.
     ///
     /// # Errors
     /// As [`Broad::candidates`].
@@ -320,11 +314,8 @@ impl Detector {
         let query = Query { x_t0: x, x_t1: ahead, radius_m: wide(rules.widest_m) };
         let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
         let choice = Choice { piece_radius_m: Some(wide(rules.widest_within_piece_m)), ..Choice::default() };
-        // On the way, a device tests with the widest reach; the narrow phase knows that of every pair.
-        let filter = match ahead {
-            None => Filter::AtRest { reach_m: query.radius_m, within_piece_m: &rules.reach_within_piece_m },
-            Some(_) => Filter::Moving { separation_m: query.radius_m },
-        };
+        let reach_m = wide(rules.params.thickness_m);
+        let filter = Filter::ByStencil { reach_m, within_piece_m: &rules.reach_within_piece_m };
         let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ContactSink| all.append(sink.found);
@@ -361,7 +352,7 @@ impl Detector {
         let start = || ImpactSink { x_t0, x_t1, separation_m, touched, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ImpactSink| all.append(sink.found);
-        let (on, split, filter) = (on.into(), (rank, ranks), Filter::Moving { separation_m });
+        let (on, split, filter) = (on.into(), (rank, ranks), Filter::Separation { separation_m });
         let stats = self.searches.search(on, &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
         let stats = self.stats(stats, &all);
         *out = all.items;

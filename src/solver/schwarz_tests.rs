@@ -162,8 +162,15 @@ impl Rank {
 
     fn set_up(&mut self, executor: &Executor, transport: &mut dyn Transport) {
         let (halo, flags) = (self.spmv.halo(), &mut self.vectors.u);
-        let set =
-            self.schwarz.set_up(executor, transport, halo, &(&self.matrix).into(), &self.inverse, flags, &mut Recorder::new());
+        let set = self.schwarz.set_up(
+            executor,
+            transport,
+            halo,
+            &(&self.matrix).into(),
+            &self.inverse,
+            flags,
+            &mut Recorder::new(),
+        );
         set.expect("sets up");
     }
 

@@ -176,17 +176,10 @@ impl Collisions {
         share_positions(transport, &self.partition, &ahead, &mut self.x_t1)?;
         let (rank, ranks) = (transport.rank(), transport.ranks());
         let mut found = Vec::new();
+        let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
         let query = self
             .detector
-            .contacts_ahead(
-                RunsOn::new(executor, &self.cpu),
-                &self.x_t0,
-                &self.x_t1,
-                rank,
-                ranks,
-                self.model.memory_limit_bytes,
-                &mut found,
-            )
+            .contacts_ahead(on, &self.x_t0, &self.x_t1, rank, ranks, limit, &mut found)
             .map_err(|error| detection_failed(stats.step, error))?;
         stats.proximity.add(&query);
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();

@@ -27,7 +27,7 @@ use super::{BroadError, BroadStats, Choice, CollisionMesh, Query, nanoseconds};
 use crate::collision::Candidate;
 use crate::gpu::{DeviceVec, Executor};
 use hash::{CHUNK, Entries, HashParams, Shapes, Table};
-use pairs::{AT_REST, BOXES_ONLY, Found, MOVING, PairParams};
+use pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
 
 /// Most tests of a batch: twice as many are still a number of 32 bits.
 const TESTS_MOST: u64 = (1 << 31) - 1;
@@ -45,8 +45,8 @@ const BINDING_BYTES: usize = 128 << 20;
 pub enum Filter<'a> {
     /// Nothing: the candidates of the native search.
     Boxes,
-    /// Pairs at rest (both ends of the query are the same positions) proven farther apart than this.
-    AtRest {
+    /// Pairs proven farther apart than this on the whole way, by more than rounded closest points may be wrong.
+    ByStencil {
         /// Distance of features of different pieces, metres.
         reach_m: f32,
         /// Per vertex: distance of features of one piece, metres. A vertex and a face have the vertex's, two edges the
@@ -54,7 +54,7 @@ pub enum Filter<'a> {
         within_piece_m: &'a [f32],
     },
     /// Pairs proven farther apart than this on the whole way.
-    Moving {
+    Separation {
         /// Distance, metres.
         separation_m: f32,
     },
@@ -192,7 +192,7 @@ impl DeviceBroad {
             let end = self.shapes.x_t1.get_or_insert_with(|| DeviceVec::zeros(executor, 0));
             end.assign(executor, query.x_t1);
         }
-        if let Filter::AtRest { within_piece_m, .. } = filter {
+        if let Filter::ByStencil { within_piece_m, .. } = filter {
             self.reach_m.assign(executor, within_piece_m);
         }
     }
@@ -309,8 +309,8 @@ fn tests_of([low, high, ..]: [u32; 4]) -> u64 {
 fn pair_params(motion: &Motion, filter: &Filter) -> PairParams {
     let (filter_kind, separation_m) = match *filter {
         Filter::Boxes => (BOXES_ONLY, 0.0),
-        Filter::AtRest { reach_m, .. } => (AT_REST, reach_m),
-        Filter::Moving { separation_m } => (MOVING, separation_m),
+        Filter::ByStencil { reach_m, .. } => (BY_STENCIL, reach_m),
+        Filter::Separation { separation_m } => (SEPARATION, separation_m),
     };
     PairParams {
         filter_kind,

@@ -20,8 +20,8 @@ static FEATURE_PAIRS: KernelSource =
 const SHARE: u32 = 32;
 /// Values of [`PairParams::filter_kind`].
 pub(super) const BOXES_ONLY: u32 = 0;
-pub(super) const AT_REST: u32 = 1;
-pub(super) const MOVING: u32 = 2;
+pub(super) const BY_STENCIL: u32 = 1;
+pub(super) const SEPARATION: u32 = 2;
 
 gpu_struct! {
     pub(super) struct PairParams {
@@ -145,7 +145,7 @@ mod tests {
             assert!(kernel.check().unwrap().arrays.len() <= 8);
         }
         assert!(TEXT.contains(&format!("const SHARE: u32 = {SHARE}u;")));
-        for (name, value) in [("BOXES_ONLY", BOXES_ONLY), ("AT_REST", AT_REST)] {
+        for (name, value) in [("BOXES_ONLY", BOXES_ONLY), ("BY_STENCIL", BY_STENCIL)] {
             assert!(TEXT.contains(&format!("const {name}: u32 = {value}u;")), "{name}");
         }
     }

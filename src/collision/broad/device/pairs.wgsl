@@ -14,7 +14,7 @@ struct PairParams {
     first_pair: u32,
     end_pair: u32,
     candidate_room: u32,
-    // 0: boxes only, 1: at rest, 2: moving.
+    // 0: boxes only, 1: farther apart than the stencil's reach, 2: than the separation.
     filter_kind: u32,
     pad_m: f32,
     // How much boxes shrink before they are tested with others of the same piece.
@@ -25,7 +25,7 @@ struct PairParams {
 // Tests per invocation.
 const SHARE: u32 = 32u;
 const BOXES_ONLY: u32 = 0u;
-const AT_REST: u32 = 1u;
+const BY_STENCIL: u32 = 1u;
 
 @group(0) @binding(0) var<storage, read> test_starts: array<u32>;
 @group(0) @binding(1) var<storage, read> starts: array<u32>;
@@ -191,17 +191,17 @@ fn hull_of(v: vec4<u32>, is_edges: bool, separation_m: f32) -> Hull {
 // Whether a direction, either sign, proves the parts more than the separation apart at both ends, so in between too.
 //
 // Per product with a difference, in roundoffs u = 2^-24 of the sum of absolute products: 1 for the difference, at most 3
-// for products and sums in whatever order (contracting only lowers it), 1 for the bound: SLACK_MOVING leaves five times
-// that, SLACK_AT_REST is above what the native tests may find with rounded closest points. sqrt may be off by 5 units in
-// the last place (10 u) where WGSL makes it of a reciprocal root: LONGER. Where the square of the direction may be flushed
-// to zero the sum of its components bounds it. What underflows or is flushed costs less than UNDERFLOW times what it is
-// multiplied with. If `size` is finite then no product overflowed; nothing that is no number is ever compared.
+// for products and sums in whatever order (contracting only lowers it), 1 for the bound: 24 u leave five times that; where
+// stencils have their own reach, 128 u are above what native tests may find with rounded closest points. sqrt may be off
+// by 5 units in the last place (10 u) where it is made of a reciprocal root: 32 u. Where the square of the direction may be
+// flushed to zero the sum of its components bounds its length. What underflows or is flushed costs less than `underflow`
+// times what it is multiplied with. If `size` is finite then no product overflowed; nothing that is no number is compared.
 fn splits(d: vec3<f32>, hull: ptr<function, Hull>) -> bool {
     let u = 5.9604644775390625e-8;
     let underflow = 7.523164e-37;
     let sum = abs(d.x) + abs(d.y) + abs(d.z);
     let size = dot(abs(d), (*hull).largest);
-    let slack = select(24.0 * u, 128.0 * u, params.filter_kind == AT_REST);
+    let slack = select(24.0 * u, 128.0 * u, params.filter_kind == BY_STENCIL);
     let square = dot(d, d);
     let length = select(sqrt(max(square, 1e-30)) * (1.0 + 32.0 * u), sum, square < 1e-28);
     let bound = size * slack + (*hull).separation_m * length * (1.0 + 8.0 * u) + underflow * (1.0 + sum);
@@ -225,7 +225,7 @@ fn proven_apart(v: vec4<u32>, is_edges: bool, same_piece: bool) -> bool {
         return false;
     }
     var separation_m = params.separation_m;
-    if (params.filter_kind == AT_REST && same_piece) {
+    if (params.filter_kind == BY_STENCIL && same_piece) {
         separation_m = reach_m[v.x];
         if (is_edges) {
             separation_m = min(min(separation_m, reach_m[v.y]), min(reach_m[v.z], reach_m[v.w]));

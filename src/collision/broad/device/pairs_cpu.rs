@@ -3,7 +3,7 @@
 use glam::Vec3A;
 
 use super::hash_cpu::path_box;
-use super::pairs::{AT_REST, BOXES_ONLY, PairParams};
+use super::pairs::{BOXES_ONLY, BY_STENCIL, PairParams};
 use crate::collision::Candidate;
 use crate::collision::broad::boxes::Aabb;
 use crate::collision::broad::mesh::edge_of;
@@ -175,10 +175,10 @@ pub(super) fn feature_pairs(
     let mut report = |candidate: Candidate, same_piece: bool| {
         let is_edges = !candidate.is_vertex_face();
         if params.filter_kind != BOXES_ONLY {
-            let at_rest = params.filter_kind == AT_REST;
-            let slack = ROUNDOFF * if at_rest { 128.0 } else { 24.0 };
-            let reach = candidate.vertices.map(|v| if at_rest { reach_m[v as usize] } else { 0.0 });
-            let separation_m = match (at_rest && same_piece, is_edges) {
+            let by_stencil = params.filter_kind == BY_STENCIL;
+            let slack = ROUNDOFF * if by_stencil { 128.0 } else { 24.0 };
+            let reach = candidate.vertices.map(|v| if by_stencil { reach_m[v as usize] } else { 0.0 });
+            let separation_m = match (by_stencil && same_piece, is_edges) {
                 (false, _) => params.separation_m,
                 (true, false) => reach[0],
                 (true, true) => reach.into_iter().fold(f32::MAX, f32::min),

@@ -1,7 +1,7 @@
 //! Every kernel against its native twin, on seeded triangles of odd numbers and very different sizes.
 
 use super::hash::{CHUNK, Entries, HashParams, Shapes, Table, buckets};
-use super::pairs::{AT_REST, BOXES_ONLY, Found, MOVING, PairParams};
+use super::pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
 use super::*;
 use crate::gpu::test_support::{self, Seeded};
 
@@ -89,7 +89,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
     found.pairs.write_range(executor, 0, &pairs);
     let reach_m: Vec<f32> = (0..mesh.vertices).map(|v| 0.001 * (v % 5) as f32).collect();
     let reach_m = DeviceVec::upload(executor, &reach_m);
-    let candidates = [BOXES_ONLY, AT_REST, MOVING].map(|filter_kind| {
+    let candidates = [BOXES_ONLY, BY_STENCIL, SEPARATION].map(|filter_kind| {
         let pass = PairParams {
             first_pair: (count / 7) as u32,
             end_pair: count as u32,
