@@ -86,27 +86,23 @@ struct State {
 }
 
 /// Runs a plan to its end.
-pub fn run(
-    mut plan: RunPlan,
-    options: &RunOptions,
-    places: &RunPlaces,
-    launch: &Launch,
-) -> Result<RunSummary, RunError> {
+pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
     check_space(&plan)?;
     let failed = |error: CrewError| RunError::Failed(error.to_string());
     let (mut recorder, resumed) = Recorder::open(&plan, options, places).map_err(|error| match error {
         RecordError::BadInput(text) => RunError::BadInput(text),
         RecordError::Write(text) => RunError::Failed(text),
     })?;
-    let first_step = match &resumed {
-        Some(checkpoint) => {
-            plan.scene.mesh.positions.clone_from(&checkpoint.positions);
-            plan.scene.velocities.clone_from(&checkpoint.velocities);
-            checkpoint.step as u32
+    // The scene stays what it is at time 0: order of vertices and pins come from there.
+    let (state, first_step) = match &resumed {
+        Some(Checkpoint { positions, velocities, step, .. }) => {
+            (State { positions: positions.clone(), velocities: velocities.clone() }, *step as u32)
         }
-        None => 0,
+        None => {
+            let scene = &plan.scene;
+            (State { positions: scene.mesh.positions.clone(), velocities: scene.velocities.clone() }, 0)
+        }
     };
-    let state = State { positions: plan.scene.mesh.positions.clone(), velocities: plan.scene.velocities.clone() };
     let mut crew = Crew::assemble(options.workers, launch, options.heartbeat()).map_err(failed)?;
     let mut driver = Driver {
         plan: &plan,
@@ -280,7 +276,8 @@ impl Driver<'_> {
 
     /// Sends every worker its part and waits until all are connected.
     fn set_up(&mut self, crew: &mut Crew) -> Result<Vec<WorkerReady>, DriveError> {
-        let model = self.plan.model();
+        let mut model = self.plan.model();
+        model.set_state(&self.state.positions, &self.state.velocities);
         let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
         let ranks = self.plan.partition.ranks();
         let setup = WorkerSetup {

@@ -106,6 +106,13 @@ impl GlobalModel {
         }
     }
 
+    /// Goes on from another state than the scene's, in the mesh's order. Order, pins and rest shape stay those of the scene.
+    pub fn set_state(&mut self, positions: &[Vec3], velocities: &[Vec3]) {
+        for (values, of) in [(&mut self.positions, positions), (&mut self.velocities, velocities)] {
+            *values = self.original_from_global.iter().flat_map(|&v| of[v as usize].to_array()).collect();
+        }
+    }
+
     /// Number of vertices.
     pub fn rows(&self) -> usize {
         self.masses.len()
