@@ -554,6 +554,15 @@ impl Simulation {
         let Some(collisions) = &mut self.collisions else { return Ok(Resolved::Free(Vec::new())) };
         let mut own = vec![0.0; self.own_rows * 3];
         self.positions.read_range(&self.executor, self.own_start, &mut own);
+        if let Some(at) = own.iter().position(|x| !x.is_finite()) {
+            return Err(StepError::NotFinite {
+                step: stats.step,
+                vertex: (self.rows_start + at / 3) as u32,
+                quantity: "position",
+                cause: "after the step".into(),
+                suspect: "simulation.step_s or a velocity",
+            });
+        }
         let resolved = collisions.resolve(&self.executor, transport, &own, rounds_most, stats, &mut self.recorder)?;
         if let Resolved::Free(moved) = &resolved
             && !moved.is_empty()

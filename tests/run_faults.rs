@@ -126,10 +126,12 @@ fn the_second_ctrl_c_leaves_at_once() {
     place.newest_checkpoint("out");
 }
 
-/// A sheet whose neighbours fly apart: the forces of the second step leave the range of f32.
+/// A sheet whose neighbours fly apart: the forces of the second step leave the range of f32 (collision detection would
+/// refuse coordinates like these before).
 const FLIES_APART: &str = r#"
     resolution = 200
     [simulation]
+    collisions = false
     steps_per_frame = 1
     frames = 50
     [[cloth]]
@@ -181,4 +183,50 @@ fn a_diverged_run_names_step_vertex_and_field() {
 fn a_state_that_is_not_finite_is_no_frame_and_no_checkpoint() {
     let error = diverges(FLIES_AWAY, 2);
     assert!(error.contains("step 1: the position of vertex ") && error.contains("simulation.step_s"), "{error}");
+}
+
+/// Two plates that close on a cloth, and on each other.
+const CRUSHED: &str = r#"
+    resolution = 200
+    [simulation]
+    steps_per_frame = 2
+    frames = 50
+    thickness_m = 0.001
+    [[cloth]]
+    sheet = { size_m = [0.2, 0.2] }
+    plane = "xz"
+    origin_m = [-0.1, 0.0, 0.1]
+    [[obstacle]]
+    name = "upper plate"
+    plate = { center_m = [0.0, 0.03, 0.0], size_m = [0.5, 0.5], thickness_m = 0.02, triangles = 100 }
+    motion = [ { time_s = 0.0 }, { time_s = 0.1, translate_m = [0.0, -0.03, 0.0] } ]
+    [[obstacle]]
+    name = "lower plate"
+    plate = { center_m = [0.0, -0.03, 0.0], size_m = [0.5, 0.5], thickness_m = 0.02, triangles = 100 }
+    motion = [ { time_s = 0.0 }, { time_s = 0.1, translate_m = [0.0, 0.03, 0.0] } ]
+"#;
+
+#[test]
+fn plates_that_leave_no_room_are_named_and_the_last_good_state_is_kept() {
+    let mut ends = Vec::new();
+    for workers in [1, 3] {
+        let place = Place::new();
+        place.write("crushed.toml", CRUSHED);
+        let ended = place.run(&format!("run crushed.toml --executor cpu --workers {workers} --out out")).expect(1);
+        let error = ended.error().to_string();
+        for word in ["step ", "`upper plate`", "`lower plate`", "--resume"] {
+            assert!(error.contains(word), "'{word}' is not in: {error}");
+        }
+        let status = place.report("out")["status"].as_str().expect("a status").to_string();
+        assert!(status.starts_with("failed: step "), "{status}");
+        let (path, _, step) = place.newest_checkpoint("out");
+        // 40 mm of air, closed at 0.6 m/s after 67 ms; a step takes 4 ms.
+        assert!((14..=16).contains(&step), "the last good state is that of step {step}: {error}");
+        // Between the plates at that time, not beyond them.
+        let checkpoint = loomtree::output::checkpoint::latest(path.parent().expect("a folder")).found.expect("one").1;
+        let room_m = (0.02 - 0.3 * 0.004 * step as f64) as f32;
+        assert!(checkpoint.positions.iter().all(|x| x.y.abs() < room_m), "step {step}: within {room_m} m");
+        ends.push((step, error));
+    }
+    assert_eq!(ends[0], ends[1], "one worker and three end alike");
 }

@@ -47,6 +47,53 @@ fn schedules_topologies_and_threads_change_no_bit() {
     assert_eq!(hashes(&place, "threads", "--workers 2 --threads 3"), one, "3 threads each");
 }
 
+/// The shipped scene, small, with the ball close to the cloths.
+fn sphere_place() -> Place {
+    let place = Place::new();
+    let scene = std::fs::read_to_string(repository("scenes/sphere.toml")).expect("the shipped scene");
+    let (at, size) = ("center_m = [0.05, 1.0, 0.45]", "triangles = 5_000");
+    assert!(scene.contains(at) && scene.contains(size), "the scene has changed");
+    place.write("sphere.toml", scene.replace(at, "center_m = [0.05, 1.0, 0.28]").replace(size, "triangles = 1_000"));
+    place
+}
+
+/// Sum over the steps of a number in a report.
+fn total(report: &serde_json::Value, field: &str) -> f64 {
+    let steps = report["steps"].as_array().expect("steps in the report");
+    steps.iter().map(|step| step[field].as_f64().unwrap_or_else(|| panic!("no {field} in {step}"))).sum()
+}
+
+#[test]
+fn contacts_and_zones_give_the_same_bits_and_can_be_resumed_in_their_midst() {
+    const RUN: &str = "run sphere.toml --executor cpu --resolution 2000";
+    let place = sphere_place();
+    let run = |out: &str, flags: &str| {
+        let ended = place.run(&format!("{RUN} --out {out} {flags}")).expect(0);
+        assert_eq!(place.report(out)["status"], "done", "{}", ended.story);
+        place.hashes(out)
+    };
+    let one = run("one", "--workers 1 --frames 8");
+    assert_eq!(one.len(), 9);
+    let report = place.report("one");
+    for field in ["contacts", "zones", "zone_rounds", "impacts", "zone_iterations"] {
+        assert!(total(&report, field) > 0.0, "{field}");
+    }
+    let last = report["steps"].as_array().expect("steps").last().expect("a step").clone();
+    assert!(last["contacts"].as_u64() > Some(10) && last["smallest_gap_m"].as_f64() > Some(0.0), "{last}");
+    for workers in [2, 3, 4, 8] {
+        let out = format!("many{workers}");
+        assert_eq!(run(&out, &format!("--workers {workers} --frames 8")), one, "{workers} workers");
+        for field in ["contacts", "zones", "impacts"] {
+            assert_eq!(total(&place.report(&out), field), total(&report, field), "{field} of {workers} workers");
+        }
+    }
+    // Stopped where contacts act, taken up by fewer.
+    run("resumed", "--workers 4 --frames 6");
+    place.run("run --resume --out resumed --workers 2 --frames 8").expect(0);
+    assert_eq!(place.report("resumed")["resumed"][0]["frame"], 6);
+    assert_eq!(place.hashes("resumed"), one, "resumed");
+}
+
 #[test]
 fn full_exchange_repeats_its_bits() {
     let place = Place::new();

@@ -86,24 +86,23 @@ struct State {
 }
 
 /// Runs a plan to its end.
-pub fn run(
-    plan: RunPlan,
-    options: &RunOptions,
-    places: &RunPlaces,
-    launch: &Launch,
-) -> Result<RunSummary, RunError> {
+pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
     check_space(&plan)?;
     let failed = |error: CrewError| RunError::Failed(error.to_string());
     let (mut recorder, resumed) = Recorder::open(&plan, options, places).map_err(|error| match error {
         RecordError::BadInput(text) => RunError::BadInput(text),
         RecordError::Write(text) => RunError::Failed(text),
     })?;
-    // Order of the vertices and places of the pins are those of the start, whatever state the run goes on from.
-    let (first_step, positions, velocities) = match &resumed {
-        Some(checkpoint) => (checkpoint.step as u32, &checkpoint.positions, &checkpoint.velocities),
-        None => (0, &plan.scene.mesh.positions, &plan.scene.velocities),
+    // The scene stays what it is at time 0: order of vertices and pins come from there.
+    let (state, first_step) = match &resumed {
+        Some(Checkpoint { positions, velocities, step, .. }) => {
+            (State { positions: positions.clone(), velocities: velocities.clone() }, *step as u32)
+        }
+        None => {
+            let scene = &plan.scene;
+            (State { positions: scene.mesh.positions.clone(), velocities: scene.velocities.clone() }, 0)
+        }
     };
-    let state = State { positions: positions.clone(), velocities: velocities.clone() };
     let mut crew = Crew::assemble(options.workers, launch, options.heartbeat()).map_err(failed)?;
     let mut driver = Driver {
         plan: &plan,

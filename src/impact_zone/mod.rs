@@ -84,6 +84,7 @@ fn at(positions: &[f32], vertex: u32) -> DVec3 {
 pub struct Impossible {
     /// Movable vertices of the pairs that cannot be resolved, ascending.
     pub vertices: Vec<u32>,
-    /// Their vertices of infinite mass (pins, obstacles), ascending. Empty if the start state touches itself.
+    /// Vertices of infinite mass (pins, obstacles) that they or their zone have hit, ascending. Empty if the start state
+    /// touches itself.
     pub imposed: Vec<u32>,
 }

@@ -255,7 +255,13 @@ impl ImpactZones {
                 let grown = part.olds > 1 || zone.immovable().len() > part.immovable_before;
                 if !grown || zone.rebases > MOST_REBASES {
                     let inside = |i: &&Impact| i.candidate.vertices.iter().any(|&v| zone.place(v).is_some());
-                    return Err(impossible(step, impacts.iter().filter(inside)));
+                    let mut verdict = impossible(step, impacts.iter().filter(inside));
+                    // What it follows or has met before holds it as well.
+                    let imposed = zone.immovable().into_iter().filter(|&v| step.inverse_masses[v as usize] == 0.0);
+                    verdict.imposed.extend(imposed);
+                    verdict.imposed.sort_unstable();
+                    verdict.imposed.dedup();
+                    return Err(verdict);
                 }
             } else if part.touched && part.olds > 0 {
                 let most = FAILED * (self.settings.attempts + FALLBACKS - 1);

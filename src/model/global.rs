@@ -106,11 +106,10 @@ impl GlobalModel {
         }
     }
 
-    /// Goes on from another state than the start; positions and velocities in the mesh's order.
+    /// Goes on from another state than the scene's, in the mesh's order. Order, pins and rest shape stay those of the scene.
     pub fn set_state(&mut self, positions: &[Vec3], velocities: &[Vec3]) {
-        for (row, &original) in self.original_from_global.iter().enumerate() {
-            self.positions[3 * row..][..3].copy_from_slice(&positions[original as usize].to_array());
-            self.velocities[3 * row..][..3].copy_from_slice(&velocities[original as usize].to_array());
+        for (values, of) in [(&mut self.positions, positions), (&mut self.velocities, velocities)] {
+            *values = self.original_from_global.iter().flat_map(|&v| of[v as usize].to_array()).collect();
         }
     }
 

@@ -62,7 +62,12 @@ pub(super) fn parse(
     let flat = vec![false; merged.cloths.len()];
     Start { path, resolution: None, flat: &flat, obstacles: &obstacles, pins: &pins, settings: &settings }
         .settle(&mut merged, start)
-        .map_err(|crossings| SceneError::Crossing { path: path.into(), line: None, field: "cloths".into(), crossings })?;
+        .map_err(|crossings| SceneError::Crossing {
+            path: path.into(),
+            line: None,
+            field: "cloths".into(),
+            crossings,
+        })?;
     left_out.lines.extend(pieces.into_iter().filter_map(|piece| piece.left_out));
     Ok(Scene {
         name: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),

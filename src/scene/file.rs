@@ -66,9 +66,16 @@ pub(super) fn parse(
     })?;
 
     let flat: Vec<bool> = pieces.iter().map(|piece| piece.sheet.is_some()).collect();
-    Start { path, resolution: overrides.resolution, flat: &flat, obstacles: &obstacles, pins: &pins, settings: &settings }
-        .settle(&mut merged, start)
-        .map_err(|crossings| root.crossing_at("cloth", crossings))?;
+    Start {
+        path,
+        resolution: overrides.resolution,
+        flat: &flat,
+        obstacles: &obstacles,
+        pins: &pins,
+        settings: &settings,
+    }
+    .settle(&mut merged, start)
+    .map_err(|crossings| root.crossing_at("cloth", crossings))?;
     Ok(Scene {
         name,
         mesh: merged.mesh,
