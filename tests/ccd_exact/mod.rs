@@ -20,6 +20,9 @@ pub struct FirstContact {
 
 /// First contact in [0, 1] of linear trajectories, or none.
 pub fn first_contact(kind: StencilKind, x_t0: Grid, x_t1: Grid) -> Option<FirstContact> {
+    if apart_along_an_axis(kind, &x_t0, &x_t1) || never_coplanar(&x_t0, &x_t1) {
+        return None;
+    }
     let stencil = Moving { kind, x: std::array::from_fn(|i| std::array::from_fn(|c| linear(x_t0[i][c], x_t1[i][c]))) };
     let coplanar = stencil.coplanar();
     if !is_zero(&coplanar) && one_sign(&bernstein_on(&coplanar, &BigInt::ZERO, 0)).is_some() {
@@ -40,6 +43,40 @@ pub fn first_contact(kind: StencilKind, x_t0: Grid, x_t1: Grid) -> Option<FirstC
         }
     }
     contacts.into_iter().min_by(|a, b| a.low.total_cmp(&b.low))
+}
+
+// --- quick proofs, exact in i128 for grids up to 2^24 ---------------------------------------------------------------
+
+/// Do the parts lie on two sides of a plane across a coordinate axis or a diagonal, at both ends and so all the way?
+fn apart_along_an_axis(kind: StencilKind, x_t0: &Grid, x_t1: &Grid) -> bool {
+    let first = if kind == StencilKind::VertexFace { 1 } else { 2 };
+    let directions = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]).filter(|d: &[i64; 3]| *d != [0; 3]);
+    let along = |d: [i64; 3], p: &[i64; 3]| d[0] * p[0] + d[1] * p[1] + d[2] * p[2];
+    directions.into_iter().any(|d| {
+        [x_t0, x_t1].into_iter().all(|x| {
+            let low = x[..first].iter().map(|p| along(d, p)).max();
+            low < x[first..].iter().map(|p| along(d, p)).min()
+        })
+    })
+}
+
+/// Have the Bernstein coefficients of the volume over time one sign? Then the four points are never in one plane.
+fn never_coplanar(x_t0: &Grid, x_t1: &Grid) -> bool {
+    let edges = |x: &Grid| -> [[i128; 3]; 3] {
+        std::array::from_fn(|i| std::array::from_fn(|c| i128::from(x[i + 1][c] - x[0][c])))
+    };
+    let (a, b) = (edges(x_t0), edges(x_t1));
+    let volume = |[u, v, w]: [[i128; 3]; 3]| {
+        u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0])
+    };
+    let with = |from: [[i128; 3]; 3], other: [[i128; 3]; 3], i: usize| {
+        let mut edges = from;
+        edges[i] = other[i];
+        volume(edges)
+    };
+    let mixed = |from, other| (0..3).map(|i| with(from, other, i)).sum::<i128>();
+    let coefficients = [volume(a), mixed(a, b), mixed(b, a), volume(b)];
+    coefficients.iter().all(|&c| c > 0) || coefficients.iter().all(|&c| c < 0)
 }
 
 // --- polynomials with integer coefficients, lowest first, highest not zero ------------------------------------------
