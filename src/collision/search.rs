@@ -14,7 +14,8 @@ const GRAIN: usize = 1024;
 pub struct RunsOn<'a> {
     /// Threads of native code.
     pub host: &'a CpuExecutor,
-    /// Runs the broad phase and the first part of the narrow phase; none: native code does.
+    /// Runs the broad phase and the first part of the narrow phase; none: native code does. Always the same executor for one
+    /// detector: its arrays stay there.
     pub kernels: Option<&'a Executor>,
 }
 

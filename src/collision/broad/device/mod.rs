@@ -31,6 +31,8 @@ use pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
 
 /// Most tests of a batch: twice as many are still a number of 32 bits.
 const TESTS_MOST: u64 = (1 << 31) - 1;
+/// Most tests of a dispatch: displays and drivers lose patience with long ones.
+const TESTS_PER_PASS: u64 = 1 << 26;
 /// Bits for the number of a piece.
 const PIECE_BITS: u32 = 26;
 /// Pairs of triangles that the buffer holds at first, per triangle and rank; candidates are fewer. And what both hold at
@@ -241,7 +243,7 @@ impl DeviceBroad {
         room: &Room,
         emit: &mut dyn FnMut(&[Candidate]),
     ) -> Result<u64, BroadError> {
-        let (mut reported, mut first, mut step) = (0, own.start, own.end - own.start);
+        let (mut reported, mut first, mut step) = (0, own.start, TESTS_PER_PASS);
         if self.found.pairs.is_empty() {
             self.found.pairs.resize(executor, room.first_pairs);
             self.found.candidates.resize(executor, (room.first_pairs / 8).max(ROOM_LEAST).min(room.candidates));
