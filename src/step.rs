@@ -119,7 +119,9 @@ impl Simulation {
         let (rows, local_len) = (own.len(), plan.local_rows * 3);
         let ex = &executor;
         let collisions = collision
-            .map(|model| Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s))
+            .map(|model| {
+                Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s)
+            })
             .transpose()?;
         let simulation = Simulation {
             fabrics: DeviceVec::upload(ex, &arrays.fabrics),
@@ -338,16 +340,14 @@ impl Simulation {
         self.positions.read_range(&self.executor, self.own_start, &mut own.0);
         self.velocities.read_range(&self.executor, self.own_start, &mut own.1);
         let gravity_m_s2 = self.settings.gravity_m_s2.to_array();
-        let found =
-            collisions.contacts(transport, (&own.0, &own.1), gravity_m_s2, span, stats, &mut self.recorder)?;
+        let found = collisions.contacts(transport, (&own.0, &own.1), gravity_m_s2, span, stats, &mut self.recorder)?;
         let clock = StageClock::start();
         let start = self.recorder.now();
         let rows = found.plan.local_rows;
         let local_len = rows * 3 + found.obstacle_positions.len();
-        for (local, obstacles) in [
-            (&mut self.positions, &found.obstacle_positions),
-            (&mut self.velocities, &found.obstacle_velocities),
-        ] {
+        for (local, obstacles) in
+            [(&mut self.positions, &found.obstacle_positions), (&mut self.velocities, &found.obstacle_velocities)]
+        {
             if local.len() < local_len {
                 local.resize(&self.executor, local_len);
             }

@@ -263,7 +263,8 @@ impl Detector {
     /// with every candidate.
     pub fn contact(&self, x: &[f32], stencil: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.broad.mesh(), around: &self.around, x };
-        let pair = surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair, 0.0))?;
+        let pair =
+            surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair, 0.0))?;
         self.rules.element(&pair)
     }
 

@@ -64,6 +64,7 @@ impl Common {
             ranks: 1,
             max_message_values: 0,
             patience_s: 0.0,
+            links: None,
         };
         crate::worker::make_executor(&setup, 0).map_err(CliError::bad_input)
     }
