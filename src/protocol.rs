@@ -3,6 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::interconnect::RankLinks;
 use crate::linear_system::{RankSystem, SolveParams, SolveStats};
 use crate::model::RankModel;
 use crate::step::{ExchangePlan, Imposed, StepStats};
@@ -35,6 +36,8 @@ pub struct WorkerSetup {
     pub max_message_values: usize,
     /// Longest wait for another rank, seconds.
     pub patience_s: f64,
+    /// Links that the transport emulates; their stamps are part of `max_message_values`.
+    pub links: Option<RankLinks>,
 }
 
 /// Coordinator -> worker.

@@ -4,10 +4,10 @@
 
 mod collisions;
 mod error;
+mod inspect;
 mod stats;
 
 use std::ops::Range;
-use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
@@ -24,9 +24,9 @@ use crate::integrator::pins::{PinTargets, Pins};
 use crate::integrator::scatter::Scatter;
 use crate::interconnect::QueueNode;
 use crate::model::RankModel;
-use crate::scene::{Motion, PreconditionerKind, Settings};
+use crate::scene::{Motion, Settings};
 use crate::solver::{
-    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz,
+    ExchangeMode, HaloExchange, Pcg, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz,
     TrafficCounter,
 };
 use crate::telemetry::{Activity, EventName, Recorder};
@@ -282,72 +282,6 @@ impl Simulation {
         self.resolve_impacts(transport, span, rounds_most, stats)
     }
 
-    /// Times `repeat` products of the current matrix on a single rank: seconds of each, and the bytes that one moves.
-    pub fn time_products(&mut self, repeat: u32) -> Result<(Vec<f64>, u64), TransportError> {
-        let mut alone = crate::transport::SoloTransport::new(Box::new(|| false));
-        let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
-        let mut seconds = Vec::new();
-        for _ in 0..=repeat {
-            let start = Instant::now();
-            self.spmv.apply(
-                &self.executor,
-                &mut alone,
-                &(&self.matrix).into(),
-                &mut self.vectors.u,
-                &mut y,
-                &mut self.recorder,
-            )?;
-            self.executor.finish();
-            seconds.push(start.elapsed().as_secs_f64());
-        }
-        // The first one warms up.
-        seconds.remove(0);
-        let bytes =
-            (0..self.matrix.sections.len()).map(|section| self.matrix.section_bytes(section)).sum::<u64>() + y.bytes();
-        Ok((seconds, bytes))
-    }
-
-    /// Own rows' positions and velocities, xyz in global order.
-    pub fn state(&self) -> (Vec<f32>, Vec<f32>) {
-        let mut state = (vec![0.0; self.own_rows * 3], vec![0.0; self.own_rows * 3]);
-        self.positions.read_range(&self.executor, self.own_start, &mut state.0);
-        self.velocities.read_range(&self.executor, self.own_start, &mut state.1);
-        state
-    }
-
-    /// Bytes of device memory (on the cpu executor: of host memory).
-    pub fn memory_bytes(&self) -> u64 {
-        self.fabrics.bytes()
-            + self.triangles.bytes()
-            + self.hinges.bytes()
-            + self.triangle_records.bytes()
-            + self.hinge_records.bytes()
-            + self.masses.bytes()
-            + self.pinned.bytes()
-            + self.positions.bytes()
-            + self.velocities.bytes()
-            + self.fill_tables.bytes()
-            + self.matrix.bytes()
-            + self.contacts.bytes()
-            + self.rhs.bytes()
-            + self.inverse_diagonal.bytes()
-            + self.vectors.bytes()
-            + self.schwarz.as_ref().map_or(0, Schwarz::bytes)
-    }
-
-    /// The preconditioner in use.
-    pub fn preconditioner(&self) -> PreconditionerKind {
-        match self.schwarz {
-            None => PreconditionerKind::Jacobi,
-            Some(_) => PreconditionerKind::Schwarz,
-        }
-    }
-
-    /// Executor name, for reports.
-    pub fn executor_name(&self) -> String {
-        self.executor.name().to_string()
-    }
-
     fn move_pins(&mut self, span: Span) -> PinTargets {
         let (time_s, step_s) = (span.start_s, span.length_s);
         if self.pins.changes(time_s, step_s) {
@@ -580,36 +514,6 @@ impl Simulation {
             self.velocities.write_range(&self.executor, self.own_start, &velocities);
         }
         Ok(resolved)
-    }
-
-    /// Finds the vertex behind a failed solve and names what usually causes it.
-    fn explain(&self, step: u32, error: PcgError) -> StepError {
-        let cause = match error {
-            PcgError::Transport(error) => return StepError::Transport(error),
-            other => other.to_string(),
-        };
-        if let Some(fault) = self.executor.take_fault() {
-            return StepError::Device { step, message: fault.to_string() };
-        }
-        let (positions, velocities) = self.state();
-        let rhs = self.rhs.read(&self.executor);
-        let suspects = [
-            ("position", &positions, "simulation.step_s or the start state"),
-            ("velocity", &velocities, "simulation.step_s or air.wind"),
-            ("force", &rhs, "fabric stiffness (stretching, bending) or simulation.step_s"),
-        ];
-        for (quantity, values, suspect) in suspects {
-            if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-                return StepError::NotFinite {
-                    step,
-                    vertex: (self.rows_start + at / 3) as u32,
-                    quantity,
-                    cause,
-                    suspect,
-                };
-            }
-        }
-        StepError::Solve { step, cause }
     }
 }
 

@@ -14,8 +14,8 @@ use crate::model::RankModel;
 use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, SetupError, Simulation, StepError};
 use crate::transport::{
-    ControlError, ControlWorker, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName, SoloTransport,
-    Transport, TransportError, decode, encode,
+    ControlError, ControlWorker, EmulatedTransport, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName,
+    SoloTransport, Transport, TransportError, decode, encode,
 };
 
 /// How long a worker waits for the coordinator when it starts or reports, seconds.
@@ -248,7 +248,12 @@ fn connect(
         deadline: Duration::from_secs_f64(setup.patience_s),
         on_wait: Box::new(move || hook.should_stop()),
     };
-    Ok(Box::new(IceoryxTransport::connect(run, options)?))
+    let deadline = options.deadline;
+    let transport = IceoryxTransport::connect(run, options)?;
+    Ok(match &setup.links {
+        Some(links) => Box::new(EmulatedTransport::new(transport, links.clone(), deadline)),
+        None => Box::new(transport),
+    })
 }
 
 /// The executor that `setup` asks for.

@@ -1,13 +1,15 @@
-//! One suite that every [`Transport`] must pass, run for threads of one process and for iceoryx2 (each rank on its own
+//! One suite that every [`Transport`] must pass, run for threads of one process, for emulated links on top of them and for
+//! iceoryx2 (each rank on its own
 //! thread here; `transport_processes.rs` uses real processes).
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
 
+use loomtree::interconnect::{RankLinks, ScheduleKind, Topology, Traffic, plan};
 use loomtree::transport::{
-    ALL_GATHER_MAX, ControlCoordinator, ControlWorker, IceoryxOptions, IceoryxTransport, InProcessTransport, RunName,
-    Transport, TransportError, required_shared_memory_bytes,
+    ALL_GATHER_MAX, ControlCoordinator, ControlWorker, EmulatedTransport, IceoryxOptions, IceoryxTransport,
+    InProcessTransport, RunName, Transport, TransportError, required_shared_memory_bytes,
 };
 
 /// Most values of a message in these tests.
@@ -63,6 +65,27 @@ impl Group for Threads {
             let program = program.clone();
             transport.set_deadline(deadline);
             Box::new(move || program(&mut transport)) as Job<T>
+        });
+        on_threads(jobs.collect())
+    }
+}
+
+struct Emulated;
+
+impl Group for Emulated {
+    fn run<T: Send + 'static>(
+        ranks: usize,
+        deadline: Duration,
+        program: impl Fn(&mut dyn Transport) -> T + Clone + Send + 'static,
+    ) -> Vec<T> {
+        let topology = Topology::default_for(ranks).expect("a tree");
+        let plan = plan(ScheduleKind::Ring, &topology, MAX_LEN as f64 * 4.0).expect("a schedule");
+        let no_halo = Traffic { published: vec![0.0; ranks], received: vec![vec![0.0; ranks]; ranks] };
+        let links = RankLinks::of(&topology, &plan, MAX_LEN as f64 * 4.0, &no_halo);
+        let jobs = InProcessTransport::group(ranks).into_iter().zip(links).map(|(mut transport, links)| {
+            let program = program.clone();
+            transport.set_deadline(deadline);
+            Box::new(move || program(&mut EmulatedTransport::new(transport, links, deadline))) as Job<T>
         });
         on_threads(jobs.collect())
     }
@@ -303,6 +326,7 @@ fn wrong_calls<G: Group>() {
 macro_rules! conformance {
     ($($test:ident),* $(,)?) => {
         mod in_process { $(#[test] fn $test() { super::$test::<super::Threads>(); })* }
+        mod emulated { $(#[test] fn $test() { super::$test::<super::Emulated>(); })* }
         mod iceoryx { $(#[test] fn $test() { super::$test::<super::Iceoryx>(); })* }
     };
 }

@@ -26,6 +26,9 @@ pub struct RunArgs {
     /// Topology file; workers sit on its first GPUs [default: a balanced binary tree]
     #[arg(long, value_name = "FILE")]
     pub topology: Option<PathBuf>,
+    /// Hold messages back until the clock says that they have arrived over the links of --topology: a run as slow as there
+    #[arg(long)]
+    pub emulate_links: bool,
     /// What runs the kernels; auto = a hardware GPU where there is one, else cpu
     #[arg(long, value_enum)]
     pub executor: Option<ExecutorArg>,
@@ -166,7 +169,11 @@ fn bytes(text: &str) -> Result<u64, String> {
         _ => f64::NAN,
     };
     let bytes = digits.parse::<f64>().unwrap_or(f64::NAN) * unit;
-    if bytes >= 1e6 && bytes < 1e18 { Ok(bytes as u64) } else { Err("expected at least 1M, for example 500M or 2G".into()) }
+    if bytes >= 1e6 && bytes < 1e18 {
+        Ok(bytes as u64)
+    } else {
+        Err("expected at least 1M, for example 500M or 2G".into())
+    }
 }
 
 impl RunArgs {
@@ -174,6 +181,7 @@ impl RunArgs {
     fn options(&self, mut base: RunOptions) -> RunOptions {
         base.workers = self.workers.unwrap_or(base.workers);
         base.topology = self.topology.clone().or(base.topology);
+        base.emulate_links |= self.emulate_links;
         base.executor = self.executor.map_or(base.executor, Into::into);
         base.adapter = self.adapter.or(base.adapter);
         base.threads = self.threads.map(usize::from).or(base.threads);
@@ -197,6 +205,7 @@ pub fn defaults() -> RunOptions {
     RunOptions {
         workers: 1,
         topology: None,
+        emulate_links: false,
         executor: ExecutorChoice::Auto,
         adapter: None,
         threads: None,

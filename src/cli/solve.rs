@@ -278,6 +278,7 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
         ranks,
         max_message_values,
         patience_s: 3600.0,
+        links: None,
     };
     system
         .split(rhs, &partition, |rank, mut part| {

@@ -30,7 +30,7 @@ use crate::output::{Checkpoint, Status};
 use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Imposed, StepStats};
 use crate::telemetry::Event;
-use crate::transport::{check_shared_memory, shared_memory_space};
+use crate::transport::{STAMP_VALUES, check_shared_memory, shared_memory_space};
 
 /// Setting up may take a worker much longer than any later sign of life.
 const SETUP_LIMIT: Duration = Duration::from_secs(300);
@@ -147,7 +147,8 @@ fn check_space(plan: &RunPlan) -> Result<(), RunError> {
 /// Longest message between ranks: positions and velocities of a whole row block.
 fn message_values(plan: &RunPlan) -> usize {
     // A single rank has nobody to send to.
-    if plan.partition.ranks() == 1 { 0 } else { plan.partition.sub_vector_rows() * 6 }
+    let stamp = if plan.emulated.is_some() { STAMP_VALUES } else { 0 };
+    if plan.partition.ranks() == 1 { 0 } else { plan.partition.sub_vector_rows() * 6 + stamp }
 }
 
 /// Why driving ended early.
@@ -287,7 +288,9 @@ impl Driver<'_> {
             ranks,
             max_message_values: message_values(self.plan),
             patience_s: 3600.0,
+            links: None,
         };
+        let links = self.plan.links(&model);
         RankModel::split(&model, &self.plan.partition, |rank, mut part| {
             let exchange =
                 ExchangePlan { mode: self.options.exchange, queue: self.plan.transfers.schedule.queues[rank].clone() };
@@ -295,7 +298,8 @@ impl Driver<'_> {
                 collision.memory_limit_bytes = self.options.memory_limit_bytes;
             }
             // The serializer skips the arrays; they travel beside the message.
-            let message = ToWorker::Simulate { setup: setup.clone(), exchange, model: Box::new(part) };
+            let setup = WorkerSetup { links: links.as_ref().map(|links| links[rank].clone()), ..setup.clone() };
+            let message = ToWorker::Simulate { setup, exchange, model: Box::new(part) };
             let ToWorker::Simulate { model, .. } = &message else { unreachable!("made above") };
             crew.send(rank, &message, &model.to_bytes())?;
             // One part at a time in flight: the coordinator's memory stays at one part.

@@ -7,8 +7,8 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::interconnect::{Plan, ScheduleError, ScheduleKind, Topology, TopologyError, plan};
-use crate::model::GlobalModel;
+use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology, TopologyError, Traffic, plan};
+use crate::model::{GlobalModel, RankModel};
 use crate::output::FrameFormat;
 use crate::partition::RowPartition;
 use crate::protocol::ExecutorChoice;
@@ -24,6 +24,9 @@ pub struct RunOptions {
     /// Topology file; none: a balanced binary tree.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub topology: Option<PathBuf>,
+    /// Messages are held back as the links of the topology file would.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub emulate_links: bool,
     /// Executor of the workers.
     pub executor: ExecutorChoice,
     /// Adapter of the gpu executor.
@@ -114,6 +117,9 @@ pub enum PlanError {
     /// The schedule cannot be made for this topology.
     #[error("--schedule: {0}")]
     Schedule(#[from] ScheduleError),
+    /// There are no links to emulate.
+    #[error("--emulate-links needs the links of a machine: --topology FILE")]
+    NoLinks,
     /// A number out of range.
     #[error("--workers {workers}: {what}")]
     Workers { workers: usize, what: String },
@@ -134,6 +140,8 @@ pub struct RunPlan {
     pub transfers: Plan,
     /// Name of the topology, for the report.
     pub topology: String,
+    /// The machine whose links are emulated.
+    pub emulated: Option<Topology>,
 }
 
 impl RunPlan {
@@ -167,14 +175,44 @@ impl RunPlan {
             return Err(PlanError::Steps { frames, steps_per_frame });
         }
         let partition = RowPartition::new(rows, workers);
-        let (transfers, topology) =
-            plan_transfers(options.topology.as_deref(), options.schedule, workers, partition.sub_vector_rows())?;
-        Ok(RunPlan { scene, untangled: None, partition, transfers, topology })
+        let file = options.topology.as_deref();
+        let (transfers, mut topology) = plan_transfers(file, options.schedule, workers, partition.sub_vector_rows())?;
+        let emulated = match (options.emulate_links, file) {
+            (false, _) => None,
+            (true, None) => return Err(PlanError::NoLinks),
+            (true, Some(_)) => Some(read_topology(file, workers)?),
+        };
+        if emulated.is_some() {
+            topology += " (links emulated)";
+        }
+        Ok(RunPlan { scene, untangled: None, partition, transfers, topology, emulated })
     }
 
     /// The model in global order.
     pub fn model(&self) -> GlobalModel {
         GlobalModel::new(&self.scene)
+    }
+
+    /// What the emulated links mean for every rank; none if none are emulated.
+    pub fn links(&self, model: &GlobalModel) -> Option<Vec<RankLinks>> {
+        let topology = self.emulated.as_ref()?;
+        let sub_vector_bytes = self.partition.sub_vector_rows() as f64 * ROW_BYTES;
+        Some(RankLinks::of(topology, &self.transfers, sub_vector_bytes, &halo_traffic(model, &self.partition)))
+    }
+}
+
+/// Bytes of a row of a vector.
+const ROW_BYTES: f64 = 12.0;
+
+/// Halo rows of one vector that the ranks of a cloth without contacts read of each other.
+pub fn halo_traffic(model: &GlobalModel, partition: &RowPartition) -> Traffic {
+    let plans = RankModel::halo_plans(model, partition);
+    let bytes = |rows: usize| rows as f64 * ROW_BYTES;
+    Traffic {
+        published: plans.iter().map(|plan| bytes(plan.publish_rows.len())).collect(),
+        received: (0..plans.len())
+            .map(|owner| plans.iter().map(|plan| bytes(plan.sources[owner].rows())).collect())
+            .collect(),
     }
 }
 
@@ -185,17 +223,17 @@ pub fn plan_transfers(
     workers: usize,
     sub_vector_rows: usize,
 ) -> Result<(Plan, String), PlanError> {
-    let topology = match file {
-        None => Topology::default_for(workers)?,
-        Some(path) => {
-            let whole = Topology::read(path)?;
-            if workers > whole.gpus() {
-                let what = format!("{} has only {} GPUs", path.display(), whole.gpus());
-                return Err(PlanError::Workers { workers, what });
-            }
-            whole.with_first_gpus(workers)?
-        }
-    };
+    let topology = read_topology(file, workers)?;
     let name = file.map_or_else(|| topology.name().to_string(), |path| path.display().to_string());
-    Ok((plan(kind, &topology, sub_vector_rows as f64 * 12.0)?, name))
+    Ok((plan(kind, &topology, sub_vector_rows as f64 * ROW_BYTES)?, name))
+}
+
+fn read_topology(file: Option<&Path>, workers: usize) -> Result<Topology, PlanError> {
+    let Some(path) = file else { return Ok(Topology::default_for(workers)?) };
+    let whole = Topology::read(path)?;
+    if workers > whole.gpus() {
+        let what = format!("{} has only {} GPUs", path.display(), whole.gpus());
+        return Err(PlanError::Workers { workers, what });
+    }
+    Ok(whole.with_first_gpus(workers)?)
 }

@@ -8,8 +8,8 @@ use thiserror::Error;
 use super::{RunOptions, RunPlaces, RunPlan};
 use crate::math::Vec3;
 use crate::output::{
-    Checkpoint, Existing, FrameRecord, FrameWriter, QueryRecord, RankEvents, ReportHeader, ReportWriter, RunDirectory, RunManifest,
-    StageSeconds, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, state_hash,
+    Checkpoint, Existing, FrameRecord, FrameWriter, QueryRecord, RankEvents, ReportHeader, ReportWriter, RunDirectory,
+    RunManifest, StageSeconds, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, state_hash,
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;

@@ -56,7 +56,10 @@ impl Pins {
 
     /// True if the set of held rows changes in the step that starts at `time_s` (always in the first step of a run or resume).
     pub fn changes(&self, time_s: f64, step_s: f64) -> bool {
-        self.pins.iter().zip(&self.held).any(|(pin, held)| is_held((pin.start_s, pin.end_s), time_s, step_s) != held.is_some())
+        self.pins
+            .iter()
+            .zip(&self.held)
+            .any(|(pin, held)| is_held((pin.start_s, pin.end_s), time_s, step_s) != held.is_some())
     }
 
     /// Takes hold of and releases pins for the step that starts at `time_s`, given the own rows' state. Call when

@@ -8,6 +8,7 @@
 
 use super::Schedule;
 use super::clock::{Program, Span};
+use super::network::Channels;
 use super::pieces::Pieces;
 use super::topology::Topology;
 use super::transfers::TransferPlan;
@@ -49,6 +50,25 @@ pub fn pieces_cost(pieces: &Pieces, topology: &Topology, sub_vector_bytes: f64) 
         whole_s[rank].sort_by(f64::total_cmp);
     }
     ScheduleCost::of_stages((1..gpus).map(|k| whole_s.iter().map(|times| times[k]).fold(0.0, f64::max)).collect())
+}
+
+/// Bytes that a rank contributes to a reduction: at most 54 numbers (`solver/reduction.rs`).
+pub(super) const REDUCTION_BYTES: f64 = 54.0 * 8.0;
+
+/// Modelled time of an all-reduce from the moment at which the last rank has reached it: the longest path's latency, and the
+/// numbers of all ranks over the narrowest link. Nothing for a single rank.
+pub fn all_reduce_s(topology: &Topology) -> f64 {
+    all_reduce_on(&Channels::of(topology), topology.gpus())
+}
+
+pub(super) fn all_reduce_on(channels: &Channels, ranks: usize) -> f64 {
+    if ranks < 2 {
+        return 0.0;
+    }
+    let pairs = || (0..ranks).flat_map(|from| (0..ranks).map(move |to| (from, to))).filter(|(from, to)| from != to);
+    let latency_s = pairs().map(|(from, to)| channels.latency_s(from, to)).fold(0.0, f64::max);
+    let narrowest = channels.capacity.iter().copied().fold(f64::INFINITY, f64::min);
+    latency_s + ranks as f64 * REDUCTION_BYTES / narrowest
 }
 
 /// When every transfer of every rank is under way, in the order of its queue; never if transfers wait in a circle.

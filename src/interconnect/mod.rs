@@ -12,8 +12,10 @@
 //! - [`Pieces`] and schedule `best`: `synthesis.rs` tries chunked rings, rings over islands (`islands.rs`) and packed trees
 //!   (`packing.rs`), put in order by `ordering.rs`;
 //! - [`product_s`]: the matrix-vector product of the paper's Fig. 3 and Eqs. 6-9 (`product.rs`);
-//! - [`RecordedStep`], [`replay()`]: recorded steps on another machine (`recorded.rs`, `replay.rs`).
+//! - [`RecordedStep`], [`replay()`]: recorded steps on another machine (`recorded.rs`, `replay.rs`);
+//! - [`RankLinks`]: when messages arrive, for a transport that holds them back (`arrivals.rs`).
 
+mod arrivals;
 mod bound;
 mod check;
 mod clock;
@@ -37,10 +39,11 @@ mod topology_tests;
 mod transfers;
 mod validate;
 
+pub use arrivals::{Line, RankLinks, Receipt};
 pub use bound::{LowerBound, demand_bound_s, lower_bound};
 pub use check::{ScheduleFault, check_schedule, root_crossings};
 pub use clock::{Circle, Moment, Program, Span, Work};
-pub use cost::{ScheduleCost, modelled_cost, pieces_cost, transfer_times};
+pub use cost::{ScheduleCost, all_reduce_s, modelled_cost, pieces_cost, transfer_times};
 pub use packing::Demand;
 pub use pieces::{Piece, PieceFault, Pieces};
 pub use product::{ProductKernels, add_product, product_s};

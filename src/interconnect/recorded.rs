@@ -1,6 +1,10 @@
 //! A recorded step as phases that all ranks go through together: kernels, exchanges, products, reductions. Made from the
 //! events of all ranks; what they say about times is kept only as "measured".
 
+use super::packing::Demand;
+use super::queues::{Plan, ScheduleKind};
+use super::topology::Topology;
+use super::transfers::TransferPlan;
 use crate::telemetry::{Activity, Event, EventName};
 
 /// A kernel of one rank.
@@ -45,6 +49,27 @@ pub struct Traffic {
     pub published: Vec<f64>,
     /// `[owner][reader]`.
     pub received: Vec<Vec<f64>>,
+}
+
+impl Traffic {
+    /// How `plan` moves it: along the work queues, or, with [`ScheduleKind::Best`], the cheapest way that is found.
+    pub fn transfers(&self, topology: &Topology, plan: &Plan) -> TransferPlan {
+        match plan.kind {
+            ScheduleKind::Best => TransferPlan::best_for(topology, &self.demands()).0,
+            _ => TransferPlan::halo_of_schedule(&plan.schedule, &self.received, &self.published),
+        }
+    }
+
+    /// Pairs of ranks: which rows several readers share is not recorded.
+    fn demands(&self) -> Vec<Demand> {
+        let rows = self.received.iter().enumerate();
+        let pairs =
+            rows.flat_map(|(owner, row)| row.iter().enumerate().map(move |(reader, bytes)| (owner, reader, *bytes)));
+        pairs
+            .filter(|(owner, reader, bytes)| owner != reader && *bytes > 0.0)
+            .map(|(owner, reader, bytes)| Demand { owner, bytes, readers: vec![reader] })
+            .collect()
+    }
 }
 
 /// The kernels of a product as they were recorded.

@@ -10,10 +10,10 @@
 use std::rc::Rc;
 
 use super::clock::{Circle, Moment, Program, Span, Work};
+use super::cost::{REDUCTION_BYTES, all_reduce_on};
 use super::network::Channels;
-use super::packing::Demand;
 use super::product::{ProductKernels, add_product};
-use super::queues::{Plan, ScheduleKind};
+use super::queues::Plan;
 use super::recorded::{Kernel, Phase, RecordedProduct, RecordedStep, Traffic};
 use super::topology::Topology;
 use super::transfers::TransferPlan;
@@ -22,8 +22,6 @@ use crate::telemetry::EventName;
 /// Stages of a step, in order.
 pub const STAGES: [&str; 6] = ["exchange", "elements", "fill", "solve", "advance", "collisions"];
 
-/// Bytes that a rank contributes to a reduction: at most 54 numbers (`solver/reduction.rs`).
-const REDUCTION_BYTES: f64 = 54.0 * 8.0;
 /// Bytes of a row of a vector.
 const ROW_BYTES: f64 = 12.0;
 /// Where no block was recorded: three 3x3 blocks (36 B and a column of 4 B each) per halo row, as in a regular mesh.
@@ -222,10 +220,7 @@ impl<'a> Builder<'a> {
         if ranks == 1 {
             return;
         }
-        let pairs = || (0..ranks).flat_map(|from| (0..ranks).map(move |to| (from, to))).filter(|(from, to)| from != to);
-        let latency_s = pairs().map(|(from, to)| self.channels.latency_s(from, to)).fold(0.0, f64::max);
-        let narrowest = self.channels.capacity.iter().copied().fold(f64::INFINITY, f64::min);
-        let seconds = latency_s + ranks as f64 * REDUCTION_BYTES / narrowest;
+        let seconds = all_reduce_on(&self.channels, ranks);
         let all = self.program.add_after(Work::Seconds(seconds), &self.last);
         for rank in 0..ranks {
             self.tags.push(Tag {
@@ -244,11 +239,7 @@ impl<'a> Builder<'a> {
         if let Some((_, plan)) = self.plans.iter().find(|(known, _)| known == traffic) {
             return Rc::clone(plan);
         }
-        let Replay { topology, plan, .. } = self.how;
-        let made = match plan.kind {
-            ScheduleKind::Best => TransferPlan::best_for(topology, &demands(traffic)).0,
-            _ => TransferPlan::halo_of_schedule(&plan.schedule, &traffic.received, &traffic.published),
-        };
+        let made = traffic.transfers(self.how.topology, self.how.plan);
         let made = Rc::new(made);
         self.plans.push((traffic.clone(), Rc::clone(&made)));
         made
@@ -382,17 +373,6 @@ impl<'a> Builder<'a> {
             spans: if keep_spans { self.tags.iter().map(kept).collect() } else { Vec::new() },
         })
     }
-}
-
-/// Pairs of ranks: which rows several readers share is not recorded.
-fn demands(traffic: &Traffic) -> Vec<Demand> {
-    let rows = traffic.received.iter().enumerate();
-    let pairs =
-        rows.flat_map(|(owner, row)| row.iter().enumerate().map(move |(reader, bytes)| (owner, reader, *bytes)));
-    pairs
-        .filter(|(owner, reader, bytes)| owner != reader && *bytes > 0.0)
-        .map(|(owner, reader, bytes)| Demand { owner, bytes, readers: vec![reader] })
-        .collect()
 }
 
 /// Blocks as recorded, or estimated from the halo rows.

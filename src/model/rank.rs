@@ -65,6 +65,19 @@ impl RankModel {
         partition: &RowPartition,
         mut emit: impl FnMut(usize, RankModel) -> Result<(), E>,
     ) -> Result<(), E> {
+        let collision = model.settings.collisions.then(|| CollisionModel::new(model));
+        let pins_move = model.pins.iter().any(|pin| pin.motion.is_some() || pin.start_s > 0.0)
+            || model.pins.iter().any(|pin| model.velocities[pin.row as usize * 3..][..3] != [0.0; 3]);
+        for (rank, plan) in RankModel::halo_plans(model, partition).into_iter().enumerate() {
+            let mut part = RankModel::part(model, partition, plan, pins_move);
+            part.collision.clone_from(&collision);
+            emit(rank, part)?;
+        }
+        Ok(())
+    }
+
+    /// Which rows the ranks read of each other while there are no contacts.
+    pub fn halo_plans(model: &GlobalModel, partition: &RowPartition) -> Vec<HaloPlan> {
         let mut halos = vec![Vec::new(); partition.ranks()];
         for corners in
             model.triangles.iter().map(|e| &e.vertices[..]).chain(model.hinges.iter().map(|e| &e.vertices[..]))
@@ -75,15 +88,7 @@ impl RankModel {
             halo.sort_unstable();
             halo.dedup();
         }
-        let collision = model.settings.collisions.then(|| CollisionModel::new(model));
-        let pins_move = model.pins.iter().any(|pin| pin.motion.is_some() || pin.start_s > 0.0)
-            || model.pins.iter().any(|pin| model.velocities[pin.row as usize * 3..][..3] != [0.0; 3]);
-        for (rank, plan) in halo_plans(partition, &halos).into_iter().enumerate() {
-            let mut part = RankModel::part(model, partition, plan, pins_move);
-            part.collision.clone_from(&collision);
-            emit(rank, part)?;
-        }
-        Ok(())
+        halo_plans(partition, &halos)
     }
 
     fn part(model: &GlobalModel, partition: &RowPartition, plan: HaloPlan, pins_move: bool) -> RankModel {

@@ -91,12 +91,14 @@ impl HaloExchange {
             let source = &self.plan.sources[node.vector];
             let start = recorder.now();
             let route = (stage as u32 + 1, node.source as u32, node.vector as u32);
+            let rows = source.rows();
+            let bytes = (rows * width * 4) as u64;
+            transport.expect_halo(node.vector, bytes);
             if !transport.ready(node.vector) {
                 transport.wait(node.vector)?;
                 recorder.end_transfer(EventName::Receive, Activity::Wait, start, route, 0, 0);
             }
             let start = recorder.now();
-            let rows = source.rows();
             let staging = &mut self.staging;
             let mut short = None;
             transport.receive(node.vector, &mut |message| {
@@ -114,7 +116,6 @@ impl HaloExchange {
                     format!("message of rank {} holds {got} values, fewer than the halo plan needs", node.vector);
                 return Err(TransportError::Mechanism { rank, message });
             }
-            let bytes = (rows * width * 4) as u64;
             traffic.received_bytes += bytes;
             traffic.messages += 1;
             recorder.end_transfer(EventName::Receive, Activity::Transfer, start, route, bytes, 0);

@@ -269,7 +269,8 @@ impl Collisions {
         let of = |x: &[f32]| touched.iter().flat_map(|&v| x[v as usize * 3..][..3].to_vec()).collect::<Vec<f32>>();
         let (obstacle_positions, ends) = (of(&self.x_t0), of(&self.x_t1));
         let rate = (1.0 / span.length_s) as f32;
-        let obstacle_velocities = ends.iter().zip(&obstacle_positions).map(|(end, start)| (end - start) * rate).collect();
+        let obstacle_velocities =
+            ends.iter().zip(&obstacle_positions).map(|(end, start)| (end - start) * rate).collect();
         Ok(RankContacts { elements, plan, obstacle_positions, obstacle_velocities })
     }
 
@@ -305,8 +306,7 @@ impl Collisions {
             }
             let start = recorder.now();
             let inverse_masses = &self.detector.params().inverse_masses_per_kg;
-            let step =
-                StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses };
+            let step = StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses };
             if let Err(impossible) = zones.add(&step, &impacts) {
                 return Ok(Resolved::Squeezed(self.imposed(&impossible.imposed)));
             }

@@ -3,12 +3,14 @@
 //! Every rank makes the same sequence of calls on its transport (a collective program); messages of one source arrive in
 //! the order in which they were published. At any point of that sequence at most two messages of a source may be published
 //! and not yet received by everybody: then nobody ever waits in a circle. Implementations: processes ([`IceoryxTransport`]),
-//! threads ([`InProcessTransport`]), and two wrappers for tests.
+//! threads ([`InProcessTransport`]), two wrappers for tests, and one that holds messages back as the links of
+//! another machine would ([`EmulatedTransport`]).
 //!
 //! Beside it: the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`], [`encode`])
 //! and what a run takes of the machine and leaves behind ([`RunName`]). Linux only.
 
 mod collective;
+mod emulated;
 mod faulty;
 mod frames;
 mod iceoryx;
@@ -22,6 +24,7 @@ mod solo;
 mod wait;
 
 pub use collective::share_lists;
+pub use emulated::{EmulatedTransport, STAMP_VALUES};
 pub use faulty::{Fault, FaultyTransport};
 pub use iceoryx::{
     ControlCoordinator, ControlError, ControlWorker, Heartbeat, HeartbeatHandle, IceoryxOptions, IceoryxTransport,
@@ -79,6 +82,9 @@ pub trait Transport {
     /// Gathers up to [`ALL_GATHER_MAX`] values of every rank: `out[r]` = what rank r contributed (the own rank too).
     /// One latency; this is what an all-reduce is built on (`solver::reduction` adds in a fixed order).
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError>;
+    /// Says that `bytes` bytes of halo rows will be read of the next message of `source`. Only those would travel where
+    /// ranks do not share memory; a transport that emulates links wants to know.
+    fn expect_halo(&mut self, _source: usize, _bytes: u64) {}
     /// A sign of life between two calls that may wait, for long stretches of work: gives the run's hook its turn.
     fn alive(&mut self) -> Result<(), TransportError> {
         Ok(())

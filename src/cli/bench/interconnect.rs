@@ -66,7 +66,7 @@ pub fn run(bench: &InterconnectBench) -> Result<(), CliError> {
             let name = format!("interconnect_{}_{:.0}", machine.name(), efficiency * 100.0);
             let columns =
                 vec!["gpus", "one_gpu_ms", "gather_first", "full_fat_tree", "full_ring", "full_best", "halo_best"];
-            let mut table = Table::new(&name, title, columns);
+            let mut table = Table::modelled(&name, title, columns);
             for gpus in [2, 4, 8, 16].into_iter().filter(|gpus| *gpus <= machine.gpus()) {
                 let topology = machine.with_first_gpus(gpus).map_err(CliError::bad_input)?;
                 let found = speedups(&topology, bench, efficiency)?;

@@ -1,10 +1,12 @@
 //! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, and each table
 //! names what it ran on; only `bench interconnect` is modelled, and its titles say so.
 
+mod assembly;
 mod collision;
 mod device;
 mod interconnect;
 mod runs;
+mod scaling;
 mod spmv;
 mod step;
 mod table;
@@ -35,6 +37,10 @@ enum Bench {
     Collision(runs::SceneBench),
     /// Whole steps of a scene on several numbers of worker processes: time, speed-up, bytes, shares of the stages
     Step(runs::SceneBench),
+    /// Assembly of a scene's matrix on several numbers of worker processes: element records, index fill, value fill
+    Assembly(runs::SceneBench),
+    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine
+    Scaling(runs::SceneBench),
     /// Memory of a scene's workers per structure and vertex
     Memory(runs::SceneBench),
     /// Modelled, not measured: products on the machines of topology files, every exchange and schedule
@@ -64,6 +70,7 @@ impl Common {
             ranks: 1,
             max_message_values: 0,
             patience_s: 0.0,
+            links: None,
         };
         crate::worker::make_executor(&setup, 0).map_err(CliError::bad_input)
     }
@@ -79,6 +86,8 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
         Bench::Spmv(bench) => spmv::run(&bench),
         Bench::Collision(bench) => collision::run(&bench),
         Bench::Step(bench) => step::time(&bench),
+        Bench::Assembly(bench) => assembly::run(&bench),
+        Bench::Scaling(bench) => scaling::run(&bench),
         Bench::Memory(bench) => step::memory(&bench),
         Bench::Interconnect(bench) => interconnect::run(&bench),
     }

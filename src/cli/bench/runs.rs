@@ -76,8 +76,7 @@ pub struct Size {
 impl SceneBench {
     /// Runs every number of workers `rounds` times, interleaved.
     pub fn run(&self) -> Result<(Size, Vec<Runs>), CliError> {
-        let mut all: Vec<Runs> =
-            self.workers.iter().map(|&workers| Runs { workers, ..Runs::default() }).collect();
+        let mut all: Vec<Runs> = self.workers.iter().map(|&workers| Runs { workers, ..Runs::default() }).collect();
         let mut size = Size::default();
         for _ in 0..self.rounds {
             for runs in &mut all {
@@ -99,8 +98,8 @@ impl SceneBench {
     }
 
     fn run_once(&self, runs: &mut Runs) -> Result<Size, CliError> {
-        let folder =
-            tempfile::tempdir().map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
+        let folder = tempfile::tempdir()
+            .map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
         let options = RunOptions {
             workers: runs.workers,
             executor: self.common.executor.into(),
@@ -119,7 +118,8 @@ impl SceneBench {
         // One frame at the end, so that frames are not part of what is measured.
         plan.scene.settings.steps_per_frame = steps;
         let size = Size { triangles: plan.scene.mesh.triangles.len(), vertices: plan.scene.mesh.positions.len() };
-        let places = RunPlaces { scene: self.scene.clone(), out: folder.path().join("run"), existing: Existing::Refuse };
+        let places =
+            RunPlaces { scene: self.scene.clone(), out: folder.path().join("run"), existing: Existing::Refuse };
         let start = std::time::Instant::now();
         crate::coordinator::run(plan, &options, &places, &Launch::Spawn)
             .map_err(|error| CliError::failed(error.to_string()))?;

@@ -49,8 +49,18 @@ fn step_table(title: String, all: &[Runs], size: Size) -> Table {
 /// Percent of a step's time in the slowest rank's stages; what is left is waiting and the coordinator.
 fn stage_table(all: &[Runs]) -> Table {
     let columns = vec![
-        "workers", "proximity", "contacts", "exchange", "elements", "index", "values", "solve", "advance", "positions",
-        "ccd", "zones",
+        "workers",
+        "proximity",
+        "contacts",
+        "exchange",
+        "elements",
+        "index",
+        "values",
+        "solve",
+        "advance",
+        "positions",
+        "ccd",
+        "zones",
     ];
     let mut table = Table::new("stages", "Share of the stages, percent of the step".to_string(), columns);
     for runs in all {

@@ -1,4 +1,4 @@
-//! A table of measured figures: printed, and written as JSON and SVG.
+//! A table of figures, measured or modelled: printed, and written as JSON and SVG.
 
 use std::io::Write;
 use std::path::Path;
@@ -13,14 +13,20 @@ use crate::output::{Machine, write_atomically};
 pub struct Table {
     name: String,
     title: String,
+    kind: &'static str,
     columns: Vec<&'static str>,
     rows: Vec<Vec<f64>>,
 }
 
 impl Table {
-    /// An empty table; `name` names its files.
+    /// An empty table of measured figures; `name` names its files.
     pub fn new(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
-        Table { name: name.into(), title, columns, rows: Vec::new() }
+        Table { name: name.into(), title, kind: "measured", columns, rows: Vec::new() }
+    }
+
+    /// The same for figures that were modelled.
+    pub fn modelled(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
+        Table { kind: "modelled", ..Table::new(name, title, columns) }
     }
 
     /// Adds a row.
@@ -76,7 +82,7 @@ impl Table {
             })
             .collect();
         let machine = Machine::here();
-        let document = json!({"benchmark": self.name, "title": self.title, "kind": "measured", "command": std::env::args().collect::<Vec<_>>().join(" "),
+        let document = json!({"benchmark": self.name, "title": self.title, "kind": self.kind, "command": std::env::args().collect::<Vec<_>>().join(" "),
             "machine": {"cpu": machine.cpu, "cores": machine.cores}, "rows": rows});
         let text = serde_json::to_string_pretty(&document).map_err(CliError::failed)?;
         write_atomically(&folder.join(format!("{}.json", self.name)), |out| out.write_all(text.as_bytes()))
