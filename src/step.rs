@@ -26,8 +26,7 @@ use crate::interconnect::QueueNode;
 use crate::model::RankModel;
 use crate::scene::{Motion, Settings};
 use crate::solver::{
-    ExchangeMode, HaloExchange, Pcg, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz,
-    TrafficCounter,
+    ExchangeMode, HaloExchange, Pcg, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz, TrafficCounter,
 };
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};

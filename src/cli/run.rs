@@ -56,7 +56,7 @@ pub struct RunArgs {
     /// Order of the transfers; auto = the cheapest by the modelled cost
     #[arg(long)]
     pub schedule: Option<ScheduleKind>,
-    /// Memory for the collision tables of each worker; what does not fit is done in batches (for example 500M, 2G)
+    /// Memory for the collision tables of each worker; what does not fit is done in batches (for example 500M, 2G) [default: what --topology's GPUs have beside the solver]
     #[arg(long, value_name = "BYTES", value_parser = bytes)]
     pub memory_limit: Option<u64>,
     /// Preconditioner of the solver; auto = the fastest for the executor and size [default: the scene's, which is auto]

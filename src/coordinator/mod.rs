@@ -295,7 +295,7 @@ impl Driver<'_> {
             let exchange =
                 ExchangePlan { mode: self.options.exchange, queue: self.plan.transfers.schedule.queues[rank].clone() };
             if let Some(collision) = &mut part.collision {
-                collision.memory_limit_bytes = self.options.memory_limit_bytes;
+                collision.memory_limit_bytes = self.options.memory_limit_bytes.or(self.plan.table_bytes);
             }
             // The serializer skips the arrays; they travel beside the message.
             let setup = WorkerSetup { links: links.as_ref().map(|links| links[rank].clone()), ..setup.clone() };

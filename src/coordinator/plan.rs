@@ -105,6 +105,9 @@ mod format_names {
     }
 }
 
+/// What everything but collision tables takes on a worker, rounded up (ARCHITECTURE.md, "Memory per vertex").
+const SOLVER_BYTES_PER_ROW: f64 = 2_500.0;
+
 /// Why a run is refused.
 #[derive(Debug, Error)]
 pub enum PlanError {
@@ -134,6 +137,8 @@ pub struct RunPlan {
     pub scene: Scene,
     /// What untangling the start state took, if it was asked for and needed.
     pub untangled: Option<Untangling>,
+    /// Memory for the collision tables of a worker beside the solver, if a topology file says what a GPU has.
+    pub table_bytes: Option<u64>,
     /// Rows and ranks.
     pub partition: RowPartition,
     /// Work queues and how they were chosen.
@@ -177,6 +182,15 @@ impl RunPlan {
         let partition = RowPartition::new(rows, workers);
         let file = options.topology.as_deref();
         let (transfers, mut topology) = plan_transfers(file, options.schedule, workers, partition.sub_vector_rows())?;
+        // What a GPU of the file has beside the solver.
+        let solver_bytes = SOLVER_BYTES_PER_ROW * partition.sub_vector_rows() as f64;
+        let memory = |topology: Topology| topology.device().memory_gb * 1e9;
+        let table_bytes = match file {
+            None => None,
+            Some(_) => {
+                Some(memory(read_topology(file, workers)?)).map(|all| (all - solver_bytes).max(0.25 * all) as u64)
+            }
+        };
         let emulated = match (options.emulate_links, file) {
             (false, _) => None,
             (true, None) => return Err(PlanError::NoLinks),
@@ -185,7 +199,7 @@ impl RunPlan {
         if emulated.is_some() {
             topology += " (links emulated)";
         }
-        Ok(RunPlan { scene, untangled: None, partition, transfers, topology, emulated })
+        Ok(RunPlan { scene, untangled: None, table_bytes, partition, transfers, topology, emulated })
     }
 
     /// The model in global order.

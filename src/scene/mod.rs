@@ -176,7 +176,7 @@ pub struct Cloth {
 }
 
 impl Scene {
-    /// Friction coefficient of the cloth at a vertex. A contact of two cloths has the geometric mean of theirs, one with
+    /// Friction coefficient of the cloth at a vertex. A contact of two cloths has the mean of theirs, one with
     /// an obstacle the obstacle's alone.
     pub fn friction_of_vertex(&self, vertex: u32) -> f64 {
         let after = self.cloths.partition_point(|cloth| cloth.vertices.end <= vertex);
