@@ -351,8 +351,8 @@ fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElem
         let u: DVec3 = (0..4).map(|a| velocity(c.vertices[a]) * f64::from(c.weights[a])).sum();
         let depth = f64::from(c.thickness_m - c.distance_m);
         let release = f64::from(RELEASE_STEPS) * STEP_S;
-        let wanted = depth - release * n.dot(u);
-        if depth <= 0.0 || depth - STEP_S * n.dot(u) <= 0.0 {
+        let wanted = if depth > 0.0 { depth } else { f64::from(RELEASE_STEPS) * depth } - release * n.dot(u);
+        if depth - STEP_S * n.dot(u) <= 0.0 {
             continue;
         }
         repelling += 1;
@@ -360,8 +360,11 @@ fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElem
         // The mass that the stiffness was made for; the depth one step ago.
         let mass = k * STEP_S * STEP_S / STIFFNESS_RATIO;
         let before = depth + STEP_S * n.dot(u);
-        let pressing =
-            if before > 0.0 { k * (before - release * n.dot(u)).max(0.0) } else { -mass * n.dot(u) / STEP_S };
+        let pressing = if before > 0.0 {
+            k * (before - release * n.dot(u)).max(0.0)
+        } else {
+            mass * (depth.min(0.0) - STEP_S * n.dot(u)) / (STEP_S * STEP_S)
+        };
         let drag = STEP_S * f64::from(c.friction) * pressing / slip.length().max(f64::from(STICK_SPEED_M_S));
         let beta = drag * (8.0 * drag / mass).min(1.0);
         let cloth: Vec<usize> = (0..4).filter(|&a| c.vertices[a] < rows).collect();

@@ -154,7 +154,12 @@ mod tests {
     fn what_gets_out_or_is_apart_is_left_alone() {
         let (_, apart) = resting(0.0101);
         assert_eq!(record_of(DT, &apart, [-Vec3::Z; 4]), [0.0; CONTACT_RECORD_FLOATS]);
-        assert_eq!(record_of(DT, &apart, [-Vec3::Z, Vec3::ZERO, Vec3::ZERO, Vec3::ZERO]), [0.0; CONTACT_RECORD_FLOATS]);
+        let closing = |speed: f32| record_of(DT, &apart, [-Vec3::Z * speed, Vec3::ZERO, Vec3::ZERO, Vec3::ZERO]);
+        // 0.1 mm out of reach: within it at the end of the step from 25.6 mm/s on.
+        assert_eq!(closing(0.0255), [0.0; CONTACT_RECORD_FLOATS]);
+        // Stopped at the border: the impulse of ten times the stiffness for the way inside alone.
+        let (way, stiffness) = (1.0 * DT - 0.0001, RELEASE_STEPS * apart.stiffness_n_m);
+        assert!((closing(1.0)[11] / (DT * stiffness * way) - 1.0).abs() < 1e-4);
         // 4 mm deep: out at the end of the step from 1.024 m/s on.
         let (_, deep) = resting(0.006);
         let leaving = |speed: f32| record_of(DT, &deep, [Vec3::Z * speed, Vec3::ZERO, Vec3::ZERO, Vec3::ZERO]);

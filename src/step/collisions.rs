@@ -173,6 +173,15 @@ impl Collisions {
         }
         self.set_step(span).map_err(|error| detection_failed(stats.step, error))?;
         let ahead = self.heading_for(own, gravity_m_s2, span);
+        if let Some(at) = ahead.iter().position(|x| !x.is_finite()) {
+            return Err(StepError::NotFinite {
+                step: stats.step,
+                vertex: (self.partition.rows_of(self.plan.rank).start + at / 3) as u32,
+                quantity: "position",
+                cause: "where its velocity takes it".into(),
+                suspect: "simulation.step_s or a velocity",
+            });
+        }
         share_positions(transport, &self.partition, &ahead, &mut self.x_t1)?;
         let (rank, ranks) = (transport.rank(), transport.ranks());
         let mut found = Vec::new();
