@@ -137,9 +137,9 @@ impl Crew {
 
     /// Waits until everything sent to `rank` has been taken, so that large messages do not pile up.
     pub fn flush(&mut self, rank: usize, limit: Duration) -> Result<(), CrewError> {
-        let start = Instant::now();
+        let (start, all) = (Instant::now(), (0..self.ranks()).collect::<Vec<_>>());
         while !self.control.all_sent(rank) {
-            self.look_after(start, limit)?;
+            self.look_after(&all, start, limit)?;
             self.control.wait(LOOK)?;
         }
         Ok(())
@@ -169,7 +169,8 @@ impl Crew {
                 }
             }
             missing.retain(|rank| !taken.contains(rank));
-            self.look_after(start, limit)?;
+            // Who has answered may leave, if that was its last word.
+            self.look_after(&missing, start, limit)?;
             if missing.is_empty() {
                 return Ok(());
             }
@@ -203,9 +204,9 @@ impl Crew {
         self.reported.take().map_or(Ok(()), |(_, error)| Err(error))
     }
 
-    /// Finds dead, hung and missing workers, and those that gave up.
-    fn look_after(&mut self, start: Instant, limit: Duration) -> Result<(), CrewError> {
-        for rank in (0..self.ranks()).filter(|&rank| !self.gave_up[rank]).collect::<Vec<_>>() {
+    /// Finds dead, hung and missing workers among `ranks`, and those that gave up.
+    fn look_after(&mut self, ranks: &[usize], start: Instant, limit: Duration) -> Result<(), CrewError> {
+        for rank in ranks.iter().copied().filter(|&rank| !self.gave_up[rank]).collect::<Vec<_>>() {
             let heartbeat = self.control.heartbeat(rank);
             let pid = heartbeat.pid as u32;
             let place = if heartbeat.step == 0 {
