@@ -24,7 +24,7 @@ use crate::transport::{Transport, TransportError};
 /// Rows of a chunk that its columns can name.
 const CHUNK_ROWS_MAX: usize = 1 << 16;
 /// Rows per chunk from which `auto` takes it: below, Jacobi needs so few iterations that the dearer ones do not pay.
-const CHUNK_ROWS_WORTH: usize = 64;
+const CHUNK_ROWS_WORTH: usize = 40;
 
 /// Sums of a block by group of its column, ascending.
 type GroupSums = Vec<(u32, [f64; BLOCK])>;
