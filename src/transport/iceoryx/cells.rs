@@ -8,7 +8,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::blackboard::PortFactory;
 
 use super::node::{Ipc, service_name, text};
-use crate::transport::ALL_GATHER_MAX;
+use crate::transport::{ALL_GATHER_MAX, RANKS_MAX};
 
 /// Values that fit beside the sequence number into one cache line.
 pub(super) const HEAD_VALUES: usize = 6;
@@ -23,24 +23,31 @@ pub(super) struct Head {
     pub values: [f64; HEAD_VALUES],
 }
 
-/// Contribution of more than [`HEAD_VALUES`] values; written before its head.
+/// Values of one piece of a tail. Cells are copied whole, also when little of them is used: a dot product of many ranks fits
+/// into one piece.
+const PIECE: usize = 64;
+const PIECES: usize = ALL_GATHER_MAX.div_ceil(PIECE);
+
+/// Piece of a contribution of more than [`HEAD_VALUES`] values; written before its head.
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
 #[repr(C)]
 pub(super) struct Tail {
-    pub values: [f64; ALL_GATHER_MAX],
+    values: [f64; PIECE],
 }
 
 const KEY_HEAD: u64 = 0;
-const KEY_TAIL: u64 = 2;
 const KEY_ASLEEP: u64 = 4;
+/// Of source 0; the others follow.
 const KEY_CONSUMED: u64 = 5;
+/// Of piece 0 in slot 0; slots alternate.
+const KEY_TAIL: u64 = KEY_CONSUMED + RANKS_MAX as u64;
 
 /// The own blackboard.
 pub(super) struct OwnCells {
     /// One slot per parity of the operation. Two suffice: operation k + 2 overwrites k, and nobody begins k + 2 before
     /// everybody has contributed to k + 1, that is, has read all of k.
-    pub heads: [EntryHandleMut<Ipc, u64, Head>; 2],
-    pub tails: [EntryHandleMut<Ipc, u64, Tail>; 2],
+    heads: [EntryHandleMut<Ipc, u64, Head>; 2],
+    tails: [Vec<EntryHandleMut<Ipc, u64, Tail>>; 2],
     /// Bit r is set while this rank sleeps (or is about to) until rank r does something.
     pub asleep: EntryHandleMut<Ipc, u64, u64>,
     /// Messages of each source that this rank has read and given back.
@@ -59,7 +66,9 @@ impl OwnCells {
             .add(KEY_ASLEEP, 0u64);
         for slot in 0..2 {
             creator = creator.add(KEY_HEAD + slot, Head::default());
-            creator = creator.add(KEY_TAIL + slot, Tail { values: [0.0; ALL_GATHER_MAX] });
+            for piece in 0..PIECES as u64 {
+                creator = creator.add(KEY_TAIL + 2 * piece + slot, Tail { values: [0.0; PIECE] });
+            }
         }
         for source in 0..ranks as u64 {
             creator = creator.add(KEY_CONSUMED + source, 0u64);
@@ -67,9 +76,14 @@ impl OwnCells {
         let service = creator.create().map_err(text("blackboard"))?;
         let writer = service.writer_builder().create().map_err(text("blackboard writer"))?;
         let entry = text("blackboard entry");
+        let tail = |slot: u64| {
+            (0..PIECES as u64)
+                .map(|piece| writer.entry(&(KEY_TAIL + 2 * piece + slot)).map_err(&entry))
+                .collect::<Result<Vec<_>, String>>()
+        };
         Ok(OwnCells {
             heads: [writer.entry(&KEY_HEAD).map_err(&entry)?, writer.entry(&(KEY_HEAD + 1)).map_err(&entry)?],
-            tails: [writer.entry(&KEY_TAIL).map_err(&entry)?, writer.entry(&(KEY_TAIL + 1)).map_err(&entry)?],
+            tails: [tail(0)?, tail(1)?],
             asleep: writer.entry(&KEY_ASLEEP).map_err(&entry)?,
             consumed: (0..ranks as u64)
                 .map(|source| writer.entry(&(KEY_CONSUMED + source)).map_err(&entry))
@@ -77,6 +91,21 @@ impl OwnCells {
             _writer: writer,
             _service: service,
         })
+    }
+
+    /// Writes a contribution to an all-gather: what the head has no room for, then the head.
+    pub(super) fn contribute(&self, slot: usize, sequence: u64, own: &[f64]) {
+        let mut head = Head { sequence, len: own.len() as u64, values: [0.0; HEAD_VALUES] };
+        if own.len() <= HEAD_VALUES {
+            head.values[..own.len()].copy_from_slice(own);
+        } else {
+            for (part, cell) in own.chunks(PIECE).zip(&self.tails[slot]) {
+                let mut piece = Tail { values: [0.0; PIECE] };
+                piece.values[..part.len()].copy_from_slice(part);
+                cell.update_with_copy(piece);
+            }
+        }
+        self.heads[slot].update_with_copy(head);
     }
 
     /// Says for whom this rank is about to sleep (0: for nobody). A look at the awaited value must follow.
@@ -91,7 +120,7 @@ impl OwnCells {
 /// The blackboard of another rank.
 pub(super) struct PeerCells {
     heads: [EntryHandle<Ipc, u64, Head>; 2],
-    tails: [EntryHandle<Ipc, u64, Tail>; 2],
+    tails: [Vec<EntryHandle<Ipc, u64, Tail>>; 2],
     asleep: EntryHandle<Ipc, u64, u64>,
     /// Messages of the own rank that this peer has read and given back.
     consumed: EntryHandle<Ipc, u64, u64>,
@@ -103,9 +132,14 @@ impl PeerCells {
     pub(super) fn new(service: PortFactory<Ipc, u64>, own_rank: usize) -> Result<PeerCells, String> {
         let reader = service.reader_builder().create().map_err(text("blackboard reader"))?;
         let entry = text("blackboard entry");
+        let tail = |slot: u64| {
+            (0..PIECES as u64)
+                .map(|piece| reader.entry(&(KEY_TAIL + 2 * piece + slot)).map_err(&entry))
+                .collect::<Result<Vec<_>, String>>()
+        };
         Ok(PeerCells {
             heads: [reader.entry(&KEY_HEAD).map_err(&entry)?, reader.entry(&(KEY_HEAD + 1)).map_err(&entry)?],
-            tails: [reader.entry(&KEY_TAIL).map_err(&entry)?, reader.entry(&(KEY_TAIL + 1)).map_err(&entry)?],
+            tails: [tail(0)?, tail(1)?],
             asleep: reader.entry(&KEY_ASLEEP).map_err(&entry)?,
             consumed: reader.entry(&(KEY_CONSUMED + own_rank as u64)).map_err(&entry)?,
             _reader: reader,
@@ -124,7 +158,9 @@ impl PeerCells {
         if len <= HEAD_VALUES {
             out.extend_from_slice(&head.values[..len]);
         } else {
-            out.extend_from_slice(&self.tails[slot].get().values[..len]);
+            for (piece, start) in self.tails[slot].iter().zip((0..len).step_by(PIECE)) {
+                out.extend_from_slice(&piece.get().values[..(len - start).min(PIECE)]);
+            }
         }
     }
 

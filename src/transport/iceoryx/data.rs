@@ -13,7 +13,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
-use super::cells::{HEAD_VALUES, Head, OwnCells, Tail, before_waking};
+use super::cells::{OwnCells, before_waking};
 use super::node::{DEPTH, Ipc, create_node, create_wake, service_name, text};
 use super::ports::{Header, Peer, ValueSample, Values, create_values, open_peer, stopped_error};
 use crate::transport::wait::{Patience, WaitHook};
@@ -265,15 +265,7 @@ impl Transport for IceoryxTransport {
         }
         let sequence = self.gathers + 1;
         let slot = (self.gathers & 1) as usize;
-        let mut head = Head { sequence, len: own.len() as u64, values: [0.0; HEAD_VALUES] };
-        if own.len() <= HEAD_VALUES {
-            head.values[..own.len()].copy_from_slice(own);
-        } else {
-            let mut tail = Tail { values: [0.0; ALL_GATHER_MAX] };
-            tail.values[..own.len()].copy_from_slice(own);
-            self.links.own.tails[slot].update_with_copy(tail);
-        }
-        self.links.own.heads[slot].update_with_copy(head);
+        self.links.own.contribute(slot, sequence, own);
         self.links.wake_sleepers();
         out.resize_with(self.ranks(), Vec::new);
         for (source, values) in out.iter_mut().enumerate() {
