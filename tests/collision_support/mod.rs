@@ -1,7 +1,6 @@
 //! Models for the tests of collision detection.
 
-// Every test file is a program of its own and uses a part of this.
-#![allow(dead_code)]
+#![allow(dead_code, reason = "every test binary uses its own part")]
 
 use loomtree::collision::broad::{CollisionMesh, Query};
 use loomtree::math::Vec3;

@@ -5,14 +5,12 @@
 use loomtree::gpu::Executor;
 use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::{Group, GroupKind, Surface, TriangleMesh, crossings, shapes};
-use loomtree::model::{GlobalModel, RankModel};
-use loomtree::partition::RowPartition;
+use loomtree::model::GlobalModel;
 use loomtree::scene::{Keyframe, Motion, Movement, Obstacle, Obstacles, Scene};
 use loomtree::solver::ExchangeMode;
-use loomtree::step::{ExchangePlan, Simulation, StepStats};
-use loomtree::transport::InProcessTransport;
+use loomtree::step::StepStats;
 
-use crate::support::{direct_queue, isotropic_fabric, scene};
+use crate::support::{isotropic_fabric, on_ranks, scene};
 
 /// A cloth of 150 g/m^2.
 pub const DENSITY_KG_M2: f64 = 0.15;
@@ -134,31 +132,14 @@ impl Watched {
 /// Runs `steps` steps on `ranks` threads and keeps every state.
 pub fn watch(scene: &Scene, ranks: usize, steps: u32, executor: fn(usize) -> Executor) -> Watched {
     let model = GlobalModel::new(scene);
-    let partition = RowPartition::new(model.rows(), ranks);
-    let mut parts = Vec::new();
-    RankModel::split(&model, &partition, |_, part| {
-        parts.push(part);
-        Ok::<(), ()>(())
-    })
-    .unwrap();
-    let handles: Vec<_> = parts
-        .into_iter()
-        .zip(InProcessTransport::group(ranks))
-        .enumerate()
-        .map(|(rank, (part, mut transport))| {
-            std::thread::spawn(move || {
-                let plan = ExchangePlan { mode: ExchangeMode::Halo, queue: direct_queue(rank, ranks) };
-                let mut simulation = Simulation::new(executor(rank), part, &plan).unwrap();
-                let mut kept = Vec::new();
-                for step in 1..=steps {
-                    let stats = simulation.step(&mut transport, step, false).unwrap();
-                    kept.push((simulation.state(), stats));
-                }
-                kept
-            })
-        })
-        .collect();
-    let results: Vec<_> = handles.into_iter().map(|h| h.join().unwrap()).collect();
+    let results = on_ranks(&model, ranks, ExchangeMode::Halo, executor, move |simulation, transport| {
+        let mut kept = Vec::new();
+        for step in 1..=steps {
+            let stats = simulation.step(transport, step, false).unwrap();
+            kept.push((simulation.state(), stats));
+        }
+        kept
+    });
     let original = |values: Vec<&[f32]>| {
         let mut out = vec![Vec3::ZERO; model.rows()];
         let rows = values.into_iter().flat_map(|part| part.chunks_exact(3));

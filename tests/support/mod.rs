@@ -94,18 +94,17 @@ pub fn direct_queue(rank: usize, ranks: usize) -> Vec<QueueNode> {
     (1..ranks).map(|d| (rank + d) % ranks).map(|v| QueueNode { source: v, vector: v }).collect()
 }
 
-/// Runs `steps` steps on `ranks` threads.
-pub fn simulate(
-    scene: &Scene,
+/// Runs `program` on `ranks` threads, each with its part of `model`, its executor and its transport; results by rank.
+pub fn on_ranks<T: Send + 'static>(
+    model: &GlobalModel,
     ranks: usize,
     mode: ExchangeMode,
-    steps: u32,
     executor: fn(usize) -> Executor,
-) -> Outcome {
-    let model = GlobalModel::new(scene);
+    program: impl Fn(&mut Simulation, &mut InProcessTransport) -> T + Clone + Send + 'static,
+) -> Vec<T> {
     let partition = RowPartition::new(model.rows(), ranks);
     let mut parts = Vec::new();
-    RankModel::split(&model, &partition, |_, part| {
+    RankModel::split(model, &partition, |_, part| {
         parts.push(part);
         Ok::<(), ()>(())
     })
@@ -115,16 +114,30 @@ pub fn simulate(
         .zip(InProcessTransport::group(ranks))
         .enumerate()
         .map(|(rank, (part, mut transport))| {
+            let program = program.clone();
             std::thread::spawn(move || {
                 let plan = ExchangePlan { mode, queue: direct_queue(rank, ranks) };
                 let mut simulation = Simulation::new(executor(rank), part, &plan).unwrap();
-                let stats: Vec<StepStats> =
-                    (1..=steps).map(|step| simulation.step(&mut transport, step, false).unwrap()).collect();
-                (simulation.state(), stats)
+                program(&mut simulation, &mut transport)
             })
         })
         .collect();
-    let results: Vec<_> = handles.into_iter().map(|h| h.join().unwrap()).collect();
+    handles.into_iter().map(|handle| handle.join().unwrap()).collect()
+}
+
+/// Runs `steps` steps on `ranks` threads.
+pub fn simulate(
+    scene: &Scene,
+    ranks: usize,
+    mode: ExchangeMode,
+    steps: u32,
+    executor: fn(usize) -> Executor,
+) -> Outcome {
+    let model = GlobalModel::new(scene);
+    let results = on_ranks(&model, ranks, mode, executor, move |simulation, transport| {
+        let stats: Vec<StepStats> = (1..=steps).map(|step| simulation.step(transport, step, false).unwrap()).collect();
+        (simulation.state(), stats)
+    });
     let mut outcome = Outcome {
         positions: vec![Vec3::ZERO; model.rows()],
         velocities: vec![Vec3::ZERO; model.rows()],
