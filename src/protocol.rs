@@ -61,7 +61,7 @@ pub enum ToCoordinator {
     /// Set up and connected to all other ranks.
     Ready(WorkerReady),
     /// A step is done; arrays: its events, if they were recorded.
-    StepDone(StepStats),
+    StepDone(Box<StepStats>),
     /// Arrays: positions and velocities of the own rows.
     State,
     /// A linear solve is done; array: the solution on the own rows, f64.

@@ -506,8 +506,8 @@ impl Simulation {
                 let at = row as usize * 3;
                 for axis in 0..3 {
                     velocities[at + axis] += (x[axis] - own[at + axis]) / span.length_s as f32;
-                    own[at + axis] = x[axis];
                 }
+                own[at..at + 3].copy_from_slice(&x);
             }
             self.positions.write_range(&self.executor, self.own_start, &own);
             self.velocities.write_range(&self.executor, self.own_start, &velocities);

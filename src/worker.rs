@@ -171,7 +171,7 @@ fn simulate(
                 match simulation.step(transport.as_mut(), step, record) {
                     Ok(stats) => {
                         let events = simulation.recorder.take();
-                        inbox.send(&ToCoordinator::StepDone(stats), &[bytemuck::cast_slice(&events)])?;
+                        inbox.send(&ToCoordinator::StepDone(Box::new(stats)), &[bytemuck::cast_slice(&events)])?;
                     }
                     Err(error) => return inbox.interrupted(failure_of(error)),
                 }

@@ -169,7 +169,7 @@ fn bytes(text: &str) -> Result<u64, String> {
         _ => f64::NAN,
     };
     let bytes = digits.parse::<f64>().unwrap_or(f64::NAN) * unit;
-    if bytes >= 1e6 && bytes < 1e18 {
+    if (1e6..1e18).contains(&bytes) {
         Ok(bytes as u64)
     } else {
         Err("expected at least 1M, for example 500M or 2G".into())

@@ -324,7 +324,7 @@ impl Driver<'_> {
         let limit = self.options.heartbeat();
         crew.collect(limit, |rank, message, arrays| match (message, arrays) {
             (ToCoordinator::StepDone(done), [bytes]) => {
-                stats[rank] = done;
+                stats[rank] = *done;
                 events[rank] = bytes.chunks_exact(size_of::<Event>()).map(bytemuck::pod_read_unaligned).collect();
                 true
             }

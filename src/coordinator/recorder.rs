@@ -172,7 +172,6 @@ impl Recorder {
                 continuous: slowest(|rank| rank.seconds.continuous),
                 zones: slowest(|rank| rank.seconds.zones),
                 total: wall_s,
-                ..StageSeconds::default()
             },
             bytes_moved: spmv_bytes + ranks.iter().map(|rank| rank.state_bytes).sum::<u64>(),
             bytes_per_spmv: spmv_bytes / first.products.max(1) as u64,
@@ -190,7 +189,6 @@ impl Recorder {
             collision_mesh_bytes_per_rank: ranks.iter().map(|rank| rank.collision_mesh_bytes).collect(),
             memory_bytes_per_rank: ranks.iter().map(|rank| rank.memory_bytes).collect(),
             resident_bytes_per_rank: ranks.iter().map(|rank| rank.resident_bytes).collect(),
-            ..StepRecord::default()
         };
         if !first.converged {
             tracing::warn!(

@@ -165,10 +165,8 @@ pub struct StageSeconds {
     pub elements: f64,
     /// Matrix structure.
     pub index_fill: f64,
-    /// Matrix values.
+    /// Matrix values and right-hand side, in one pass.
     pub value_fill: f64,
-    /// Right-hand side.
-    pub right_hand_side: f64,
     /// Conjugate gradients.
     pub solve: f64,
     /// New velocities and positions.

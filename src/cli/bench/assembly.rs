@@ -31,7 +31,7 @@ pub fn run(bench: &SceneBench) -> Result<(), CliError> {
 /// Seconds of element records and both fills, of the slowest rank.
 fn assembly(step: &StepRecord) -> f64 {
     let stages = &step.stage_seconds;
-    stages.elements + stages.index_fill + stages.value_fill + stages.right_hand_side
+    stages.elements + stages.index_fill + stages.value_fill
 }
 
 fn row(runs: &Runs, base: f64) -> Vec<f64> {
