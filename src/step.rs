@@ -180,9 +180,9 @@ impl Simulation {
             pins_move,
             motions,
             settings,
+            recorder: Recorder::new(executor.clock()),
             executor,
             state_traffic: TrafficCounter::default(),
-            recorder: Recorder::new(),
         };
         match simulation.executor.take_fault() {
             Some(fault) => Err(fault.into()),
@@ -255,27 +255,27 @@ impl Simulation {
         self.find_contacts(transport, span, stats)?;
         clock.restart();
         self.exchange_state(transport)?;
-        clock.lap(&mut stats.seconds.exchange);
+        clock.lap_kernels(&self.executor, &mut stats.seconds.exchange);
 
         // 3. Assembly elements.
         self.element_records(span);
-        clock.lap(&mut stats.seconds.elements);
+        clock.lap_kernels(&self.executor, &mut stats.seconds.elements);
         transport.alive()?;
 
         // 4. Matrix, right-hand side, preconditioner of the own rows.
         self.fill_matrix(span);
-        clock.lap(&mut stats.seconds.value_fill);
+        clock.lap_kernels(&self.executor, &mut stats.seconds.value_fill);
         transport.alive()?;
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.vectors.x.fill_zero(&self.executor);
         self.scatter.apply(&self.executor, &targets.rows, &targets.velocity_changes, 0, &mut self.vectors.x);
         self.solve(transport, stats)?;
-        clock.lap(&mut stats.seconds.solve);
+        clock.lap_kernels(&self.executor, &mut stats.seconds.solve);
 
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
         self.advance_state(span, &targets);
-        clock.lap(&mut stats.seconds.advance);
+        clock.lap_kernels(&self.executor, &mut stats.seconds.advance);
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.
         self.resolve_impacts(transport, span, rounds_most, stats)
@@ -338,7 +338,7 @@ impl Simulation {
         built.map_err(|error| StepError::Solve { step: stats.step, cause: error.to_string() })?;
         self.spmv.halo().set_plan(found.plan);
         self.recorder.end(EventName::IndexFill, Activity::Compute, start, self.contacts.bytes(), 0);
-        clock.lap(&mut stats.seconds.index_fill);
+        clock.lap_kernels(&self.executor, &mut stats.seconds.index_fill);
         Ok(())
     }
 
@@ -359,7 +359,7 @@ impl Simulation {
     }
 
     fn element_records(&mut self, span: Span) {
-        let start = self.recorder.now();
+        let start = self.recorder.before_kernels();
         let params = |count: usize| StepParams {
             step_s: span.length_s as f32,
             air_density: self.settings.air_density_kg_m3 as f32,
@@ -400,7 +400,7 @@ impl Simulation {
     }
 
     fn fill_matrix(&mut self, span: Span) {
-        let start = self.recorder.now();
+        let start = self.recorder.before_kernels();
         let params = FillParams {
             gravity: self.settings.gravity_m_s2.to_array(),
             step_s: span.length_s as f32,
@@ -461,7 +461,7 @@ impl Simulation {
     }
 
     fn advance_state(&mut self, span: Span, targets: &PinTargets) {
-        let start = self.recorder.now();
+        let start = self.recorder.before_kernels();
         self.advance.advance(
             &self.executor,
             span.length_s as f32,

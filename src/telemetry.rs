@@ -76,6 +76,9 @@ pub struct Event {
     pub source: u32,
     /// Sub-vector index, or the own rank.
     pub vector: u32,
+    /// When the host asked for it, nanoseconds since the recorder's epoch: the order of what a rank does. A device may
+    /// begin later.
+    pub asked_ns: u64,
     /// Nanoseconds since the recorder's epoch.
     pub start_ns: u64,
     /// Nanoseconds since the recorder's epoch.
@@ -86,6 +89,31 @@ pub struct Event {
     pub flops: u64,
 }
 
+/// The clock of a device that works behind the host's back.
+pub trait DeviceClock {
+    /// Marks the place that the device's commands have come to. `None`: there is no such clock, but everything asked so
+    /// far has been done.
+    fn mark(&self) -> Option<u32>;
+    /// When the device came to each mark, by its number, on the axis of `host_ns`. Forgets all marks.
+    fn read(&self, host_ns: &dyn Fn() -> u64) -> Vec<u64>;
+}
+
+/// A point in a rank's time, for [`Recorder::end`].
+#[derive(Clone, Copy, Debug)]
+pub struct Moment {
+    ns: u64,
+    /// Set if what follows are kernels.
+    kernels: bool,
+    mark: Option<u32>,
+}
+
+/// Marks of an event that a device ran.
+struct Marked {
+    event: usize,
+    start: u32,
+    end: u32,
+}
+
 /// Collects the events of one rank. Disabled recorders cost one branch per event.
 pub struct Recorder {
     epoch: Instant,
@@ -94,11 +122,13 @@ pub struct Recorder {
     enabled: bool,
     step: u32,
     events: Vec<Event>,
+    clock: Option<Box<dyn DeviceClock>>,
+    marked: Vec<Marked>,
 }
 
 impl Recorder {
-    /// A recorder that starts disabled.
-    pub fn new() -> Recorder {
+    /// A recorder that starts disabled. `clock`: of the device that runs the kernels, if they run behind the host's back.
+    pub fn new(clock: Option<Box<dyn DeviceClock>>) -> Recorder {
         let unix = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
         Recorder {
             epoch: Instant::now(),
@@ -106,6 +136,8 @@ impl Recorder {
             enabled: false,
             step: 0,
             events: Vec::new(),
+            clock,
+            marked: Vec::new(),
         }
     }
 
@@ -115,14 +147,24 @@ impl Recorder {
         self.enabled = enabled;
     }
 
-    /// Nanoseconds since the recorder's epoch: the start to hand to [`Recorder::end`].
-    pub fn now(&self) -> u64 {
+    fn host_ns(&self) -> u64 {
         self.epoch.elapsed().as_nanos() as u64
     }
 
-    /// Records an event of the own rank that began at `start_ns` and ends now.
-    pub fn end(&mut self, name: EventName, activity: Activity, start_ns: u64, bytes: u64, flops: u64) {
-        self.end_transfer(name, activity, start_ns, (0, 0, 0), bytes, flops);
+    /// The start of something that the host does, or waits for.
+    pub fn now(&self) -> Moment {
+        Moment { ns: self.host_ns(), kernels: false, mark: None }
+    }
+
+    /// The start of kernels that are about to be asked for; the event lasts as long as they do.
+    pub fn before_kernels(&self) -> Moment {
+        let mark = self.clock.as_ref().filter(|_| self.enabled).and_then(|clock| clock.mark());
+        Moment { ns: self.host_ns(), kernels: true, mark }
+    }
+
+    /// Records an event of the own rank that began at `start` and ends now.
+    pub fn end(&mut self, name: EventName, activity: Activity, start: Moment, bytes: u64, flops: u64) {
+        self.end_transfer(name, activity, start, (0, 0, 0), bytes, flops);
     }
 
     /// As [`Recorder::end`], with (stage, source, vector) of a transfer.
@@ -130,14 +172,19 @@ impl Recorder {
         &mut self,
         name: EventName,
         activity: Activity,
-        start_ns: u64,
+        start: Moment,
         route: (u32, u32, u32),
         bytes: u64,
         flops: u64,
     ) {
         if self.enabled {
             let (stage, source, vector) = route;
-            let end_ns = self.now();
+            if let Some(clock) = self.clock.as_ref().filter(|_| start.kernels)
+                && let (Some(start), Some(end)) = (start.mark, clock.mark())
+            {
+                self.marked.push(Marked { event: self.events.len(), start, end });
+            }
+            let end_ns = self.host_ns();
             self.events.push(Event {
                 name: name as u32,
                 activity: activity as u32,
@@ -145,7 +192,8 @@ impl Recorder {
                 stage,
                 source,
                 vector,
-                start_ns,
+                asked_ns: start.ns,
+                start_ns: start.ns,
                 end_ns,
                 bytes,
                 flops,
@@ -153,14 +201,18 @@ impl Recorder {
         }
     }
 
-    /// Hands the recorded events over and forgets them.
+    /// Hands the recorded events over and forgets them. Waits for the device if it ran some.
     pub fn take(&mut self) -> Vec<Event> {
-        std::mem::take(&mut self.events)
-    }
-}
-
-impl Default for Recorder {
-    fn default() -> Self {
-        Recorder::new()
+        let mut events = std::mem::take(&mut self.events);
+        if let Some(clock) = self.clock.as_ref().filter(|_| !self.marked.is_empty()) {
+            let times = clock.read(&|| self.host_ns());
+            for Marked { event, start, end } in self.marked.drain(..) {
+                let (Some(&start), Some(&end)) = (times.get(start as usize), times.get(end as usize)) else { continue };
+                // The two clocks meet within the time of a wait; nothing ran before it was asked for.
+                let asked_ns = events[event].asked_ns;
+                (events[event].start_ns, events[event].end_ns) = (start.max(asked_ns), end.max(asked_ns));
+            }
+        }
+        events
     }
 }

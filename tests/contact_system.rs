@@ -271,7 +271,7 @@ fn results(case: &Case, ranks: usize, mode: ExchangeMode, executor: fn() -> Exec
                     let halo = HaloExchange::new(plan.clone(), queue.clone());
                     let mut spmv = PipelinedSpmv::new(&ex, mode, halo, queue, partition.sub_vector_rows());
                     let matrix = system.system(&elastic);
-                    spmv.apply(&ex, &mut transport, &matrix, &mut u, &mut y, &mut Recorder::new()).unwrap();
+                    spmv.apply(&ex, &mut transport, &matrix, &mut u, &mut y, &mut Recorder::new(None)).unwrap();
                     result(&ex, &system, &y, rows.len())
                 })
             })

@@ -18,6 +18,7 @@ fn event(name: EventName, activity: Activity, span_ns: (u64, u64), route: (u32, 
         stage,
         source,
         vector,
+        asked_ns: start_ns,
         start_ns,
         end_ns,
         bytes: 64,
@@ -127,4 +128,20 @@ fn no_arrow_is_drawn_when_an_event_is_missing() {
         ])
         .unwrap();
     assert_eq!(load(&path).iter().filter(|e| e["ph"] == "s").count(), 0);
+}
+
+#[test]
+fn what_a_device_ran_later_is_read_back_in_the_order_in_which_it_was_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("trace.json");
+    // Asked for at 100, begun while the host already published.
+    let mut kernel = event(EventName::VectorUpdate, Activity::Compute, (400, 900), (0, 0, 0));
+    kernel.asked_ns = 100;
+    let publish = event(EventName::Publish, Activity::Transfer, (200, 950), (0, 0, 0));
+    let mut writer = TraceWriter::create(&path, &["gpu".to_string()], 0).unwrap();
+    writer.append(&[RankEvents { rank: 0, epoch_unix_ns: 0, events: &[publish, kernel] }]).unwrap();
+    let steps = loomtree::output::read_trace(&path).unwrap();
+    let read: Vec<_> = steps[&1][0].iter().map(|e| (e.name, e.asked_ns, e.start_ns, e.end_ns)).collect();
+    let (kernel, publish) = (EventName::VectorUpdate as u32, EventName::Publish as u32);
+    assert_eq!(read, [(kernel, 100, 400, 900), (publish, 200, 200, 950)]);
 }

@@ -27,6 +27,7 @@ fn event(name: EventName, activity: Activity, at_us: u64, route: (u32, u32, u32)
         stage,
         source,
         vector,
+        asked_ns: start_ns,
         start_ns,
         end_ns,
         bytes,

@@ -421,6 +421,7 @@ impl Prediction {
                 stage: 0,
                 source: source as u32,
                 vector: vector as u32,
+                asked_ns: ns(task.span.start_s),
                 start_ns: ns(task.span.start_s),
                 end_ns: ns(task.span.done_s),
                 bytes: task.bytes as u64,

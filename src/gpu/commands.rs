@@ -75,6 +75,11 @@ impl Commands {
         &self.arena
     }
 
+    /// Nanoseconds of a tick of the device's clock; 0 if it has none.
+    pub(super) fn tick_ns(&self) -> f64 {
+        f64::from(self.queue.get_timestamp_period())
+    }
+
     pub(super) fn dispatch(&self, dispatch: &Dispatch<'_>) {
         if self.fault.raised() {
             return;

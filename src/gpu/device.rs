@@ -13,7 +13,7 @@ use super::adapter::{self, AdapterSummary};
 use super::commands::{Commands, Dispatch, ReadPart};
 use super::fault::{Fault, locked};
 use super::kernel::{Kernel, KernelSource};
-use super::{GpuError, GpuStruct, self_test};
+use super::{GpuError, GpuStruct, clock, self_test};
 
 /// Least bytes of a buffer. No struct of a kernel is larger, so an empty array can be bound as an array of any of them.
 pub(super) const LEAST_BYTES: u64 = 256;
@@ -30,7 +30,7 @@ pub struct GpuExecutor {
     device: wgpu::Device,
     limits: wgpu::Limits,
     summary: AdapterSummary,
-    commands: Commands,
+    commands: Arc<Commands>,
     fault: Arc<Fault>,
     next_id: AtomicU64,
     /// Compiled kernels by the address of their source.
@@ -77,6 +77,7 @@ impl GpuExecutor {
         let request = wgpu::DeviceDescriptor {
             label: Some("loomtree"),
             required_limits: limits.clone(),
+            required_features: adapter.features() & clock::FEATURES,
             memory_hints: wgpu::MemoryHints::Performance,
             ..Default::default()
         };
@@ -88,7 +89,7 @@ impl GpuExecutor {
         device.set_device_lost_callback(move |reason, text| {
             on_lost.raise(format!("device {name} was lost ({reason:?}: {text})"));
         });
-        let commands = Commands::new(device.clone(), queue, fault.clone());
+        let commands = Arc::new(Commands::new(device.clone(), queue, fault.clone()));
         let executor = GpuExecutor {
             device,
             limits,
@@ -118,6 +119,10 @@ impl GpuExecutor {
 
     pub(super) fn commands(&self) -> &Commands {
         &self.commands
+    }
+
+    pub(super) fn clock(&self) -> clock::StampClock {
+        clock::StampClock::new(self.device.clone(), self.commands.clone())
     }
 
     /// Most items of `item_bytes` bytes (whole words) that one binding can show, rounded down to a multiple of

@@ -5,6 +5,7 @@
 
 mod adapter;
 mod bandwidth;
+mod clock;
 mod commands;
 mod cpu;
 mod device;
@@ -28,6 +29,8 @@ pub use layout::{GpuStruct, StructLayout};
 pub use offscreen::{DrawLook, DrawVertex, Offscreen, SWATCHES};
 pub use self_test::SelfTest;
 pub use vec::{DeviceVec, ReadBatch};
+
+use crate::telemetry::DeviceClock;
 
 /// What runs kernels.
 pub enum Executor {
@@ -120,6 +123,14 @@ impl Executor {
     pub fn finish(&self) {
         if let Executor::Gpu(gpu) = self {
             gpu.finish();
+        }
+    }
+
+    /// The clock of what runs behind the host's back; none where kernels are done when asked for.
+    pub fn clock(&self) -> Option<Box<dyn DeviceClock>> {
+        match self {
+            Executor::Cpu(_) => None,
+            Executor::Gpu(gpu) => Some(Box::new(gpu.clock())),
         }
     }
 

@@ -203,7 +203,7 @@ impl<'a> RankSolver<'a> {
             spmv: PipelinedSpmv::new(executor, mode, halo, queue.to_vec(), partition.sub_vector_rows()),
             pcg: Pcg::new(executor, partition, plan.rank),
             residual: Residual::new(system, queue.to_vec(), params.host_threads),
-            recorder: Recorder::new(),
+            recorder: Recorder::new(None),
             slots: layout.slots(),
             executor,
             matrix,

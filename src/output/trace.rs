@@ -152,6 +152,7 @@ impl TraceWriter {
     fn slice(&mut self, rank: usize, tid: usize, event: &Event, start_ns: i128, end_ns: i128) {
         let name = EventName::from_number(event.name).map_or("unknown", EventName::text);
         let category = TRACKS[kind(event)];
+        let asked_ns = start_ns + i128::from(event.asked_ns) - i128::from(event.start_ns);
         let (ts, dur) = (self.micros(start_ns), self.micros(end_ns - start_ns));
         let Event { step, stage, source, vector, bytes, flops, .. } = *event;
         // A block's kernel says which sub-vector it multiplies.
@@ -160,8 +161,12 @@ impl TraceWriter {
             true => String::new(),
             false => format!(r#","stage":{stage},"source":{source},"vector":{vector}"#),
         };
+        let asked = match event.asked_ns == event.start_ns {
+            true => String::new(),
+            false => format!(r#","asked_ts":{}"#, self.micros(asked_ns)),
+        };
         self.entry(format_args!(
-            r#"{{"ph":"X","name":"{name}","cat":"{category}","pid":{rank},"tid":{tid},"ts":{ts},"dur":{dur},"args":{{"step":{step}{route},"bytes":{bytes},"flops":{flops}}}}}"#
+            r#"{{"ph":"X","name":"{name}","cat":"{category}","pid":{rank},"tid":{tid},"ts":{ts},"dur":{dur},"args":{{"step":{step}{route}{asked},"bytes":{bytes},"flops":{flops}}}}}"#
         ));
     }
 

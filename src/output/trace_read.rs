@@ -57,6 +57,7 @@ struct Args {
     stage: u32,
     source: Option<u32>,
     vector: Option<u32>,
+    asked_ts: Option<f64>,
     bytes: u64,
     flops: u64,
 }
@@ -64,7 +65,7 @@ struct Args {
 /// Most ranks that a trace may name.
 const RANKS_MAX: u32 = 64;
 
-/// Events of every step (by its number) and rank, in the order in which they began. Times count from the first event.
+/// Events of every step (by its number) and rank, in the order in which the rank did them or asked its device for them. Times count from the first event.
 /// Events that this version does not know are left out.
 pub fn read_trace(path: &Path) -> Result<BTreeMap<u32, Vec<Vec<Event>>>, TraceReadError> {
     let io_error = |source| TraceReadError::Io { path: path.to_path_buf(), source };
@@ -104,7 +105,7 @@ pub fn read_trace(path: &Path) -> Result<BTreeMap<u32, Vec<Vec<Event>>>, TraceRe
         return Err(TraceReadError::Empty { path: path.to_path_buf() });
     }
     for rank in steps.values_mut().flatten() {
-        rank.sort_by_key(|event| (event.start_ns, u64::MAX - event.end_ns));
+        rank.sort_by_key(|event| (event.asked_ns, u64::MAX - event.end_ns));
     }
     Ok(steps)
 }
@@ -116,7 +117,8 @@ fn event_of(slice: &Slice<'_>) -> Option<Event> {
         "wait" => Activity::Wait,
         _ => Activity::Compute,
     };
-    let (start_ns, length_ns) = ((slice.ts * 1000.0).round() as u64, (slice.dur * 1000.0).round() as u64);
+    let nanoseconds = |micros: f64| (micros * 1000.0).round() as u64;
+    let (start_ns, length_ns) = (nanoseconds(slice.ts), nanoseconds(slice.dur));
     Some(Event {
         name: name as u32,
         activity: activity as u32,
@@ -124,6 +126,7 @@ fn event_of(slice: &Slice<'_>) -> Option<Event> {
         stage: slice.args.stage,
         source: slice.args.source.unwrap_or(slice.pid),
         vector: slice.args.vector.unwrap_or(slice.pid),
+        asked_ns: slice.args.asked_ts.map_or(start_ns, nanoseconds),
         start_ns,
         end_ns: start_ns.saturating_add(length_ns),
         bytes: slice.args.bytes,

@@ -159,7 +159,7 @@ impl Pcg {
             match schwarz.as_deref_mut() {
                 None => {
                     spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
-                    let start = recorder.now();
+                    let start = recorder.before_kernels();
                     self.ops.dot(executor, &v.w, &v.u, own);
                     self.ops.sums(executor, &mut self.chunk_sums);
                     let bytes = v.w.bytes() * 2;
@@ -221,7 +221,7 @@ impl Pcg {
                 });
             }
             let alpha = gamma / curvature;
-            let start = recorder.now();
+            let start = recorder.before_kernels();
             if let Some(schwarz) = schwarz.as_deref_mut() {
                 schwarz.coarse.update(&self.restricted, alpha, beta);
                 let PcgVectors { u, x, r, w, p, s } = &mut *v;

@@ -91,13 +91,13 @@ impl PipelinedSpmv {
         recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
         self.halo.publish(executor, transport, &[&*u], recorder)?;
-        let start = recorder.now();
+        let start = recorder.before_kernels();
         self.multiply(executor, matrix, 0, u, y);
         // A device works on these rows while the halo is received.
         executor.flush();
         recorder.end(EventName::SpmvLocal, Activity::Compute, start, matrix.section_bytes(0), matrix.section_flops(0));
         self.halo.receive(executor, transport, &mut [u], recorder, &mut self.traffic)?;
-        let start = recorder.now();
+        let start = recorder.before_kernels();
         self.multiply(executor, matrix, 1, u, y);
         recorder.end(EventName::SpmvRemote, Activity::Compute, start, matrix.section_bytes(1), matrix.section_flops(1));
         Ok(())
@@ -139,7 +139,7 @@ impl PipelinedSpmv {
             recorder.end(EventName::Publish, Activity::Transfer, start, self.sub_vector_len as u64 * 4, 0);
         }
         let block = (0, rank as u32, rank as u32);
-        let start = recorder.now();
+        let start = recorder.before_kernels();
         self.kernel.apply_host(executor, matrix.elastic, 0, self.accumulate, &self.staging, y);
         if let Some(contact) = matrix.contact {
             self.kernel.apply_host(executor, contact, 0, true, &self.staging, y);
@@ -166,7 +166,7 @@ impl PipelinedSpmv {
                 got = v_j.len();
                 if got == len {
                     recorder.end_transfer(EventName::Receive, Activity::Transfer, start, route, got as u64 * 4, 0);
-                    let start = recorder.now();
+                    let start = recorder.before_kernels();
                     for part in matrix.parts() {
                         kernel.apply_host(executor, part, section, true, v_j, y);
                     }

@@ -169,7 +169,7 @@ impl Rank {
             &(&self.matrix).into(),
             &self.inverse,
             flags,
-            &mut Recorder::new(),
+            &mut Recorder::new(None),
         );
         set.expect("sets up");
     }
@@ -192,7 +192,7 @@ impl Rank {
                 vectors,
                 false,
                 &params,
-                &mut Recorder::new(),
+                &mut Recorder::new(None),
             )
             .expect("solves");
         assert!(info.converged, "{info:?}");

@@ -4,6 +4,8 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use crate::gpu::Executor;
+
 /// Seconds a rank spent in the stages of a step (wall time of this rank; waiting for others is inside).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StageSeconds {
@@ -153,6 +155,12 @@ impl StageClock {
     /// Forgets the time since the last lap: it was counted elsewhere.
     pub(super) fn restart(&self) {
         self.last.set(Instant::now());
+    }
+
+    /// As [`StageClock::lap`] for a stage of kernels: waits until they are done, or their time would count for a later stage.
+    pub(super) fn lap_kernels(&self, executor: &Executor, stage: &mut f64) {
+        executor.finish();
+        self.lap(stage);
     }
 
     /// Adds the time since the last lap to `stage`.
