@@ -3,8 +3,8 @@
 
 use std::path::PathBuf;
 
-use super::CliError;
 use super::table::Table;
+use super::{CliError, positive};
 use crate::interconnect::{Demand, DeviceModel, ProductKernels, ScheduleKind, Topology, TransferPlan, plan, product_s};
 
 /// Arguments of `loomtree bench interconnect`.
@@ -29,13 +29,6 @@ pub struct InterconnectBench {
     /// Also write the tables as JSON and SVG into this folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value > 0.0 && value < 1e6 => Ok(value),
-        _ => Err("expected a positive number".to_string()),
-    }
 }
 
 /// Bytes of a row of a vector.

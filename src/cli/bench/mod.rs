@@ -5,6 +5,7 @@ mod assembly;
 mod collision;
 mod device;
 mod interconnect;
+mod ranks;
 mod runs;
 mod scaling;
 mod spmv;
@@ -31,7 +32,8 @@ pub struct BenchArgs {
 enum Bench {
     /// Memory bandwidth of the executor: copy and read, to hold the others against
     Device(device::DeviceBench),
-    /// Matrix-vector product of a scene's matrix: time, share of the read bandwidth, bytes exchanged by 1, 2, 4, 8 ranks
+    /// Matrix-vector product of scenes' matrices in contact on 1 to 16 ranks: gather first, pipelined with every schedule, halo
+    /// rows; modelled on a topology file's machine and measured on this one, apart; bandwidth and bytes exchanged
     Spmv(spmv::SpmvBench),
     /// Collision detection and impact zones of a scene on several numbers of worker processes: time, tests, their split
     Collision(runs::SceneBench),
@@ -106,6 +108,13 @@ fn warn_of_load() {
 fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value < 1e6 => Ok(value),
+        _ => Err("expected a positive number".to_string()),
+    }
 }
 
 fn worker_counts(text: &str) -> Result<usize, String> {
