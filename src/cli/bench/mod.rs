@@ -1,10 +1,11 @@
-//! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, and each table
-//! names what it ran on; only `bench interconnect` is modelled, and its titles say so.
+//! `loomtree bench`: measures this program on this machine, and models other machines. Every table says what it ran on;
+//! modelled figures stand in tables or columns of their own that say so.
 
 mod assembly;
 mod collision;
 mod device;
 mod interconnect;
+mod matrix_free;
 mod ranks;
 mod runs;
 mod scaling;
@@ -41,8 +42,11 @@ enum Bench {
     Step(runs::SceneBench),
     /// Assembly of a scene's matrix on several numbers of worker processes: element records, index fill, value fill
     Assembly(runs::SceneBench),
-    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine
-    Scaling(runs::SceneBench),
+    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine and modelled
+    /// on a topology file's
+    Scaling(scaling::ScalingBench),
+    /// The same integrator with and without a stored matrix (cpu executor, one rank): product, memory, whole step
+    MatrixFree(matrix_free::MatrixFreeBench),
     /// Memory of a scene's workers per structure and vertex
     Memory(runs::SceneBench),
     /// Modelled, not measured: products on the machines of topology files, every exchange and schedule
@@ -90,6 +94,7 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
         Bench::Step(bench) => step::time(&bench),
         Bench::Assembly(bench) => assembly::run(&bench),
         Bench::Scaling(bench) => scaling::run(&bench),
+        Bench::MatrixFree(bench) => matrix_free::run(&bench),
         Bench::Memory(bench) => step::memory(&bench),
         Bench::Interconnect(bench) => interconnect::run(&bench),
     }

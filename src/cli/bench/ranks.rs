@@ -32,10 +32,7 @@ impl ModelState {
     ) -> Result<ModelState, CliError> {
         let failed = |error: &dyn std::fmt::Display| CliError::failed(error.to_string());
         let mut transport = SoloTransport::new(Box::new(|| false));
-        let mut parts = split(&model, 1)?;
-        let part = parts.pop().ok_or_else(|| CliError::failed("the model has no part"))?;
-        let plan = ExchangePlan { mode: ExchangeMode::Halo, queue: Vec::new() };
-        let mut simulation = Simulation::new(common.executor()?, part, &plan).map_err(|error| failed(&error))?;
+        let mut simulation = alone(&model, common)?;
         let enough = contacts_per_vertex * model.rows() as f64;
         let (mut step, mut contacts) = (0, 0);
         while step < steps_max {
@@ -48,6 +45,11 @@ impl ModelState {
         (model.positions, model.velocities) = simulation.state();
         model.settings.preconditioner = PreconditionerKind::Jacobi;
         Ok(ModelState { model, step: step + 1, contacts })
+    }
+
+    /// One rank that holds everything, in this state.
+    pub fn one_rank(&self, common: &Common) -> Result<Simulation, CliError> {
+        alone(&self.model, common)
     }
 
     /// Assembles the matrix of the step on `queues.len()` ranks and calls `with` on each of them, all at once. Results in the
@@ -83,6 +85,13 @@ impl ModelState {
     }
 }
 
+fn alone(model: &GlobalModel, common: &Common) -> Result<Simulation, CliError> {
+    let mut parts = split(model, 1)?;
+    let part = parts.pop().ok_or_else(|| CliError::failed("the model has no part"))?;
+    let plan = ExchangePlan { mode: ExchangeMode::Halo, queue: Vec::new() };
+    Simulation::new(common.executor()?, part, &plan).map_err(|error| CliError::failed(error.to_string()))
+}
+
 fn split(model: &GlobalModel, ranks: usize) -> Result<Vec<RankModel>, CliError> {
     let mut parts = Vec::with_capacity(ranks);
     RankModel::split(model, &RowPartition::new(model.rows(), ranks), |_, own| {
@@ -90,6 +99,11 @@ fn split(model: &GlobalModel, ranks: usize) -> Result<Vec<RankModel>, CliError> 
         Ok::<(), CliError>(())
     })?;
     Ok(parts)
+}
+
+/// Length of what began and ended.
+pub fn seconds_of((start, end): &(Instant, Instant)) -> f64 {
+    (*end - *start).as_secs_f64()
 }
 
 /// Median seconds from the earliest start to the latest end over the ranks.

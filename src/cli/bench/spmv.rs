@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::ranks::{ModelState, median_s};
+use super::ranks::{ModelState, median_s, seconds_of};
 use super::table::Table;
 use super::{CliError, Common, positive, worker_counts};
 use crate::gpu::bandwidth_gb_s;
@@ -121,9 +121,8 @@ impl SceneProducts<'_> {
             Ok((times, simulation.product_bytes(), simulation.padding_ratio))
         })?;
         let [(times, bytes, padding)] = &timed[..] else { return Err(CliError::failed("one rank has one result")) };
-        let seconds = |(start, end): &(std::time::Instant, std::time::Instant)| (*end - *start).as_secs_f64();
-        let best = times.iter().map(seconds).fold(f64::INFINITY, f64::min);
-        let middle = super::median(&mut times.iter().map(seconds).collect::<Vec<_>>());
+        let best = times.iter().map(seconds_of).fold(f64::INFINITY, f64::min);
+        let middle = super::median(&mut times.iter().map(seconds_of).collect::<Vec<_>>());
         let rate = *bytes as f64 / middle / 1e9;
         let title = format!(
             "measured: one product on one rank, {} thread(s), padding {padding:.3}: {}",
