@@ -150,3 +150,71 @@ pub(super) fn gather(
         }
     });
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two vertices, the second one an obstacle's, normal x, alpha 4, beta 1, weights 1 and -1.
+    #[test]
+    fn a_contact_with_an_obstacle_by_hand() {
+        let record = [1.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 4.0, 1.0, 8.0, 0.0, 2.0];
+        let contact = ContactElement {
+            vertices: [0, 2, u32::MAX, u32::MAX],
+            weights: [1.0, -1.0, 0.0, 0.0],
+            normal: [1.0, 0.0, 0.0],
+            distance_m: 0.0,
+            thickness_m: 0.0,
+            stiffness_n_m: 0.0,
+            friction: 0.0,
+            kind: 0,
+        };
+        let (cpu, x) = (CpuExecutor::new(1), [1.0, 2.0, 3.0, 9.0, 9.0, 9.0]);
+        let mut terms = [0.0; 3];
+        contact_terms(&cpu, &[contact], &record, &x, &mut terms);
+        assert_eq!(terms, [4.0, 2.0, 3.0]);
+        let elements = ElementInputs {
+            triangle_offsets: &[0, 0, 0],
+            triangle_entries: &[],
+            hinge_offsets: &[0, 0, 0],
+            hinge_entries: &[],
+            triangles: &[],
+            hinges: &[],
+            triangle_records: &[],
+            hinge_records: &[],
+            masses: &[2.0, 3.0],
+        };
+        let contacts = ContactInputs {
+            slots: &[0, NO_SLOT],
+            offsets: &[0, 1],
+            entries: &[0],
+            records: &record,
+            elements: &[contact],
+        };
+        let mut y = [1.0; 6];
+        gather(&cpu, &elements, Some(&contacts), (&[], &[], &terms), false, &x, &mut y);
+        assert_eq!(y, [6.0, 6.0, 9.0, 27.0, 27.0, 27.0]);
+        gather(&cpu, &elements, Some(&contacts), (&[], &[], &terms), true, &x, &mut y);
+        assert_eq!(y, [12.0, 12.0, 18.0, 54.0, 54.0, 54.0]);
+    }
+
+    /// Four vertices; h k = 2, gradients along the axes.
+    #[test]
+    fn a_hinge_by_hand() {
+        let record = [1.0, 0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 9.0, 0.0, 0.0, 1.0, 0.0, -1.0, -1.0, -1.0, 0.0];
+        let hinge = HingeElement {
+            vertices: [0, 1, 2, 3],
+            shape: 0.0,
+            curvature_from_angle: 0.0,
+            rest_angle: 0.0,
+            padding: 0.0,
+            bias: [0.0; 2],
+            fabric: [0; 2],
+        };
+        let x: Vec<f32> = (1..=12).map(|v| v as f32).collect();
+        let mut terms = [0.0];
+        hinge_terms(&CpuExecutor::new(1), &[hinge], &record, &x, &mut terms);
+        // 2 (1 + 5 + 9 - 10 - 11 - 12)
+        assert_eq!(terms, [-36.0]);
+    }
+}

@@ -1,6 +1,7 @@
 //! The matrix of a state on its own, for benchmarks: assembled with its contacts and multiplied, without solving or moving
 //! anything. Where the matrix is not stored, the same calls make products from the element records.
 
+use std::ops::Range;
 use std::time::Instant;
 
 use super::collisions::Span;
@@ -17,7 +18,7 @@ impl Simulation {
     ///
     /// # Errors
     /// On a device, and with whole sub-vectors: only the cpu executor and halo rows have such a product.
-    pub fn without_matrix(mut self) -> Result<Simulation, SetupError> {
+    pub fn drop_matrix(&mut self) -> Result<(), SetupError> {
         if !matches!(self.executor, Executor::Cpu(_)) || self.mode != ExchangeMode::Halo {
             return Err(SetupError::MatrixFree);
         }
@@ -26,7 +27,7 @@ impl Simulation {
         self.contacts.matrix_free = true;
         self.schwarz = None;
         self.matrix_free = true;
-        Ok(self)
+        Ok(())
     }
 
     /// Stages 1 to 4 of step `step` (from 1) [Li et al. 2020, Fig. 2]: contacts, element records, matrix, right-hand side.
@@ -44,6 +45,11 @@ impl Simulation {
             Some(fault) => Err(StepError::Device { step, message: fault.to_string() }),
             None => Ok(stats.contacts),
         }
+    }
+
+    /// Own rows in the global order.
+    pub fn rows(&self) -> Range<usize> {
+        self.rows_start..self.rows_start + self.own_rows
     }
 
     /// A x of the assembled matrix; `x`: xyz per own row, as the result.

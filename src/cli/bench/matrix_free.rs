@@ -156,7 +156,7 @@ impl Measured {
     fn new(state: &ModelState, common: &Common, matrix_free: bool) -> Result<Measured, CliError> {
         let mut simulation = state.one_rank(common)?;
         if matrix_free {
-            simulation = simulation.without_matrix().map_err(|error| CliError::bad_input(error.to_string()))?;
+            simulation.drop_matrix().map_err(|error| CliError::bad_input(error.to_string()))?;
         }
         let mut transport = SoloTransport::new(Box::new(|| false));
         let failed = |error: &dyn std::fmt::Display| CliError::failed(error.to_string());
