@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use super::ranks::{ModelState, seconds_of};
 use super::table::Table;
-use super::{CliError, Common, median, positive};
+use super::{CliError, Common, machine, median, positive};
 use crate::interconnect::{Kernel, Topology};
 use crate::model::GlobalModel;
 use crate::scene::Overrides;
@@ -38,13 +38,13 @@ pub struct MatrixFreeBench {
     /// Products to time
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
-    /// Machine of the modelled table
-    #[arg(long, default_value = "topology/titan_v_8.toml")]
-    topology: PathBuf,
+    /// Machine whose device the modelled table is for [default: Titan Xp]
+    #[arg(long, value_name = "FILE")]
+    topology: Option<PathBuf>,
 }
 
 pub fn run(bench: &MatrixFreeBench) -> Result<(), CliError> {
-    let machine = Topology::read(&bench.topology).map_err(CliError::bad_input)?;
+    let machine = machine(bench.topology.as_deref(), 1)?;
     let out = bench.common.out.as_deref();
     let (measured, modelled) = tables(bench, &machine)?;
     measured.y_label("matrix-free over stored").finish_curves(

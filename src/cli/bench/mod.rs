@@ -13,13 +13,14 @@ mod spmv;
 mod step;
 mod table;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
 use super::CliError;
 use super::run::ExecutorArg;
 use crate::gpu::Executor;
+use crate::interconnect::Topology;
 use crate::protocol::WorkerSetup;
 
 /// Arguments of `loomtree bench`.
@@ -113,6 +114,12 @@ fn warn_of_load() {
 fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// The machine of modelled figures: that of a topology file, or a balanced tree for `gpus` ranks.
+fn machine(file: Option<&Path>, gpus: usize) -> Result<Topology, CliError> {
+    let made = || Topology::default_for(gpus).map_err(CliError::bad_input);
+    file.map_or_else(made, |file| Topology::read(file).map_err(CliError::bad_input))
 }
 
 fn positive(text: &str) -> Result<f64, String> {

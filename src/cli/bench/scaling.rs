@@ -5,9 +5,9 @@
 
 use std::path::PathBuf;
 
-use super::CliError;
 use super::runs::{Runs, SceneBench, Size};
 use super::table::Table;
+use super::{CliError, machine};
 use crate::interconnect::Topology;
 
 /// Arguments of `loomtree bench scaling`.
@@ -15,13 +15,14 @@ use crate::interconnect::Topology;
 pub struct ScalingBench {
     #[command(flatten)]
     scene: SceneBench,
-    /// Machine of the modelled columns, with schedule best; more workers than it has GPUs are not modelled
-    #[arg(long, default_value = "topology/pcie_16.toml")]
-    topology: PathBuf,
+    /// Machine of the modelled columns, with schedule best [default: Titan Xp on a balanced tree of PCIe 3 x16 links]; more
+    /// workers than it has GPUs are not modelled
+    #[arg(long, value_name = "FILE")]
+    topology: Option<PathBuf>,
 }
 
 pub fn run(bench: &ScalingBench) -> Result<(), CliError> {
-    let machine = Topology::read(&bench.topology).map_err(CliError::bad_input)?;
+    let machine = machine(bench.topology.as_deref(), bench.scene.workers.iter().copied().max().unwrap_or(1))?;
     let out = bench.scene.common.out.as_deref();
     let curves = ["measured_speedup", "modelled_speedup"];
     strong(&bench.scene, &machine)?.finish_curves(out, Some(("workers", &curves)))?;

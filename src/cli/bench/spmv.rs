@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::ranks::{ModelState, median_s, seconds_of};
 use super::table::Table;
-use super::{CliError, Common, positive, worker_counts};
+use super::{CliError, Common, machine, positive, worker_counts};
 use crate::gpu::bandwidth_gb_s;
 use crate::interconnect::{
     DeviceModel, Kernel, KernelTimes, Phase, Plan, ProductExchange, QueueNode, RecordedProduct, RecordedStep, Replay,
@@ -46,9 +46,9 @@ pub struct SpmvBench {
     /// Or that after so many steps, whichever comes first; 0: of the start state
     #[arg(long, default_value_t = 600)]
     steps: u32,
-    /// Machine of the modelled table
-    #[arg(long, default_value = "topology/pcie_16.toml")]
-    topology: PathBuf,
+    /// Machine of the modelled table [default: Titan Xp on a balanced tree of PCIe 3 x16 links]
+    #[arg(long, value_name = "FILE")]
+    topology: Option<PathBuf>,
     /// Share of the memory bandwidth that the modelled kernel reaches
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
     efficiency: f64,
@@ -75,7 +75,7 @@ const MEASURED: [&str; 8] =
     ["ranks", "one_rank_ms", "gather_first", "full_fat_tree", "full_ring", "full_direct", "full_best", "halo"];
 
 pub fn run(bench: &SpmvBench) -> Result<(), CliError> {
-    let machine = Topology::read(&bench.topology).map_err(CliError::bad_input)?;
+    let machine = machine(bench.topology.as_deref(), bench.workers.iter().copied().max().unwrap_or(1))?;
     for file in &bench.scene {
         of_scene(bench, file, &machine)?;
     }
