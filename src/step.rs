@@ -5,6 +5,7 @@
 mod collisions;
 mod error;
 mod inspect;
+mod products;
 mod stats;
 
 use std::ops::Range;
@@ -53,6 +54,25 @@ pub struct ExchangePlan {
     pub queue: Vec<QueueNode>,
 }
 
+/// The matrix of a step, stored or as element records; borrows only what it is made of.
+macro_rules! system {
+    ($simulation:ident) => {
+        $crate::assembly::SystemMatrix {
+            elements: $simulation.matrix_free.then(|| $crate::assembly::ElementMatrix {
+                lists: $simulation.fill_tables.lists(),
+                triangles: &$simulation.triangles,
+                hinges: &$simulation.hinges,
+                triangle_records: &$simulation.triangle_records,
+                hinge_records: &$simulation.hinge_records,
+                masses: &$simulation.masses,
+                contacts: $simulation.contacts.contact_records(),
+            }),
+            ..$simulation.contacts.system(&$simulation.matrix)
+        }
+    };
+}
+use system;
+
 /// One rank's simulation.
 pub struct Simulation {
     executor: Executor,
@@ -76,6 +96,8 @@ pub struct Simulation {
 
     fill_tables: FillTables,
     matrix: SellMatrix,
+    /// True: `matrix` stays empty and products are made from the element records.
+    matrix_free: bool,
     contacts: ContactSystem,
     /// Row blocks of all ranks, and the order in which their sub-vectors arrive.
     rows_of: Vec<Range<usize>>,
@@ -151,6 +173,7 @@ impl Simulation {
             fill_tables,
             padding_ratio: matrix.padding_ratio(),
             matrix,
+            matrix_free: false,
             contacts: ContactSystem::new(ex),
             collisions,
             rows_of,
@@ -433,7 +456,7 @@ impl Simulation {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,
         };
-        let system = self.contacts.system(&self.matrix);
+        let system = system!(self);
         if let Some(schwarz) = &mut self.schwarz {
             let (executor, halo, flags) = (&self.executor, self.spmv.halo(), &mut self.vectors.u);
             let inverse = &self.inverse_diagonal;

@@ -13,6 +13,8 @@ use process_support::{Place, flag, repository};
 /// Values of a sub-vector.
 const LEN: usize = 3000;
 const BYTES: f64 = LEN as f64 * 4.0;
+/// Exchanges one after the other.
+const ROUNDS: u32 = 5;
 const PATIENT: Duration = Duration::from_secs(60);
 
 /// A tree whose links carry a sub-vector in 4 ms.
@@ -55,30 +57,27 @@ fn no_sub_vector_arrives_before_its_time() {
         let plan = plan(kind, &topology, BYTES).unwrap();
         let links = RankLinks::of(&topology, &plan, BYTES, &no_halo(4));
         let took = on_ranks(&topology, &plan, &no_halo(4), PATIENT, |transport| {
+            // A wait that ends late is made up for in the next ones, so rounds count from the start of the first.
+            let start = Instant::now();
             transport.barrier().unwrap();
             let rank = transport.rank();
-            let mut slowest = Duration::ZERO;
-            for round in 0..3 {
-                let start = Instant::now();
+            let done = |receipt: &loomtree::interconnect::Receipt| receipt.done.full_s;
+            let exchange_s = links[rank].whole.iter().map(done).fold(0.0, f64::max);
+            for round in 0..ROUNDS {
                 publish(transport, rank as f32);
                 for node in &plan.schedule.queues[rank] {
                     transport.receive(node.vector, &mut |got| assert_eq!(got, [node.vector as f32; LEN])).unwrap();
                     let took = start.elapsed();
                     let of_owner = links[rank].whole.iter().filter(|receipt| receipt.owner == node.vector);
-                    let earliest_s = of_owner.map(|receipt| receipt.done.full_s).fold(0.0, f64::max);
+                    let earliest_s = f64::from(round) * exchange_s + of_owner.map(done).fold(0.0, f64::max);
                     assert!(took.as_secs_f64() >= earliest_s, "{kind}, round {round}: {took:?} < {earliest_s} s");
-                    slowest = slowest.max(took);
                 }
             }
-            slowest.as_secs_f64()
+            start.elapsed().as_secs_f64()
         });
-        let slowest_s = took.into_iter().fold(0.0, f64::max);
-        assert!(plan.cost.total_s >= 0.012 && slowest_s >= plan.cost.total_s, "{kind}: {slowest_s} s");
-        println!(
-            "{kind}: modelled {:.2} ms, slowest of three rounds {:.2} ms",
-            plan.cost.total_s * 1e3,
-            slowest_s * 1e3
-        );
+        let (slowest_s, rounds_s) = (took.into_iter().fold(0.0, f64::max), f64::from(ROUNDS) * plan.cost.total_s);
+        assert!(plan.cost.total_s >= 0.012 && slowest_s >= rounds_s, "{kind}: {slowest_s} s");
+        println!("{kind}: {ROUNDS} rounds, modelled {:.2} ms, took {:.2} ms", rounds_s * 1e3, slowest_s * 1e3);
     }
 }
 
@@ -91,8 +90,8 @@ fn a_straggler_delays_what_is_behind_it() {
     on_ranks(&topology, &plan, &no_halo(4), PATIENT, |transport| {
         let rank = transport.rank();
         let straggler = plan.schedule.queues[0][0].vector;
-        transport.barrier().unwrap();
         let start = Instant::now();
+        transport.barrier().unwrap();
         if rank == straggler {
             std::thread::sleep(late);
         }
@@ -100,7 +99,6 @@ fn a_straggler_delays_what_is_behind_it() {
         for (node, receipt) in plan.schedule.queues[rank].iter().zip(&links[rank].whole) {
             transport.receive(node.vector, &mut |_| {}).unwrap();
             if rank == 0 {
-                // The barrier ends at slightly different times: only the lateness is asked for in full.
                 assert!(start.elapsed() >= late, "{receipt:?}");
             }
         }
@@ -123,12 +121,13 @@ fn what_is_held_longer_than_the_deadline_times_out_and_what_nobody_reads_is_not_
     on_ranks(&topology, &plan, &halo, deadline, |transport| {
         let other = 1 - transport.rank();
         // One row of halo takes 12 ms, two vectors of it twice as long.
+        let (start, mut rows) = (Instant::now(), 0.0);
         for vectors in [1, 2] {
-            let start = Instant::now();
             publish(transport, 1.0);
             transport.expect_halo(other, 12 * vectors);
             transport.receive(other, &mut |_| {}).unwrap();
-            assert!(start.elapsed().as_secs_f64() >= 0.012 * vectors as f64);
+            rows += vectors as f64;
+            assert!(start.elapsed().as_secs_f64() >= 0.012 * rows);
         }
     });
     on_ranks(&topology, &plan, &no_halo(2), deadline, |transport| {
@@ -167,11 +166,10 @@ fn a_run_keeps_its_bits_and_takes_its_time() {
     let vertices = report["vertices"].as_f64().unwrap();
     // Three sub-vectors one after the other over each rank's own link.
     let exchange_s = 3.0 * (vertices / 4.0).floor() * 12.0 / 0.02e9;
-    for step in report["steps"].as_array().unwrap() {
-        let (iterations, solve_s) =
-            (step["iterations"].as_f64().unwrap(), step["stage_seconds"]["solve"].as_f64().unwrap());
-        assert!(iterations >= 1.0 && solve_s >= iterations * exchange_s, "{solve_s} s, {iterations} iterations");
-    }
+    let steps = report["steps"].as_array().unwrap();
+    let sum = |value: &dyn Fn(&serde_json::Value) -> Option<f64>| steps.iter().map(|s| value(s).unwrap()).sum::<f64>();
+    let (iterations, total_s) = (sum(&|s| s["iterations"].as_f64()), sum(&|s| s["stage_seconds"]["total"].as_f64()));
+    assert!(iterations >= steps.len() as f64 && total_s >= iterations * exchange_s, "{total_s} s, {iterations}");
     let error = place.run("run flag.toml --executor cpu --workers 2 --emulate-links --out none").expect(2);
     assert!(error.error().contains("--emulate-links needs") && error.error().contains("--topology FILE"));
     assert!(!place.path("none").exists());

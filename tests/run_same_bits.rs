@@ -38,13 +38,31 @@ fn two_three_four_and_eight_workers_give_the_bits_of_one() {
 #[test]
 fn schedules_topologies_and_threads_change_no_bit() {
     let (place, one) = flag_place();
-    for schedule in ["fat-tree", "ring", "direct"] {
+    for schedule in ["fat-tree", "ring", "direct", "best"] {
         assert_eq!(hashes(&place, schedule, &format!("--workers 4 --schedule {schedule}")), one, "{schedule}");
         assert_eq!(place.report(schedule)["schedule"], schedule);
     }
     let topology = repository("topology/pcie_4.toml");
     assert_eq!(hashes(&place, "pcie", &format!("--workers 4 --topology {}", topology.display())), one, "pcie_4");
     assert_eq!(hashes(&place, "threads", "--workers 2 --threads 3"), one, "3 threads each");
+}
+
+#[test]
+fn schwarz_gives_the_bits_of_one_worker_on_any_number() {
+    let (place, jacobi) = flag_place();
+    let run = |workers: usize| {
+        let out = format!("schwarz{workers}");
+        let hashes = hashes(&place, &out, &format!("--workers {workers} --preconditioner schwarz"));
+        assert_eq!(place.report(&out)["preconditioner"], "schwarz");
+        hashes
+    };
+    let one = run(1);
+    assert!(one.last() != jacobi.last(), "another preconditioner, other bits");
+    for workers in [2, 3, 8] {
+        assert_eq!(run(workers), one, "{workers} workers");
+    }
+    let fewer = |out: &str| total(&place.report(out), "iterations");
+    assert!(fewer("schwarz1") < fewer("one"), "{} against {} iterations", fewer("schwarz1"), fewer("one"));
 }
 
 /// The shipped scene, small, with the ball close to the cloths.

@@ -83,6 +83,26 @@ pub(super) fn apply(
     }
 }
 
+/// Fills `sums` alone, for products that need no matrix. Native executor only; a device never gets here.
+pub(super) fn apply_sums(
+    executor: &Executor,
+    offsets: &DeviceVec<u32>,
+    entries: &DeviceVec<u32>,
+    records: &DeviceVec<f32>,
+    sums: &mut DeviceVec<f32>,
+) {
+    match executor {
+        Executor::Cpu(cpu) => contact_fill_cpu::contact_sums(
+            cpu,
+            offsets.as_slice(),
+            entries.as_slice(),
+            records.as_slice(),
+            sums.as_mut_slice(),
+        ),
+        Executor::Gpu(gpu) => gpu.stop("products without a stored matrix need the cpu executor".to_string()),
+    }
+}
+
 fn apply_on_device(
     gpu: &GpuExecutor,
     lists: &ContactLists<'_>,

@@ -9,6 +9,7 @@
 
 use super::contact_fill::{self, ContactLists, ContactSums, SUMS};
 use super::contact_rows::ContactRows;
+use super::element_matrix::ContactRecords;
 use super::index_fill::{Elements, IndexFill, IndexRows, Kind, Numbering, RowTooLong};
 use super::layout::Placement;
 use super::sell::{SellMatrix, SystemMatrix};
@@ -31,6 +32,8 @@ pub struct ContactSystem {
     index: IndexFill,
     matrix: SellMatrix,
     kernel: Contact,
+    /// True: neither Index Table nor values are filled; products are made from [`ContactSystem::contact_records`].
+    pub matrix_free: bool,
 }
 
 impl ContactSystem {
@@ -49,6 +52,7 @@ impl ContactSystem {
             index: IndexFill::new(executor),
             matrix: SellMatrix::empty(executor, 0),
             kernel: Contact::new(executor),
+            matrix_free: false,
         }
     }
 
@@ -78,6 +82,9 @@ impl ContactSystem {
         self.slots.assign(executor, &self.rows.slots);
         self.offsets.assign(executor, &self.rows.offsets);
         self.entries.assign(executor, &self.rows.entries);
+        if self.matrix_free {
+            return Ok(());
+        }
         let count = self.rows.rows.len();
         let rows = IndexRows { own: numbering.own.clone(), columns: numbering.columns, own_column: false };
         let mut kinds = [Kind {
@@ -113,6 +120,10 @@ impl ContactSystem {
             return;
         }
         self.sums.resize(executor, self.rows.rows.len() * SUMS);
+        if self.matrix_free {
+            contact_fill::apply_sums(executor, &self.offsets, &self.entries, &self.records, &mut self.sums);
+            return;
+        }
         let lists = ContactLists {
             offsets: &self.offsets,
             entries: &self.entries,
@@ -130,12 +141,23 @@ impl ContactSystem {
 
     /// Blocks off the diagonal; None without contacts.
     pub fn matrix(&self) -> Option<&SellMatrix> {
-        (!self.elements.is_empty()).then_some(&self.matrix)
+        (!self.elements.is_empty() && !self.matrix_free).then_some(&self.matrix)
     }
 
     /// The matrix of the step.
     pub fn system<'a>(&'a self, elastic: &'a SellMatrix) -> SystemMatrix<'a> {
-        SystemMatrix { elastic, contact: self.matrix() }
+        SystemMatrix { elastic, contact: self.matrix(), elements: None }
+    }
+
+    /// What products are made from where no matrix is stored; None without contacts.
+    pub fn contact_records(&self) -> Option<ContactRecords<'_>> {
+        (!self.elements.is_empty()).then_some(ContactRecords {
+            elements: &self.elements,
+            records: &self.records,
+            slots: &self.slots,
+            offsets: &self.offsets,
+            entries: &self.entries,
+        })
     }
 
     /// Contacts of this step.

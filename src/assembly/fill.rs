@@ -3,6 +3,7 @@
 //! same bits for every rank count (docs/papers.md).
 
 use super::contact_fill::ContactSums;
+use super::element_matrix::ElementLists;
 use super::element_rows::ElementRows;
 use super::fill_cpu::{self, FillInputs};
 use super::index_fill::{Elements, IndexFill, IndexRows, Kind, Numbering, RowTooLong};
@@ -135,6 +136,25 @@ impl FillTables {
         Ok((tables, matrix))
     }
 
+    /// Row lists of the elastic elements.
+    pub fn lists(&self) -> ElementLists<'_> {
+        ElementLists {
+            triangle_offsets: &self.triangle_offsets,
+            triangle_entries: &self.triangle_entries,
+            hinge_offsets: &self.hinge_offsets,
+            hinge_entries: &self.hinge_entries,
+        }
+    }
+
+    /// Gives everything but the row lists up: then [`Fill::apply`] fills right-hand side
+    /// and preconditioner, but no matrix (cpu executor only).
+    pub fn keep_lists(&mut self, executor: &Executor) {
+        self.row_offsets = DeviceVec::zeros(executor, 0);
+        self.block_address = DeviceVec::zeros(executor, 0);
+        self.triangle_positions = DeviceVec::zeros(executor, 0);
+        self.hinge_positions = DeviceVec::zeros(executor, 0);
+    }
+
     /// Local columns of all blocks of `matrix`, row by row, ascending. Native executor only.
     pub fn local_columns(&self, matrix: &SellMatrix, numbering: &Numbering<'_>) -> Vec<u32> {
         let columns = matrix.columns.as_slice();
@@ -245,14 +265,16 @@ impl Fill {
                     contact_slots: contacts.slots.as_slice(),
                     contact_sums: contacts.sums.as_slice(),
                 };
-                fill_cpu::fill(
-                    cpu,
-                    params,
-                    &inputs,
-                    matrix.values.as_mut_slice(),
-                    rhs.as_mut_slice(),
-                    inverse_diagonal.as_mut_slice(),
-                );
+                let (rhs, inverse_diagonal) = (rhs.as_mut_slice(), inverse_diagonal.as_mut_slice());
+                match tables.row_offsets.is_empty() {
+                    true => fill_cpu::fill_diagonal(cpu, params, &inputs, rhs, inverse_diagonal),
+                    false => {
+                        fill_cpu::fill(cpu, params, &inputs, matrix.values.as_mut_slice(), rhs, inverse_diagonal);
+                    }
+                }
+            }
+            Executor::Gpu(gpu) if tables.row_offsets.is_empty() => {
+                gpu.stop("products without a stored matrix need the cpu executor".to_string());
             }
             Executor::Gpu(gpu) => apply_on_device(
                 gpu,

@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 
+use super::element_matrix::ElementMatrix;
 use super::layout::{LANES, NO_ROW, Placement, SellLayout};
 use crate::gpu::{DeviceVec, Executor};
 
@@ -108,6 +109,11 @@ impl SellMatrix {
         }
     }
 
+    /// Gives pattern and values up; the number of rows stays.
+    pub fn clear(&mut self, executor: &Executor) {
+        *self = SellMatrix::empty(executor, self.rows);
+    }
+
     /// Makes room for `placement`. Columns are to be filled by the caller, then values, padding included; where the matrix
     /// had no memory before, both are zeros.
     pub(super) fn place(&mut self, executor: &Executor, placement: &Placement) {
@@ -205,11 +211,13 @@ pub struct SystemMatrix<'a> {
     pub elastic: &'a SellMatrix,
     /// Blocks off the diagonal of the rows that contacts touch; sections as those of `elastic`. None without contacts.
     pub contact: Option<&'a SellMatrix>,
+    /// In place of both, where no matrix is stored: the records that its blocks would be made of.
+    pub elements: Option<ElementMatrix<'a>>,
 }
 
 impl<'a> From<&'a SellMatrix> for SystemMatrix<'a> {
     fn from(elastic: &'a SellMatrix) -> SystemMatrix<'a> {
-        SystemMatrix { elastic, contact: None }
+        SystemMatrix { elastic, contact: None, elements: None }
     }
 }
 

@@ -224,6 +224,11 @@ impl Topology {
         &self.device
     }
 
+    /// The same links with another device on every GPU.
+    pub fn with_device(&self, device: DeviceModel) -> Topology {
+        Topology { device, ..self.clone() }
+    }
+
     /// Number of nodes: GPUs and switches.
     pub fn nodes(&self) -> usize {
         self.gpu_names.len() + self.switch_names.len()

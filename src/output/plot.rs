@@ -40,7 +40,7 @@ pub enum PlotError {
 }
 
 /// Colours that also people who do not tell red from green tell apart [Okabe & Ito 2008].
-const COLORS: [RGBColor; 7] = [
+const COLORS: [RGBColor; 8] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -48,6 +48,7 @@ const COLORS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     RGBColor(230, 159, 0),
     RGBColor(60, 60, 60),
+    RGBColor(150, 110, 60),
 ];
 const SIZE: (u32, u32) = (860, 520);
 
@@ -76,7 +77,7 @@ fn draw(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<
         let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
         area.fill(&WHITE).map_err(|e| failed(&e))?;
         let mut chart = ChartBuilder::on(&area)
-            .caption(title, ("sans-serif", 20))
+            .caption(title, ("sans-serif", caption_size(title)))
             .margin(16)
             .x_label_area_size(44)
             .y_label_area_size(70)
@@ -114,6 +115,12 @@ fn draw(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<
         area.present().map_err(|e| failed(&e))?;
     }
     Ok(svg)
+}
+
+/// A size at which the title fits: a character is about half as wide as high.
+fn caption_size(title: &str) -> u32 {
+    let fits = f64::from(SIZE.0 - 32) / (0.5 * title.chars().count().max(1) as f64);
+    fits.clamp(8.0, 20.0) as u32
 }
 
 /// The corner of the chart with the fewest points, for the legend.

@@ -45,6 +45,8 @@ const LEGEND_COLUMNS: usize = 4;
 /// Width of a character of the labels.
 const CHARACTER: f64 = 6.0;
 const TICKS: usize = 8;
+/// Boxes stay visible.
+const NARROWEST: f64 = 0.8;
 
 /// Writes the picture to `path`.
 pub fn write_timeline(path: &Path, timeline: &Timeline) -> Result<(), WriteError> {
@@ -81,7 +83,9 @@ pub fn timeline_svg(timeline: &Timeline) -> String {
     }
     for tick in 0..=TICKS {
         let at_s = end_s * tick as f64 / TICKS as f64;
-        text(x(at_s), bottom + 14.0, " text-anchor=\"middle\"", &format!("{:.1} us", at_s * 1e6));
+        // The last one ends with the picture.
+        let anchor = if tick == TICKS { " text-anchor=\"end\"" } else { " text-anchor=\"middle\"" };
+        text(x(at_s), bottom + 14.0, anchor, &format!("{:.1} us", at_s * 1e6));
     }
     for (group, name) in timeline.groups.iter().enumerate() {
         let (column, row) = (group % LEGEND_COLUMNS, group / LEGEND_COLUMNS);
@@ -97,7 +101,7 @@ pub fn timeline_svg(timeline: &Timeline) -> String {
         );
     }
     for b in timeline.boxes.iter().filter(|b| b.row < timeline.rows.len() && b.end_s.is_finite()) {
-        let (left, width) = (x(b.start_s), (x(b.end_s) - x(b.start_s)).max(0.3));
+        let (left, width) = (x(b.start_s), (x(b.end_s) - x(b.start_s)).max(NARROWEST));
         let top = tops[b.row] + b.lane as f64 * STRIP;
         let words = escaped(&b.label);
         let _ = writeln!(
@@ -163,5 +167,6 @@ mod tests {
         assert!(svg.contains("t &amp; t") && svg.contains("a&lt;b") && !svg.contains("never"), "{svg}");
         // The whole width is 1090 for 4 s.
         assert!(svg.contains("x=\"362.50\"") && svg.contains("width=\"817.50\""), "{svg}");
+        assert!(svg.contains("x=\"1180.0\" y=\"102.0\" text-anchor=\"end\">4000000.0 us<"), "{svg}");
     }
 }

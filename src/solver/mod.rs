@@ -5,6 +5,8 @@ mod coarse;
 pub mod exchange;
 mod gather;
 mod gather_cpu;
+pub mod matrix_free;
+mod matrix_free_cpu;
 pub mod pcg;
 pub mod pipelined;
 pub mod reduction;

@@ -168,7 +168,7 @@ impl Pcg {
                 Some(schwarz) => {
                     // The sweep has left the product with the blocks inside chunks in w.
                     spmv.accumulate = true;
-                    let outer = SystemMatrix { elastic: schwarz.outer(), contact: matrix.contact };
+                    let outer = SystemMatrix { elastic: schwarz.outer(), contact: matrix.contact, elements: None };
                     let applied = spmv.apply(executor, transport, &outer, &mut v.u, &mut v.w, recorder);
                     spmv.accumulate = false;
                     applied?;

@@ -14,6 +14,9 @@ pub enum SetupError {
     /// The preconditioner that was asked for is not to be had on this executor.
     #[error("{0}")]
     Preconditioner(String),
+    /// Products without a stored matrix are made by one executor and in one exchange mode alone.
+    #[error("products without a stored matrix need the cpu executor and --exchange halo")]
+    MatrixFree,
     /// What collisions are to work on does not fit together.
     #[error("collisions: {0}")]
     Collision(String),

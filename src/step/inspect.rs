@@ -1,39 +1,10 @@
-//! What others may ask a simulation: its state, its memory, the time of its products, and why a solve failed.
-
-use std::time::Instant;
+//! What others may ask a simulation: its state, its memory, and why a solve failed.
 
 use super::{Simulation, StepError};
-use crate::gpu::DeviceVec;
 use crate::scene::PreconditionerKind;
 use crate::solver::{PcgError, Schwarz};
-use crate::transport::TransportError;
 
 impl Simulation {
-    /// Times `repeat` products of the current matrix on a single rank: seconds of each, and the bytes that one moves.
-    pub fn time_products(&mut self, repeat: u32) -> Result<(Vec<f64>, u64), TransportError> {
-        let mut alone = crate::transport::SoloTransport::new(Box::new(|| false));
-        let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
-        let mut seconds = Vec::new();
-        for _ in 0..=repeat {
-            let start = Instant::now();
-            self.spmv.apply(
-                &self.executor,
-                &mut alone,
-                &(&self.matrix).into(),
-                &mut self.vectors.u,
-                &mut y,
-                &mut self.recorder,
-            )?;
-            self.executor.finish();
-            seconds.push(start.elapsed().as_secs_f64());
-        }
-        // The first one warms up.
-        seconds.remove(0);
-        let bytes =
-            (0..self.matrix.sections.len()).map(|section| self.matrix.section_bytes(section)).sum::<u64>() + y.bytes();
-        Ok((seconds, bytes))
-    }
-
     /// Own rows' positions and velocities, xyz in global order.
     pub fn state(&self) -> (Vec<f32>, Vec<f32>) {
         let mut state = (vec![0.0; self.own_rows * 3], vec![0.0; self.own_rows * 3]);
@@ -59,6 +30,7 @@ impl Simulation {
             + self.rhs.bytes()
             + self.inverse_diagonal.bytes()
             + self.vectors.bytes()
+            + self.spmv.scratch_bytes()
             + self.schwarz.as_ref().map_or(0, Schwarz::bytes)
     }
 

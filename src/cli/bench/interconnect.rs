@@ -3,8 +3,8 @@
 
 use std::path::PathBuf;
 
-use super::CliError;
 use super::table::Table;
+use super::{CliError, positive};
 use crate::interconnect::{Demand, DeviceModel, ProductKernels, ScheduleKind, Topology, TransferPlan, plan, product_s};
 
 /// Arguments of `loomtree bench interconnect`.
@@ -31,13 +31,6 @@ pub struct InterconnectBench {
     out: Option<PathBuf>,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value > 0.0 && value < 1e6 => Ok(value),
-        _ => Err("expected a positive number".to_string()),
-    }
-}
-
 /// Bytes of a row of a vector.
 const ROW_BYTES: f64 = 12.0;
 /// Values and column of a block.
@@ -47,7 +40,9 @@ const BLOCK_FLOPS: f64 = 18.0;
 /// What one product costs on one machine; speed-ups over one GPU.
 struct Speedups {
     one_gpu_ms: f64,
-    gather_first: f64,
+    /// Direct, fat-tree, ring, best.
+    gather_first: [f64; 4],
+    /// Fat-tree, ring, best.
     full: [f64; 3],
     halo: f64,
 }
@@ -64,14 +59,26 @@ pub fn run(bench: &InterconnectBench) -> Result<(), CliError> {
                 efficiency * 100.0
             );
             let name = format!("interconnect_{}_{:.0}", machine.name(), efficiency * 100.0);
-            let columns =
-                vec!["gpus", "one_gpu_ms", "gather_first", "full_fat_tree", "full_ring", "full_best", "halo_best"];
+            let columns = vec![
+                "gpus",
+                "one_gpu_ms",
+                "gather_first",
+                "gather_first_fat_tree",
+                "gather_first_ring",
+                "gather_first_best",
+                "full_fat_tree",
+                "full_ring",
+                "full_best",
+                "halo_best",
+            ];
             let mut table = Table::modelled(&name, title, columns);
             for gpus in [2, 4, 8, 16].into_iter().filter(|gpus| *gpus <= machine.gpus()) {
                 let topology = machine.with_first_gpus(gpus).map_err(CliError::bad_input)?;
                 let found = speedups(&topology, bench, efficiency)?;
-                let [fat_tree, ring, best] = found.full;
-                table.push(vec![gpus as f64, found.one_gpu_ms, found.gather_first, fat_tree, ring, best, found.halo]);
+                let mut row = vec![gpus as f64, found.one_gpu_ms];
+                row.extend(found.gather_first.into_iter().chain(found.full));
+                row.push(found.halo);
+                table.push(row);
             }
             table.finish(bench.out.as_deref(), Some(("gpus", "halo_best")))?;
         }
@@ -129,7 +136,12 @@ fn speedups(topology: &Topology, bench: &InterconnectBench, efficiency: f64) -> 
     let (halo, _) = TransferPlan::best_for(topology, &demands);
     Ok(Speedups {
         one_gpu_ms: one_gpu_s * 1e3,
-        gather_first: full(ScheduleKind::Direct, &whole)?,
+        gather_first: [
+            full(ScheduleKind::Direct, &whole)?,
+            full(ScheduleKind::FatTree, &whole)?,
+            full(ScheduleKind::Ring, &whole)?,
+            full(ScheduleKind::Best, &whole)?,
+        ],
         full: [
             full(ScheduleKind::FatTree, &blocks)?,
             full(ScheduleKind::Ring, &blocks)?,

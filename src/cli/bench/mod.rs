@@ -1,23 +1,26 @@
-//! `loomtree bench`: measures this program on this machine. Every figure printed here is measured or counted, and each table
-//! names what it ran on; only `bench interconnect` is modelled, and its titles say so.
+//! `loomtree bench`: measures this program on this machine, and models other machines. Every table says what it ran on;
+//! modelled figures stand in tables or columns of their own that say so.
 
 mod assembly;
 mod collision;
 mod device;
 mod interconnect;
+mod matrix_free;
+mod ranks;
 mod runs;
 mod scaling;
 mod spmv;
 mod step;
 mod table;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
 use super::CliError;
 use super::run::ExecutorArg;
 use crate::gpu::Executor;
+use crate::interconnect::Topology;
 use crate::protocol::WorkerSetup;
 
 /// Arguments of `loomtree bench`.
@@ -31,7 +34,8 @@ pub struct BenchArgs {
 enum Bench {
     /// Memory bandwidth of the executor: copy and read, to hold the others against
     Device(device::DeviceBench),
-    /// Matrix-vector product of a scene's matrix: time, share of the read bandwidth, bytes exchanged by 1, 2, 4, 8 ranks
+    /// Matrix-vector product of scenes' matrices in contact on 1 to 16 ranks: gather first, pipelined with every schedule, halo
+    /// rows; modelled on a topology file's machine and measured on this one, apart; bandwidth and bytes exchanged
     Spmv(spmv::SpmvBench),
     /// Collision detection and impact zones of a scene on several numbers of worker processes: time, tests, their split
     Collision(runs::SceneBench),
@@ -39,8 +43,11 @@ enum Bench {
     Step(runs::SceneBench),
     /// Assembly of a scene's matrix on several numbers of worker processes: element records, index fill, value fill
     Assembly(runs::SceneBench),
-    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine
-    Scaling(runs::SceneBench),
+    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine and modelled
+    /// on a topology file's
+    Scaling(scaling::ScalingBench),
+    /// The same integrator with and without a stored matrix (cpu executor, one rank): product, memory, whole step
+    MatrixFree(matrix_free::MatrixFreeBench),
     /// Memory of a scene's workers per structure and vertex
     Memory(runs::SceneBench),
     /// Modelled, not measured: products on the machines of topology files, every exchange and schedule
@@ -88,6 +95,7 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
         Bench::Step(bench) => step::time(&bench),
         Bench::Assembly(bench) => assembly::run(&bench),
         Bench::Scaling(bench) => scaling::run(&bench),
+        Bench::MatrixFree(bench) => matrix_free::run(&bench),
         Bench::Memory(bench) => step::memory(&bench),
         Bench::Interconnect(bench) => interconnect::run(&bench),
     }
@@ -106,6 +114,19 @@ fn warn_of_load() {
 fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// The machine of modelled figures: that of a topology file, or a balanced tree for `gpus` ranks.
+fn machine(file: Option<&Path>, gpus: usize) -> Result<Topology, CliError> {
+    let made = || Topology::default_for(gpus).map_err(CliError::bad_input);
+    file.map_or_else(made, |file| Topology::read(file).map_err(CliError::bad_input))
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value < 1e6 => Ok(value),
+        _ => Err("expected a positive number".to_string()),
+    }
 }
 
 fn worker_counts(text: &str) -> Result<usize, String> {

@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 
 use super::{CliError, Common, worker_counts};
+use crate::cli::predict::RecordedRun;
 use crate::cli::run::{ExchangeArg, defaults};
 use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
+use crate::interconnect::{KernelTimes, Replay, ScheduleKind, Topology, plan};
 use crate::output::{Existing, Report, StepRecord};
 
 /// What benchmarks of whole steps take.
@@ -97,11 +99,42 @@ impl SceneBench {
         )
     }
 
+    /// Steps before the counted ones, and all steps of a run.
+    fn steps(&self) -> (u32, u32) {
+        let skip = self.skip.unwrap_or(self.steps.div_ceil(5));
+        (skip, if self.skip.is_some() { self.steps + skip } else { self.steps })
+    }
+
+    /// Modelled seconds of the counted steps on `topology`, with schedule `best`: a run of its own records events, which
+    /// costs time, and is re-timed as `loomtree predict` does it.
+    pub fn predict(&self, workers: usize, topology: &Topology) -> Result<Vec<f64>, CliError> {
+        let (skip, steps) = self.steps();
+        let launched = self.launch(workers, steps)?;
+        let recorded = RecordedRun::read(&launched.folder.path().join(RUN))?;
+        let rows = recorded.rows()?;
+        let plan =
+            plan(ScheduleKind::Best, topology, rows.div_ceil(workers) as f64 * 12.0).map_err(CliError::failed)?;
+        let how = Replay { topology, plan: &plan, exchange: recorded.exchange(), kernels: KernelTimes::Device, rows };
+        let steps = recorded.replay(&how)?;
+        Ok(steps.iter().filter(|step| step.step > skip).map(|step| step.total_s).collect())
+    }
+
     fn run_once(&self, runs: &mut Runs) -> Result<Size, CliError> {
+        let (skip, steps) = self.steps();
+        let Launched { size, wall_s, mut report, .. } = self.launch(runs.workers, 0)?;
+        runs.start_s = wall_s - report.steps.iter().map(|step| step.stage_seconds.total).sum::<f64>();
+        if report.steps.len() <= skip as usize {
+            return Err(CliError::bad_input(format!("--skip {skip} leaves none of {steps} steps to count")));
+        }
+        runs.steps.extend(report.steps.drain(skip as usize..));
+        Ok(size)
+    }
+
+    fn launch(&self, workers: usize, trace_steps: u32) -> Result<Launched, CliError> {
         let folder = tempfile::tempdir()
             .map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
         let options = RunOptions {
-            workers: runs.workers,
+            workers,
             executor: self.common.executor.into(),
             threads: Some(self.common.threads as usize),
             resolution: Some(self.resolution),
@@ -109,27 +142,31 @@ impl SceneBench {
             exchange: self.exchange.into(),
             checkpoint_every: 0,
             heartbeat_s: 600.0,
-            trace_steps: 0,
+            trace_steps,
             ..defaults()
         };
-        let skip = self.skip.unwrap_or(self.steps.div_ceil(5));
-        let steps = if self.skip.is_some() { self.steps + skip } else { self.steps };
         let mut plan = RunPlan::new(&self.scene, &options).map_err(CliError::bad_input)?;
         // One frame at the end, so that frames are not part of what is measured.
-        plan.scene.settings.steps_per_frame = steps;
+        plan.scene.settings.steps_per_frame = self.steps().1;
         let size = Size { triangles: plan.scene.mesh.triangles.len(), vertices: plan.scene.mesh.positions.len() };
-        let places =
-            RunPlaces { scene: self.scene.clone(), out: folder.path().join("run"), existing: Existing::Refuse };
+        let out = folder.path().join(RUN);
+        let places = RunPlaces { scene: self.scene.clone(), out, existing: Existing::Refuse };
         let start = std::time::Instant::now();
         crate::coordinator::run(plan, &options, &places, &Launch::Spawn)
             .map_err(|error| CliError::failed(error.to_string()))?;
-        let wall = start.elapsed().as_secs_f64();
-        let mut report = Report::load(&places.out.join("report.json")).map_err(CliError::failed)?;
-        runs.start_s = wall - report.steps.iter().map(|step| step.stage_seconds.total).sum::<f64>();
-        if report.steps.len() <= skip as usize {
-            return Err(CliError::bad_input(format!("--skip {skip} leaves none of {steps} steps to count")));
-        }
-        runs.steps.extend(report.steps.drain(skip as usize..));
-        Ok(size)
+        let wall_s = start.elapsed().as_secs_f64();
+        let report = Report::load(&places.out.join("report.json")).map_err(CliError::failed)?;
+        Ok(Launched { folder, size, wall_s, report })
     }
+}
+
+/// Run directory inside the temporary folder.
+const RUN: &str = "run";
+
+/// A run that has ended; its files go with it.
+struct Launched {
+    folder: tempfile::TempDir,
+    size: Size,
+    wall_s: f64,
+    report: Report,
 }

@@ -1,63 +1,136 @@
 //! `loomtree bench scaling`: whole steps on more and more worker processes, P-Cloth's Figs. 14 and 17 [Li et al. 2020]:
-//! strong (the same cloth for all) and weak (as many triangles per worker). Everything here is measured, on processes that
-//! share this machine; what other machines would make of it says `loomtree predict`.
+//! strong (the same cloth for all) and weak (as many triangles per worker). Columns called measured come from processes that
+//! share this machine; columns called modelled from the events of a run of the same steps, re-timed on the machine of a
+//! topology file as `loomtree predict` does it.
 
-use super::CliError;
-use super::runs::{SceneBench, Size};
+use std::path::PathBuf;
+
+use super::runs::{Runs, SceneBench, Size};
 use super::table::Table;
+use super::{CliError, machine};
+use crate::interconnect::Topology;
 
-pub fn run(bench: &SceneBench) -> Result<(), CliError> {
-    let out = bench.common.out.as_deref();
+/// Arguments of `loomtree bench scaling`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ScalingBench {
+    #[command(flatten)]
+    scene: SceneBench,
+    /// Machine of the modelled columns, with schedule best [default: Titan Xp on a balanced tree of PCIe 3 x16 links]; more
+    /// workers than it has GPUs are not modelled
+    #[arg(long, value_name = "FILE")]
+    topology: Option<PathBuf>,
+}
+
+pub fn run(bench: &ScalingBench) -> Result<(), CliError> {
+    let machine = machine(bench.topology.as_deref(), bench.scene.workers.iter().copied().max().unwrap_or(1))?;
+    let out = bench.scene.common.out.as_deref();
+    let curves = ["measured_speedup", "modelled_speedup"];
+    strong(&bench.scene, &machine)?.finish_curves(out, Some(("workers", &curves)))?;
+    let curves = ["measured_efficiency", "measured_efficiency_per_iteration", "modelled_efficiency_per_iteration"];
+    weak(&bench.scene, &machine)?.y_label("efficiency").finish_curves(out, Some(("workers", &curves)))
+}
+
+fn strong(bench: &SceneBench, machine: &Topology) -> Result<Table, CliError> {
     let (size, all) = bench.run()?;
-    let mut strong = Table::new(
-        "scaling_strong",
-        format!("measured: strong scaling of a step, {}", bench.title(size)),
-        vec!["workers", "step_ms", "solve_ms", "iterations", "speedup", "efficiency"],
-    );
-    let total = |step: &crate::output::StepRecord| step.stage_seconds.total;
-    let base = all.first().map_or((1.0, f64::NAN), |runs| (runs.workers as f64, runs.median(total)));
+    let title = format!("strong scaling of a step, {}; modelled: {}", bench.title(size), name(machine));
+    let columns = vec![
+        "workers",
+        "measured_step_ms",
+        "measured_solve_ms",
+        "iterations",
+        "measured_speedup",
+        "measured_efficiency",
+        "modelled_step_ms",
+        "modelled_speedup",
+        "modelled_efficiency",
+    ];
+    let mut table = Table::mixed("scaling_strong", title, columns);
+    let mut base = None;
     for runs in &all {
-        let (workers, step_s) = (runs.workers as f64, runs.median(total));
-        let speedup = base.1 / step_s;
-        let solve_ms = runs.median(|step| step.stage_seconds.solve) * 1e3;
-        let iterations = runs.mean(|step| step.iterations as f64);
-        strong.push(vec![workers, step_s * 1e3, solve_ms, iterations, speedup, speedup * base.0 / workers]);
+        let (workers, step_s, modelled_s) = (runs.workers as f64, step_s(runs), modelled_s(bench, runs, machine)?);
+        let (base_workers, base_s, base_modelled_s) = *base.get_or_insert((workers, step_s, modelled_s));
+        let (speedup, modelled_speedup) = (base_s / step_s, base_modelled_s / modelled_s);
+        let share = base_workers / workers;
+        table.push(vec![
+            workers,
+            step_s * 1e3,
+            runs.median(|step| step.stage_seconds.solve) * 1e3,
+            runs.mean(|step| step.iterations as f64),
+            speedup,
+            speedup * share,
+            modelled_s * 1e3,
+            modelled_speedup,
+            modelled_speedup * share,
+        ]);
     }
-    strong.finish(out, Some(("workers", "speedup")))?;
-    weak(bench)?.finish(out, Some(("workers", "efficiency_per_iteration")))
+    Ok(table)
 }
 
 /// Larger cloth needs more iterations, so the time of an iteration stands beside the time of a step.
-fn weak(bench: &SceneBench) -> Result<Table, CliError> {
+fn weak(bench: &SceneBench, machine: &Topology) -> Result<Table, CliError> {
     let title = format!(
-        "measured: weak scaling of a step, {}: {} triangles asked for per worker, {} thread(s) per worker",
+        "weak scaling of a step, {}: {} triangles asked for per worker, {} thread(s) per worker; modelled: {}",
         bench.scene.display(),
         bench.resolution,
-        bench.common.threads
+        bench.common.threads,
+        name(machine)
     );
-    let columns =
-        vec!["workers", "triangles", "step_ms", "iterations", "iteration_ms", "efficiency", "efficiency_per_iteration"];
-    let mut table = Table::new("scaling_weak", title, columns);
+    let columns = vec![
+        "workers",
+        "triangles",
+        "measured_step_ms",
+        "iterations",
+        "measured_iteration_ms",
+        "measured_efficiency",
+        "measured_efficiency_per_iteration",
+        "modelled_step_ms",
+        "modelled_efficiency",
+        "modelled_efficiency_per_iteration",
+    ];
+    let mut table = Table::mixed("scaling_weak", title, columns);
     let mut base = None;
     for &workers in &bench.workers {
         let resolution = bench.resolution.saturating_mul(workers as u64);
         let one = SceneBench { workers: vec![workers], resolution, ..bench.clone() };
         let (Size { triangles, .. }, all) = one.run()?;
         for runs in &all {
-            let step_s = runs.median(|step| step.stage_seconds.total);
+            let (step_s, modelled_s) = (step_s(runs), modelled_s(&one, runs, machine)?);
             let iterations = runs.mean(|step| step.iterations as f64);
             let iteration_s = runs.median(|step| step.stage_seconds.solve / step.iterations.max(1) as f64);
-            let (base_step_s, base_iteration_s) = *base.get_or_insert((step_s, iteration_s));
+            let modelled_iteration_s = modelled_s / iterations.max(1.0);
+            let now = [step_s, iteration_s, modelled_s, modelled_iteration_s];
+            let first = *base.get_or_insert(now);
+            let efficiency = |figure: usize| first[figure] / now[figure];
             table.push(vec![
                 workers as f64,
                 triangles as f64,
                 step_s * 1e3,
                 iterations,
                 iteration_s * 1e3,
-                base_step_s / step_s,
-                base_iteration_s / iteration_s,
+                efficiency(0),
+                efficiency(1),
+                modelled_s * 1e3,
+                efficiency(2),
+                efficiency(3),
             ]);
         }
     }
     Ok(table)
+}
+
+fn name(machine: &Topology) -> String {
+    format!("{} of {}", machine.device().name, machine.name())
+}
+
+fn step_s(runs: &Runs) -> f64 {
+    runs.median(|step| step.stage_seconds.total)
+}
+
+/// Median modelled step; NaN if the machine has too few GPUs.
+fn modelled_s(bench: &SceneBench, runs: &Runs, machine: &Topology) -> Result<f64, CliError> {
+    if runs.workers > machine.gpus() {
+        return Ok(f64::NAN);
+    }
+    let topology = machine.with_first_gpus(runs.workers).map_err(CliError::bad_input)?;
+    Ok(super::median(&mut bench.predict(runs.workers, &topology)?))
 }

@@ -1,130 +1,270 @@
-//! `loomtree bench spmv`: the matrix-vector product of a scene's own matrix. Time and bandwidth come from one rank that
-//! holds the whole matrix; bytes exchanged are counted with the ranks as threads, in both exchange modes.
+//! `loomtree bench spmv`: the matrix-vector product of the matrices of scenes in contact on 1 to 16 ranks, P-Cloth's Fig. 5
+//! [Li et al. 2020]: all-gather first [Cevahir et al. 2009], the pipelined product with every schedule, and halo rows. Modelled
+//! on the machine of a topology file from the bytes and flops of these very matrices, and measured with ranks that are threads
+//! of this machine; the two never share a table.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use super::ranks::{ModelState, median_s, seconds_of};
 use super::table::Table;
-use super::{CliError, Common, median, worker_counts};
-use crate::gpu::{Executor, bandwidth_gb_s};
-use crate::interconnect::direct;
-use crate::model::{GlobalModel, RankModel};
-use crate::partition::RowPartition;
+use super::{CliError, Common, machine, positive, worker_counts};
+use crate::gpu::bandwidth_gb_s;
+use crate::interconnect::{
+    DeviceModel, Kernel, KernelTimes, Phase, Plan, ProductExchange, QueueNode, RecordedProduct, RecordedStep, Replay,
+    ScheduleKind, Topology, Traffic, direct, plan, replay,
+};
+use crate::model::GlobalModel;
+use crate::output::Machine;
 use crate::scene::Overrides;
 use crate::solver::ExchangeMode;
-use crate::step::{ExchangePlan, Simulation};
-use crate::transport::{InProcessTransport, SoloTransport, Transport};
+use crate::telemetry::Event;
 
 /// Arguments of `loomtree bench spmv`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct SpmvBench {
     #[command(flatten)]
     common: Common,
-    /// Scene whose matrix is multiplied
-    #[arg(long, default_value = "scenes/flag.toml")]
-    scene: PathBuf,
-    /// Triangles of the scene
-    #[arg(long, default_value_t = 1_000_000)]
+    /// Scenes whose matrices are multiplied
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "scenes/flag.toml,scenes/sphere.toml,scenes/funnel.toml,scenes/twisting.toml"
+    )]
+    scene: Vec<PathBuf>,
+    /// Triangles of each scene
+    #[arg(long, default_value_t = 20_000)]
     resolution: u64,
-    /// Numbers of ranks for which exchanged bytes are counted
-    #[arg(long, value_delimiter = ',', default_value = "2,4,8", value_parser = worker_counts)]
+    /// Numbers of ranks
+    #[arg(long, value_delimiter = ',', default_value = "1,2,4,8,16", value_parser = worker_counts)]
     workers: Vec<usize>,
     /// Products to time
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
+    /// The matrix is that of the first step with so many contacts per vertex
+    #[arg(long, default_value_t = 0.05, value_parser = positive)]
+    contacts: f64,
+    /// Or that after so many steps, whichever comes first; 0: of the start state
+    #[arg(long, default_value_t = 600)]
+    steps: u32,
+    /// Machine of the modelled table [default: Titan Xp on a balanced tree of PCIe 3 x16 links]
+    #[arg(long, value_name = "FILE")]
+    topology: Option<PathBuf>,
+    /// Share of the memory bandwidth that the modelled kernel reaches
+    #[arg(long, default_value_t = 1.0, value_parser = positive)]
+    efficiency: f64,
 }
+
+/// Schedules of the pipelined product, in the order of the columns.
+const SCHEDULES: [ScheduleKind; 4] =
+    [ScheduleKind::FatTree, ScheduleKind::Ring, ScheduleKind::Direct, ScheduleKind::Best];
+/// Columns of speed-ups, modelled.
+const MODELLED: [&str; 10] = [
+    "ranks",
+    "one_gpu_ms",
+    "gather_first",
+    "gather_first_ring",
+    "gather_first_best",
+    "full_fat_tree",
+    "full_ring",
+    "full_direct",
+    "full_best",
+    "halo_best",
+];
+/// Columns of speed-ups, measured: on one machine nothing is forwarded, so one order is enough for the baseline and for halos.
+const MEASURED: [&str; 8] =
+    ["ranks", "one_rank_ms", "gather_first", "full_fat_tree", "full_ring", "full_direct", "full_best", "halo"];
 
 pub fn run(bench: &SpmvBench) -> Result<(), CliError> {
-    let overrides = Overrides { resolution: Some(bench.resolution), frames: None };
-    let scene = crate::scene::load(&bench.scene, &overrides).map_err(CliError::bad_input)?;
-    let model = GlobalModel::new(&scene);
-    time_one_rank(bench, &model)?;
-    let title = format!("bytes per product over all ranks, {} rows of {}", model.rows(), scene.name);
-    let mut table = Table::new("spmv_bytes", title, vec!["ranks", "halo_bytes", "full_bytes", "halo_over_full"]);
-    for &ranks in &bench.workers {
-        if ranks > model.rows() {
-            return Err(CliError::bad_input(format!(
-                "--workers {ranks}: the cloth has only {} vertices",
-                model.rows()
-            )));
-        }
-        let [halo, full] = [ExchangeMode::Halo, ExchangeMode::Full].map(|mode| counted_bytes(&model, ranks, mode));
-        let (halo, full) = (halo?, full?);
-        table.push(vec![ranks as f64, halo, full, halo / full]);
+    let machine = machine(bench.topology.as_deref(), bench.workers.iter().copied().max().unwrap_or(1))?;
+    for file in &bench.scene {
+        of_scene(bench, file, &machine)?;
     }
-    table.finish(bench.common.out.as_deref(), Some(("ranks", "halo_over_full")))
+    Ok(())
 }
 
-fn time_one_rank(bench: &SpmvBench, model: &GlobalModel) -> Result<(), CliError> {
-    let bandwidth =
-        bandwidth_gb_s(&bench.common.executor()?, 512 << 20).map_err(|error| CliError::failed(error.to_string()))?;
-    let mut simulation = first_step(model, 1, bench.common.executor()?)?;
-    let (mut seconds, bytes) =
-        simulation.time_products(bench.repeat).map_err(|error| CliError::failed(error.to_string()))?;
-    let best = seconds.iter().copied().fold(f64::INFINITY, f64::min);
-    let middle = median(&mut seconds);
-    let rate = bytes as f64 / middle / 1e9;
-    let title = format!(
-        "one product, one rank, {} thread(s): {} rows, padding {:.3}",
-        bench.common.threads,
-        model.rows(),
-        simulation.padding_ratio
-    );
-    let mut table =
-        Table::new("spmv", title, vec!["rows", "median_ms", "min_ms", "bytes", "gb_s", "read_gb_s", "share_of_read"]);
-    table.push(vec![
-        model.rows() as f64,
-        middle * 1e3,
-        best * 1e3,
-        bytes as f64,
-        rate,
-        bandwidth.read_gb_s,
-        rate / bandwidth.read_gb_s,
-    ]);
-    table.finish(bench.common.out.as_deref(), None)
+/// What the tables of one scene share.
+struct SceneProducts<'a> {
+    bench: &'a SpmvBench,
+    state: ModelState,
+    /// For names of files.
+    stem: String,
+    /// Scene, size and step, for titles.
+    what: String,
 }
 
-/// A single rank after its first step, so that its matrix holds values.
-fn first_step(model: &GlobalModel, ranks: usize, executor: Executor) -> Result<Simulation, CliError> {
-    let partition = RowPartition::new(model.rows(), ranks);
-    let mut part = None;
-    RankModel::split(model, &partition, |_, own| {
-        part = Some(own);
-        Ok::<(), CliError>(())
-    })?;
-    let part = part.ok_or_else(|| CliError::failed("the model has no part"))?;
-    let plan = ExchangePlan { mode: ExchangeMode::Halo, queue: Vec::new() };
-    let mut simulation = Simulation::new(executor, part, &plan).map_err(|error| CliError::failed(error.to_string()))?;
-    simulation
-        .step(&mut SoloTransport::new(Box::new(|| false)), 1, false)
-        .map_err(|error| CliError::failed(error.to_string()))?;
-    Ok(simulation)
+fn of_scene(bench: &SpmvBench, file: &Path, machine: &Topology) -> Result<(), CliError> {
+    let overrides = Overrides { resolution: Some(bench.resolution), frames: None };
+    let scene = crate::scene::load(file, &overrides).map_err(CliError::bad_input)?;
+    let model = GlobalModel::new(&scene);
+    let rows = model.rows();
+    if let Some(ranks) = bench.workers.iter().find(|ranks| **ranks > rows) {
+        return Err(CliError::bad_input(format!("--workers {ranks}: {} has only {rows} vertices", file.display())));
+    }
+    let state = ModelState::in_contact(model, &bench.common, bench.contacts, bench.steps)?;
+    let stem = file.file_stem().map_or("scene".into(), |stem| stem.to_string_lossy().into_owned());
+    let what = format!("{}, {rows} rows, {} contacts, step {}", scene.name, state.contacts, state.step);
+    let products = SceneProducts { bench, state, stem, what };
+    products.one_rank()?;
+    let curves = |columns: &'static [&'static str]| Some((columns[0], &columns[2..]));
+    products.modelled(machine)?.finish_curves(bench.common.out.as_deref(), curves(&MODELLED))?;
+    products.measured()?.finish_curves(bench.common.out.as_deref(), curves(&MEASURED))
 }
 
-/// Bytes that all ranks together receive per product, counted over one step.
-fn counted_bytes(model: &GlobalModel, ranks: usize, mode: ExchangeMode) -> Result<f64, CliError> {
-    let partition = RowPartition::new(model.rows(), ranks);
-    let schedule = direct(ranks);
-    let mut parts = Vec::new();
-    RankModel::split(model, &partition, |_, own| {
-        parts.push(own);
-        Ok::<(), CliError>(())
-    })?;
-    let results: Vec<Result<f64, String>> = std::thread::scope(|scope| {
-        let ranks: Vec<_> = parts
-            .into_iter()
-            .zip(InProcessTransport::group(ranks))
-            .zip(&schedule.queues)
-            .map(|((part, transport), queue)| {
-                scope.spawn(move || bytes_of_rank(part, transport, ExchangePlan { mode, queue: queue.clone() }))
-            })
-            .collect();
-        ranks.into_iter().map(|rank| rank.join().unwrap_or_else(|_| Err("a rank panicked".to_string()))).collect()
-    });
-    results.into_iter().sum::<Result<f64, String>>().map_err(CliError::failed)
+impl SceneProducts<'_> {
+    /// Time of a product on one rank against the bandwidth of the memory, and what ranks receive.
+    fn one_rank(&self) -> Result<(), CliError> {
+        let (bench, common) = (self.bench, &self.bench.common);
+        let bandwidth =
+            bandwidth_gb_s(&common.executor()?, 512 << 20).map_err(|error| CliError::failed(error.to_string()))?;
+        let timed = self.state.on_ranks(common, ExchangeMode::Halo, &[Vec::new()], |simulation, transport| {
+            let times = simulation.time_products(transport, bench.repeat).map_err(|error| error.to_string())?;
+            Ok((times, simulation.product_bytes(), simulation.padding_ratio))
+        })?;
+        let [(times, bytes, padding)] = &timed[..] else { return Err(CliError::failed("one rank has one result")) };
+        let best = times.iter().map(seconds_of).fold(f64::INFINITY, f64::min);
+        let middle = super::median(&mut times.iter().map(seconds_of).collect::<Vec<_>>());
+        let rate = *bytes as f64 / middle / 1e9;
+        let title = format!(
+            "measured: one product on one rank, {} thread(s), padding {padding:.3}: {}",
+            common.threads, self.what
+        );
+        let columns = vec!["rows", "median_ms", "min_ms", "bytes", "gb_s", "read_gb_s", "share_of_read"];
+        let mut table = Table::new(format!("spmv_{}", self.stem), title, columns);
+        let rows = self.state.model.rows() as f64;
+        let share = rate / bandwidth.read_gb_s;
+        table.push(vec![rows, middle * 1e3, best * 1e3, *bytes as f64, rate, bandwidth.read_gb_s, share]);
+        table.finish(common.out.as_deref(), None)?;
+        let title = format!("counted: bytes that all ranks receive per product: {}", self.what);
+        let columns = vec!["ranks", "halo_bytes", "full_bytes", "halo_over_full"];
+        let mut table = Table::new(format!("spmv_{}_bytes", self.stem), title, columns);
+        for &ranks in bench.workers.iter().filter(|ranks| **ranks > 1) {
+            let counted = |mode| {
+                let (traffic, _) = self.recorded(ranks, mode)?;
+                Ok::<f64, CliError>(traffic.received.iter().flatten().sum())
+            };
+            let (halo, full) = (counted(ExchangeMode::Halo)?, counted(ExchangeMode::Full)?);
+            table.push(vec![ranks as f64, halo, full, halo / full]);
+        }
+        table.finish(common.out.as_deref(), Some(("ranks", "halo_over_full")))
+    }
+
+    /// Traffic and kernels of one product on `ranks` ranks.
+    fn recorded(&self, ranks: usize, mode: ExchangeMode) -> Result<(Traffic, RecordedProduct), CliError> {
+        let queues = direct(ranks).queues;
+        let events: Vec<Vec<Event>> =
+            self.state.on_ranks(&self.bench.common, mode, &queues, |simulation, transport| {
+                simulation.record_product(transport).map_err(|error| error.to_string())
+            })?;
+        let step = RecordedStep::of_events(self.state.step, &events).map_err(CliError::failed)?;
+        let product = step.phases.into_iter().find_map(|phase| match phase {
+            Phase::Product(traffic, product) => Some((traffic, product)),
+            _ => None,
+        });
+        product.ok_or_else(|| CliError::failed("no product was recorded"))
+    }
+
+    /// Speed-ups by the clock on the machine of the topology file; ranks that it has no GPUs for are left out.
+    fn modelled(&self, machine: &Topology) -> Result<Table, CliError> {
+        let efficiency = self.bench.efficiency;
+        let device = machine.device();
+        let derated = DeviceModel { bandwidth_gb_s: device.bandwidth_gb_s * efficiency, ..device.clone() };
+        let machine = machine.with_device(derated);
+        let title = format!(
+            "modelled, not measured: speed-up of a product over one {} on {}, kernel at {:.0} % of the memory bandwidth: {}",
+            device.name,
+            machine.name(),
+            efficiency * 100.0,
+            self.what
+        );
+        let mut table = Table::modelled(format!("spmv_{}_modelled", self.stem), title, MODELLED.to_vec());
+        let (_, whole) = self.recorded(1, ExchangeMode::Halo)?;
+        let one_gpu_s = kernel_s(machine.device(), &whole);
+        for &ranks in self.bench.workers.iter().filter(|ranks| **ranks <= machine.gpus()) {
+            let topology = machine.with_first_gpus(ranks).map_err(CliError::bad_input)?;
+            let halo = self.recorded(ranks, ExchangeMode::Halo)?;
+            let full = self.recorded(ranks, ExchangeMode::Full)?;
+            let speed_up = |kind, exchange| match exchange {
+                // Kernels of whole row blocks, as the halo product has them.
+                ProductExchange::Full => self.product_s(&topology, &full, kind, exchange),
+                _ => self.product_s(&topology, &halo, kind, exchange),
+            };
+            let mut row = vec![ranks as f64, one_gpu_s * 1e3];
+            for kind in [ScheduleKind::Direct, ScheduleKind::Ring, ScheduleKind::Best] {
+                row.push(one_gpu_s / speed_up(kind, ProductExchange::GatherFirst)?);
+            }
+            for kind in SCHEDULES {
+                row.push(one_gpu_s / speed_up(kind, ProductExchange::Full)?);
+            }
+            row.push(one_gpu_s / speed_up(ScheduleKind::Best, ProductExchange::Halo)?);
+            table.push(row);
+        }
+        Ok(table)
+    }
+
+    /// Modelled time of a recorded product; NaN where there is no such schedule.
+    fn product_s(
+        &self,
+        topology: &Topology,
+        (traffic, product): &(Traffic, RecordedProduct),
+        kind: ScheduleKind,
+        exchange: ProductExchange,
+    ) -> Result<f64, CliError> {
+        let rows = self.state.model.rows();
+        let Some(plan) = self.plan(kind, topology) else { return Ok(f64::NAN) };
+        let phases = vec![Phase::Product(traffic.clone(), product.clone())];
+        let step = RecordedStep { step: self.state.step, phases };
+        let how = Replay { topology, plan: &plan, exchange, kernels: KernelTimes::Device, rows };
+        Ok(replay(&step, &how, false).map_err(CliError::failed)?.total_s)
+    }
+
+    fn plan(&self, kind: ScheduleKind, topology: &Topology) -> Option<Plan> {
+        let sub_vector_rows = self.state.model.rows().div_ceil(topology.gpus());
+        plan(kind, topology, sub_vector_rows as f64 * 12.0).ok()
+    }
+
+    /// Speed-ups on this machine, with ranks that are threads of this process.
+    fn measured(&self) -> Result<Table, CliError> {
+        let cores = Machine::here().cores;
+        let title = format!(
+            "measured on this machine of {cores} core(s), ranks are threads of it: speed-up of a product over one rank, {} \
+             thread(s) per rank: {}",
+            self.bench.common.threads, self.what
+        );
+        let mut table = Table::new(format!("spmv_{}_measured", self.stem), title, MEASURED.to_vec());
+        let one_rank_s = self.time(ExchangeMode::Halo, false, &[Vec::new()])?;
+        for &ranks in &self.bench.workers {
+            let topology = Topology::default_for(ranks).map_err(CliError::bad_input)?;
+            let mut row = vec![ranks as f64, one_rank_s * 1e3];
+            let order = direct(ranks).queues;
+            row.push(one_rank_s / self.time(ExchangeMode::Full, true, &order)?);
+            for kind in SCHEDULES {
+                row.push(match self.plan(kind, &topology) {
+                    Some(plan) => one_rank_s / self.time(ExchangeMode::Full, false, &plan.schedule.queues)?,
+                    None => f64::NAN,
+                });
+            }
+            row.push(one_rank_s / self.time(ExchangeMode::Halo, false, &order)?);
+            table.push(row);
+        }
+        Ok(table)
+    }
+
+    /// Median seconds of a product.
+    fn time(&self, mode: ExchangeMode, gather_first: bool, queues: &[Vec<QueueNode>]) -> Result<f64, CliError> {
+        let times = self.state.on_ranks(&self.bench.common, mode, queues, |simulation, transport| {
+            simulation.gather_first(gather_first);
+            simulation.time_products(transport, self.bench.repeat).map_err(|error| error.to_string())
+        })?;
+        Ok(median_s(&times))
+    }
 }
 
-fn bytes_of_rank(part: RankModel, mut transport: impl Transport, plan: ExchangePlan) -> Result<f64, String> {
-    let mut simulation = Simulation::new(Executor::cpu(1), part, &plan).map_err(|error| error.to_string())?;
-    let stats = simulation.step(&mut transport, 1, false).map_err(|error| error.to_string())?;
-    Ok(stats.spmv_bytes as f64 / stats.products as f64)
+/// Modelled time of all kernels of a product as one.
+fn kernel_s(device: &DeviceModel, product: &RecordedProduct) -> f64 {
+    let all = match product {
+        RecordedProduct::Halo(halves) => halves.iter().map(|(local, remote)| local.plus(*remote)).collect::<Vec<_>>(),
+        RecordedProduct::Full(blocks) => blocks.iter().flatten().copied().collect(),
+    };
+    let sum = all.into_iter().fold(Kernel::default(), Kernel::plus);
+    device.kernel_s(sum.bytes, sum.flops)
 }

@@ -14,6 +14,7 @@ pub struct Table {
     name: String,
     title: String,
     kind: &'static str,
+    y_label: &'static str,
     columns: Vec<&'static str>,
     rows: Vec<Vec<f64>>,
 }
@@ -21,12 +22,22 @@ pub struct Table {
 impl Table {
     /// An empty table of measured figures; `name` names its files.
     pub fn new(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
-        Table { name: name.into(), title, kind: "measured", columns, rows: Vec::new() }
+        Table { name: name.into(), title, kind: "measured", y_label: "speed-up", columns, rows: Vec::new() }
     }
 
     /// The same for figures that were modelled.
     pub fn modelled(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
         Table { kind: "modelled", ..Table::new(name, title, columns) }
+    }
+
+    /// The same for columns of both kinds, each of which says in its name which it is.
+    pub fn mixed(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
+        Table { kind: "measured and modelled", ..Table::new(name, title, columns) }
+    }
+
+    /// What the y axis of several curves shows.
+    pub fn y_label(self, y_label: &'static str) -> Table {
+        Table { y_label, ..self }
     }
 
     /// Adds a row.
@@ -68,8 +79,8 @@ impl Table {
         }
     }
 
-    /// Writes `name.json`, and `name.svg` with column `y` over column `x` if there are at least two rows.
-    pub fn write(&self, folder: &Path, curve: Option<(&str, &str)>) -> Result<(), CliError> {
+    /// Writes `name.json`, and `name.svg` with the columns of `curves` over its first one if there are at least two rows.
+    pub fn write(&self, folder: &Path, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         std::fs::create_dir_all(folder)
             .map_err(|error| CliError::bad_input(format!("cannot write to {}: {error}", folder.display())))?;
         let rows: Vec<Value> = self
@@ -88,21 +99,31 @@ impl Table {
         write_atomically(&folder.join(format!("{}.json", self.name)), |out| out.write_all(text.as_bytes()))
             .map_err(CliError::failed)?;
         let column = |name: &str| self.columns.iter().position(|head| *head == name);
-        if let Some((x, y)) = curve
-            && let (Some(i), Some(j)) = (column(x), column(y))
-            && self.rows.len() > 1
-        {
-            let points = self.rows.iter().map(|row| (row[i], row[j])).collect();
-            let series = [Series { name: y.to_string(), points }];
-            line_chart(&folder.join(format!("{}.svg", self.name)), &self.title, x, y, &series)
-                .map_err(CliError::failed)?;
+        let Some((x, names)) = curves.filter(|_| self.rows.len() > 1) else { return Ok(()) };
+        let Some(i) = column(x) else { return Ok(()) };
+        let points = |j: usize| self.rows.iter().map(|row| (row[i], row[j])).collect::<Vec<_>>();
+        let series: Vec<Series> = names
+            .iter()
+            .filter_map(|name| Some(Series { name: name.to_string(), points: points(column(name)?) }))
+            .filter(|series| series.points.iter().any(|(_, y)| y.is_finite()))
+            .collect();
+        let label = if let [only] = names { only } else { self.y_label };
+        if !series.is_empty() {
+            let path = folder.join(format!("{}.svg", self.name));
+            line_chart(&path, &self.title, x, label, &series).map_err(CliError::failed)?;
         }
         Ok(())
     }
 
     /// Prints, and writes if `folder` is given.
     pub fn finish(&self, folder: Option<&Path>, curve: Option<(&str, &str)>) -> Result<(), CliError> {
+        let names = curve.map(|(_, y)| [y]);
+        self.finish_curves(folder, curve.zip(names.as_ref()).map(|((x, _), names)| (x, &names[..])))
+    }
+
+    /// As [`Table::finish`], with several curves in one picture.
+    pub fn finish_curves(&self, folder: Option<&Path>, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         self.print()?;
-        folder.map_or(Ok(()), |folder| self.write(folder, curve))
+        folder.map_or(Ok(()), |folder| self.write(folder, curves))
     }
 }

@@ -1,20 +1,21 @@
 //! `loomtree predict`: re-times a recorded run on the machine of a topology file. All times it prints are modelled, unless
 //! they are called measured.
 
+mod pictures;
+mod recorded_run;
+
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::ValueEnum;
-use rayon::prelude::*;
 use serde_json::json;
 
 use super::CliError;
 use crate::interconnect::{
-    KernelTimes, Plan, ProductExchange, RecordedStep, Replay, ReplayedStep, STAGES, ScheduleKind, Topology, plan,
-    replay,
+    KernelTimes, Plan, ProductExchange, Replay, ReplayedStep, STAGES, ScheduleKind, Topology, plan,
 };
-use crate::output::{RankEvents, Report, Timeline, TimelineBox, TraceWriter, read_trace, write_timeline};
-use crate::telemetry::{Activity, Event, EventName};
+use crate::output::{Report, write_timeline};
+pub(super) use recorded_run::RecordedRun;
 
 /// Arguments of `loomtree predict`.
 #[derive(Clone, Debug, clap::Args)]
@@ -42,7 +43,7 @@ pub struct PredictArgs {
     /// Also write the modelled first step as a trace for ui.perfetto.dev
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
-    /// Also draw the modelled first product of the first step (the paper's Fig. 3) into this SVG file
+    /// Also draw a modelled product of the first step (the paper's Fig. 3) into this SVG file
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
 }
@@ -117,51 +118,25 @@ struct Prediction {
 
 impl Prediction {
     fn make(args: &PredictArgs) -> Result<Prediction, CliError> {
-        let (report, events) = std::thread::scope(|scope| {
-            let trace = args.run.join("trace.json");
-            let events = scope.spawn(move || read_trace(&trace));
-            (Report::load(&args.run.join("report.json")), events.join())
-        });
-        let report = report.map_err(CliError::bad_input)?;
-        let events = events.map_err(|_| CliError::failed("reading the trace failed"))?.map_err(CliError::bad_input)?;
-        let ranks = events.values().map(Vec::len).max().unwrap_or(0);
+        let recorded = RecordedRun::read(&args.run)?;
         let whole = Topology::read(&args.topology).map_err(CliError::bad_input)?;
-        let topology = whole.with_first_gpus(ranks).map_err(CliError::bad_input)?;
-        let rows = report.header.vertices;
-        if rows < ranks {
-            let path = args.run.join("report.json");
-            return Err(CliError::bad_input(format!(
-                "{}: vertices must be at least {ranks}, got {rows}",
-                path.display()
-            )));
-        }
+        let topology = whole.with_first_gpus(recorded.ranks).map_err(CliError::bad_input)?;
+        let (ranks, rows) = (recorded.ranks, recorded.rows()?);
         let plan = plan(args.schedule, &topology, rows.div_ceil(ranks) as f64 * 12.0)
             .map_err(|error| CliError::bad_input(format!("{}: {error}", args.topology.display())))?;
-        let exchange = match (args.exchange, report.header.exchange.as_str()) {
-            (Some(PredictExchange::Full), _) | (None, "full") => ProductExchange::Full,
-            (Some(PredictExchange::GatherFirst), _) => ProductExchange::GatherFirst,
-            _ => ProductExchange::Halo,
+        let exchange = match args.exchange {
+            Some(PredictExchange::Halo) => ProductExchange::Halo,
+            Some(PredictExchange::Full) => ProductExchange::Full,
+            Some(PredictExchange::GatherFirst) => ProductExchange::GatherFirst,
+            None => recorded.exchange(),
         };
         let kernels = match args.kernels {
             PredictKernels::Device => KernelTimes::Device,
             PredictKernels::Recorded => KernelTimes::Recorded,
         };
         let how = Replay { topology: &topology, plan: &plan, exchange, kernels, rows };
-        let first = events.keys().next().copied();
-        let steps: Result<Vec<ReplayedStep>, CliError> = events
-            .par_iter()
-            .map(|(step, events)| {
-                let trace = args.run.join("trace.json");
-                let fault =
-                    |error: &dyn std::fmt::Display| CliError::bad_input(format!("{}: {error}", trace.display()));
-                if events.len() != ranks {
-                    return Err(fault(&format_args!("step {step} has events of {} ranks of {ranks}", events.len())));
-                }
-                let recorded = RecordedStep::of_events(*step, events).map_err(|error| fault(&error))?;
-                replay(&recorded, &how, Some(*step) == first).map_err(|error| CliError::failed(error.to_string()))
-            })
-            .collect();
-        let steps = steps?;
+        let steps = recorded.replay(&how)?;
+        let report = recorded.report;
         let mut memory = vec![0u64; ranks];
         for record in &report.steps {
             for (most, bytes) in memory.iter_mut().zip(&record.memory_bytes_per_rank) {
@@ -398,89 +373,6 @@ impl Prediction {
             "assumptions": self.assumptions,
             "steps": steps,
         })
-    }
-
-    /// The first step with all its tasks, as events of a run.
-    fn write_trace(&self, path: &Path) -> Result<(), CliError> {
-        let Some(step) = self.steps.first() else { return Ok(()) };
-        let ranks = self.topology.gpus();
-        let devices = vec![format!("modelled {}", self.topology.device().name); ranks];
-        let ns = |seconds: f64| (seconds * 1e9).round() as u64;
-        let mut events: Vec<Vec<Event>> = vec![Vec::new(); ranks];
-        for task in &step.spans {
-            let activity = match task.name {
-                EventName::Receive | EventName::Publish => Activity::Transfer,
-                EventName::AllReduce => Activity::Wait,
-                _ => Activity::Compute,
-            };
-            let (source, vector) = task.from.unwrap_or((task.rank, task.rank));
-            events[task.rank].push(Event {
-                name: task.name as u32,
-                activity: activity as u32,
-                step: step.step,
-                stage: 0,
-                source: source as u32,
-                vector: vector as u32,
-                asked_ns: ns(task.span.start_s),
-                start_ns: ns(task.span.start_s),
-                end_ns: ns(task.span.done_s),
-                bytes: task.bytes as u64,
-                flops: 0,
-            });
-        }
-        let all: Vec<RankEvents> =
-            events.iter().enumerate().map(|(rank, events)| RankEvents { rank, epoch_unix_ns: 0, events }).collect();
-        let written = TraceWriter::create(path, &devices, 0).and_then(|mut writer| writer.append(&all));
-        written.map_err(|error| CliError::failed(format!("--trace: {error}")))
-    }
-
-    /// The first product of the first step: receipts above, kernels below, as in the paper's Fig. 3.
-    fn timeline(&self) -> Timeline {
-        let mut timeline = Timeline {
-            title: self.title(),
-            subtitle: "first matrix-vector product of the first recorded step; modelled, not measured".into(),
-            rows: (0..self.topology.gpus()).map(|rank| format!("rank {rank}")).collect(),
-            ..Timeline::default()
-        };
-        let Some(step) = self.steps.first() else { return timeline };
-        let is_product =
-            |name: EventName| matches!(name, EventName::SpmvLocal | EventName::SpmvRemote | EventName::SpmvBlock);
-        // Up to the first reduction: after it every rank is in the same iteration again.
-        let starts = step.spans.iter().filter(|task| is_product(task.name)).map(|task| task.span.start_s);
-        let start_s = starts.fold(f64::INFINITY, f64::min);
-        let reductions =
-            step.spans.iter().filter(|task| task.name == EventName::AllReduce && task.span.start_s > start_s);
-        let end_s = reductions.map(|task| task.span.start_s).fold(f64::INFINITY, f64::min);
-        let within = |task: &&crate::interconnect::ReplaySpan| {
-            task.span.start_s >= start_s && task.span.done_s <= end_s && task.span.done_s > task.span.start_s
-        };
-        let lanes = step.spans.iter().map(|task| task.lane + 1).max().unwrap_or(1);
-        for task in step.spans.iter().filter(within) {
-            let group_name = match (task.name, task.from) {
-                (EventName::Receive, Some((source, _))) => format!("receipt from rank {source}"),
-                (name, _) => name.text().to_string(),
-            };
-            let group = timeline.groups.iter().position(|known| *known == group_name).unwrap_or_else(|| {
-                timeline.groups.push(group_name);
-                timeline.groups.len() - 1
-            });
-            let (lane, end_s, label) = match (task.name, task.from) {
-                (EventName::Receive, Some((_, owner))) => (task.lane, task.span.released_s, format!("v{owner}")),
-                (EventName::SpmvBlock, Some((_, vector))) => {
-                    (lanes, task.span.done_s, format!("A{},{vector}", task.rank))
-                }
-                (name, _) => (lanes, task.span.done_s, name.text().to_string()),
-            };
-            timeline.boxes.push(TimelineBox {
-                row: task.rank,
-                lane,
-                start_s: task.span.start_s - start_s,
-                end_s: end_s - start_s,
-                label,
-                group,
-            });
-        }
-        timeline
     }
 }
 

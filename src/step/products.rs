@@ -1,0 +1,116 @@
+//! The matrix of a state on its own, for benchmarks: assembled with its contacts and multiplied, without solving or moving
+//! anything. Where the matrix is not stored, the same calls make products from the element records.
+
+use std::ops::Range;
+use std::time::Instant;
+
+use super::collisions::Span;
+use super::stats::StepStats;
+use super::{SetupError, Simulation, StepError, system};
+use crate::gpu::{DeviceVec, Executor};
+use crate::solver::ExchangeMode;
+use crate::telemetry::Event;
+use crate::transport::{Transport, TransportError};
+
+impl Simulation {
+    /// Gives the stored matrix up: from now on every product is computed from the element records, with block Jacobi as the
+    /// preconditioner. Own rows have the same bits on any number of ranks, but not those of the stored product.
+    ///
+    /// # Errors
+    /// On a device, and with whole sub-vectors: only the cpu executor and halo rows have such a product.
+    pub fn drop_matrix(&mut self) -> Result<(), SetupError> {
+        if !matches!(self.executor, Executor::Cpu(_)) || self.mode != ExchangeMode::Halo {
+            return Err(SetupError::MatrixFree);
+        }
+        self.fill_tables.keep_lists(&self.executor);
+        self.matrix.clear(&self.executor);
+        self.contacts.matrix_free = true;
+        self.schwarz = None;
+        self.matrix_free = true;
+        Ok(())
+    }
+
+    /// Stages 1 to 4 of step `step` (from 1) [Li et al. 2020, Fig. 2]: contacts, element records, matrix, right-hand side.
+    /// Positions and velocities stay. Returns the number of contacts over all ranks.
+    pub fn assemble(&mut self, transport: &mut dyn Transport, step: u32) -> Result<u64, StepError> {
+        let step_s = self.settings.step_s;
+        let span = Span { start_s: (step - 1) as f64 * step_s, end_s: step as f64 * step_s, length_s: step_s };
+        let mut stats = StepStats { step, ..StepStats::default() };
+        self.move_pins(span);
+        self.find_contacts(transport, span, &mut stats)?;
+        self.exchange_state(transport)?;
+        self.element_records(span);
+        self.fill_matrix(span);
+        match self.executor.take_fault() {
+            Some(fault) => Err(StepError::Device { step, message: fault.to_string() }),
+            None => Ok(stats.contacts),
+        }
+    }
+
+    /// Own rows in the global order.
+    pub fn rows(&self) -> Range<usize> {
+        self.rows_start..self.rows_start + self.own_rows
+    }
+
+    /// A x of the assembled matrix; `x`: xyz per own row, as the result.
+    pub fn product(&mut self, transport: &mut dyn Transport, x: &[f32]) -> Result<Vec<f32>, TransportError> {
+        let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
+        let own = self.spmv.own_start();
+        self.vectors.u.write_range(&self.executor, own, x);
+        self.multiply(transport, &mut y)?;
+        Ok(y.read(&self.executor))
+    }
+
+    /// Makes one product and returns its events.
+    pub fn record_product(&mut self, transport: &mut dyn Transport) -> Result<Vec<Event>, TransportError> {
+        let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
+        self.recorder.begin_step(1, true);
+        let done = self.multiply(transport, &mut y);
+        let events = self.recorder.take();
+        self.recorder.begin_step(1, false);
+        done.map(|()| events)
+    }
+
+    /// Start and end of each of `repeat` products on this rank, after one that warms up. All ranks wait for each other before
+    /// each, so that the earliest start and the latest end over the ranks belong together.
+    pub fn time_products(
+        &mut self,
+        transport: &mut dyn Transport,
+        repeat: u32,
+    ) -> Result<Vec<(Instant, Instant)>, TransportError> {
+        let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
+        let mut times = Vec::with_capacity(repeat as usize);
+        for round in 0..=repeat {
+            transport.barrier()?;
+            let start = Instant::now();
+            self.multiply(transport, &mut y)?;
+            self.executor.finish();
+            if round > 0 {
+                times.push((start, Instant::now()));
+            }
+        }
+        Ok(times)
+    }
+
+    /// Bytes that a product moves on this rank: the matrix or the records, and the result.
+    pub fn product_bytes(&self) -> u64 {
+        let system = system!(self);
+        match system.elements {
+            Some(elements) => elements.product_bytes(),
+            None => {
+                let sections = 0..self.matrix.sections.len();
+                sections.map(|section| system.section_bytes(section)).sum::<u64>() + self.own_rows as u64 * 12
+            }
+        }
+    }
+
+    /// True: with whole sub-vectors, products wait for all of them before they multiply [Cevahir et al. 2009].
+    pub fn gather_first(&mut self, gather_first: bool) {
+        self.spmv.gather_first = gather_first;
+    }
+
+    fn multiply(&mut self, transport: &mut dyn Transport, y: &mut DeviceVec<f32>) -> Result<(), TransportError> {
+        let system = system!(self);
+        self.spmv.apply(&self.executor, transport, &system, &mut self.vectors.u, y, &mut self.recorder)
+    }
+}
