@@ -1,17 +1,27 @@
-//! Continuous collision against the exact referee in `ccd_exact`, random and nearly degenerate, from a fixed seed.
-//! `LOOMTREE_CCD_QUERIES` sets the number of random queries (a tenth of it for each nearly degenerate family);
-//! 1000000 is the full run, meant for a release build: half a minute for the random ones, longer for the families.
+//! Continuous collision against the exact referee in `ccd_exact`, from fixed seeds: a million random queries, a hundred
+//! thousand nearly degenerate ones in families. `LOOMTREE_CCD_QUERIES` sets another number of random queries, and a tenth of
+//! it for each family.
 
 mod ccd_exact;
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use ccd_exact::{Grid, first_contact};
 use loomtree::collision::elementary::StencilKind::{self, EdgeEdge, VertexFace};
 use loomtree::collision::elementary::{DecidedBy, ccd};
 use loomtree::math::Vec3;
 
-/// Queries asked for, or `default`: the referee is fast where most queries are far from touching.
-fn queries(default: u32) -> u32 {
-    std::env::var("LOOMTREE_CCD_QUERIES").ok().map_or(default, |text| text.parse().expect("a number of queries"))
+/// Random queries; the referee is fast where most queries are far from touching.
+const RANDOM: u32 = 1_000_000;
+/// Queries of each nearly degenerate family: 100,800 in all nine.
+const FAMILY: u32 = 11_200;
+/// Independent parts of a series of queries, each with a seed of its own: threads share them.
+const PARTS: u32 = 8;
+
+/// Queries asked for by the environment.
+fn asked() -> Option<u32> {
+    std::env::var("LOOMTREE_CCD_QUERIES").ok().map(|text| text.parse().expect("a number of queries"))
 }
 
 /// SplitMix64 [Steele et al. 2014].
@@ -49,6 +59,39 @@ struct Tally {
 }
 
 impl Tally {
+    /// Asks `count` queries on several threads; what is asked does not depend on how many there are.
+    fn series(count: u32, seed: u64, ask: impl Fn(&mut Tally, &mut Random, u32) + Sync) -> Tally {
+        let next = AtomicU32::new(0);
+        let all = Mutex::new(Tally::default());
+        let threads = std::thread::available_parallelism().map_or(1, |threads| threads.get()).min(PARTS as usize);
+        std::thread::scope(|scope| {
+            for _ in 0..threads {
+                scope.spawn(|| {
+                    loop {
+                        let part = next.fetch_add(1, Ordering::Relaxed);
+                        if part >= PARTS {
+                            break;
+                        }
+                        let (mut tally, mut random) = (Tally::default(), Random(seed + (u64::from(part) << 32)));
+                        (count * part / PARTS..count * (part + 1) / PARTS).for_each(|i| ask(&mut tally, &mut random, i));
+                        all.lock().expect("no part failed").add(&tally);
+                    }
+                });
+            }
+        });
+        let all = all.into_inner().expect("no part failed");
+        assert_eq!(all.queries, count);
+        all
+    }
+
+    fn add(&mut self, other: &Tally) {
+        self.queries += other.queries;
+        self.hits += other.hits;
+        self.false_hits += other.false_hits;
+        self.limited += other.limited;
+        self.by_filter += other.by_filter;
+    }
+
     /// Asks both; a miss, or a time later than the first contact, fails the test.
     fn ask(&mut self, kind: StencilKind, x_t0: Grid, x_t1: Grid) {
         // Down to subnormal and up to nearly infinite numbers: the same question.
@@ -75,9 +118,7 @@ impl Tally {
 
 #[test]
 fn random_stencils() {
-    let mut random = Random(1);
-    let mut tally = Tally::default();
-    for i in 0..queries(100_000) {
+    let tally = Tally::series(asked().unwrap_or(RANDOM), 1, |tally, random, i| {
         let kind = if i % 2 == 0 { VertexFace } else { EdgeEdge };
         let limit = 1 << (1 + random.bits() % 24);
         let x_t0 = random.stencil(limit);
@@ -89,21 +130,19 @@ fn random_stencils() {
             random.stencil(limit)
         };
         tally.ask(kind, x_t0, x_t1);
-    }
+    });
     println!("random: {tally:?}");
     assert!(tally.hits > tally.queries / 50, "hits must occur: {tally:?}");
     assert!(tally.false_hits * 1000 <= tally.queries, "{tally:?}");
 }
 
-/// Runs a tenth of the queries of `make` for both kinds.
-fn family(name: &str, seed: u64, mut make: impl FnMut(&mut Random, StencilKind) -> (Grid, Grid)) {
-    let mut random = Random(seed);
-    let mut tally = Tally::default();
-    for i in 0..queries(6_000) / 10 {
+/// Runs the queries of `make` for both kinds.
+fn family(name: &str, seed: u64, make: impl Fn(&mut Random, StencilKind) -> (Grid, Grid) + Sync) {
+    let tally = Tally::series(asked().map_or(FAMILY, |random| random / 10), seed, |tally, random, i| {
         let kind = if i % 2 == 0 { VertexFace } else { EdgeEdge };
-        let (x_t0, x_t1) = make(&mut random, kind);
+        let (x_t0, x_t1) = make(random, kind);
         tally.ask(kind, x_t0, x_t1);
-    }
+    });
     println!("{name}: {tally:?}");
     assert!(tally.hits * 50 > tally.queries, "hits must occur: {tally:?}");
 }

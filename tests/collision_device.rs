@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use collision_support::{Model, Random, flat, folded, sphere};
-use loomtree::collision::broad::{BroadError, BroadStats, DeviceBroad, Filter, Query, brute_force};
+use loomtree::collision::broad::{BroadError, BroadStats, DeviceBroad, Filter, Query, Split, brute_force};
 use loomtree::collision::{
     Candidate, ContactParams, Detector, RunsOn, merge_contacts, merge_impacts, smallest_altitudes,
 };
@@ -197,7 +197,7 @@ fn contacts_ahead_do_not_depend_on_the_number_of_ranks() {
             let lists: Vec<_> = (0..ranks)
                 .map(|rank| {
                     let mut out = vec![];
-                    detector.contacts_ahead(on, x, ahead, rank, ranks, None, &mut out).expect("contacts");
+                    detector.contacts_ahead(on, x, ahead, &mut Split::alone(rank, ranks), None, &mut out).expect("contacts");
                     out
                 })
                 .collect();
@@ -210,7 +210,7 @@ fn contacts_ahead_do_not_depend_on_the_number_of_ranks() {
         assert!(one.len() > near.len() + 20, "{} {}", one.len(), near.len());
         // A few pairs may be proven apart here and not there.
         let mut native = vec![];
-        detector.contacts_ahead(&host, x, ahead, 0, 1, None, &mut native).expect("contacts");
+        detector.contacts_ahead(&host, x, ahead, &mut Split::alone(0, 1), None, &mut native).expect("contacts");
         let differ =
             native.iter().filter(|c| !one.contains(c)).count() + one.iter().filter(|c| !native.contains(c)).count();
         assert!(1000 * differ <= native.len(), "{differ} of {}", native.len());

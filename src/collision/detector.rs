@@ -9,7 +9,7 @@ use std::time::Instant;
 use thiserror::Error;
 
 use super::around::Around;
-use super::broad::{Broad, BroadError, BroadStats, Choice, CollisionMesh, Filter, Query};
+use super::broad::{Broad, BroadError, BroadStats, Choice, CollisionMesh, Filter, Query, Split};
 use super::contact::{Pair, Surfaces};
 use super::narrow::{ContactSink, Found, ImpactSink};
 use super::search::{RunsOn, Searches};
@@ -286,7 +286,7 @@ impl Detector {
         memory_limit_bytes: Option<u64>,
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
-        self.contacts_ahead(on, x, x, rank, ranks, memory_limit_bytes, out)
+        self.contacts_ahead(on, x, x, &mut Split::alone(rank, ranks), memory_limit_bytes, out)
     }
 
     /// As [`Detector::contacts`], with those pairs, too, that are farther apart at `x` and come closer than their thickness
@@ -301,8 +301,7 @@ impl Detector {
         on: impl Into<RunsOn<'a>>,
         x: &[f32],
         ahead: &[f32],
-        rank: usize,
-        ranks: usize,
+        split: &mut Split,
         memory_limit_bytes: Option<u64>,
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
@@ -313,14 +312,13 @@ impl Detector {
         let wide = |thickness_m: f32| thickness_m * WIDER;
         let query = Query { x_t0: x, x_t1: ahead, radius_m: wide(rules.widest_m) };
         let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
-        let choice = Choice { piece_radius_m: Some(wide(rules.widest_within_piece_m)), ..Choice::default() };
+        let choice = Choice { touched: None, piece_radius_m: Some(wide(rules.widest_within_piece_m)), cull: true };
         let reach_m = wide(rules.params.thickness_m);
         let filter = Filter::ByStencil { reach_m, within_piece_m: &rules.reach_within_piece_m };
         let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ContactSink| all.append(sink.found);
-        let (on, split) = (on.into(), (rank, ranks));
-        let stats = searches.search(on, &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
+        let stats = searches.search(on.into(), &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
         let stats = self.stats(stats, &all);
         *out = all.items;
         sort_contacts(out);
@@ -329,7 +327,7 @@ impl Detector {
 
     /// The pairs of features that touch on the straight way from `x_t0` to `x_t1` and fall to `rank`, sorted; each is found
     /// by exactly one rank. Executors as in [`Detector::contacts`]. With `touched` (one mark per vertex) only pairs with a marked vertex: a search after a few
-    /// vertices have been moved, which costs one look at every triangle and the work near those vertices. Clears `out`
+    /// vertices have been moved, which costs one look at every triangle's box and the work near those vertices. Clears `out`
     /// first.
     ///
     /// # Errors
@@ -345,14 +343,32 @@ impl Detector {
         memory_limit_bytes: Option<u64>,
         out: &mut Vec<Impact>,
     ) -> Result<DetectionStats, BroadError> {
+        let split = &mut Split::alone(rank, ranks);
+        self.impacts_split(on, x_t0, x_t1, touched, split, memory_limit_bytes, out)
+    }
+
+    /// As [`Detector::impacts`], by ranks that may work together.
+    ///
+    /// # Errors
+    /// As [`Broad::search`].
+    pub fn impacts_split<'a>(
+        &mut self,
+        on: impl Into<RunsOn<'a>>,
+        x_t0: &[f32],
+        x_t1: &[f32],
+        touched: Option<&[bool]>,
+        split: &mut Split,
+        memory_limit_bytes: Option<u64>,
+        out: &mut Vec<Impact>,
+    ) -> Result<DetectionStats, BroadError> {
         out.clear();
         let separation_m = self.rules.params.separation_m;
         let query = Query { x_t0, x_t1, radius_m: separation_m * WIDER };
-        let choice = Choice { touched, piece_radius_m: None };
+        let choice = Choice { touched, piece_radius_m: None, cull: true };
         let start = || ImpactSink { x_t0, x_t1, separation_m, touched, found: Found::new() };
         let mut all = Found { items: std::mem::take(out), ..Found::new() };
         let finish = &mut |sink: ImpactSink| all.append(sink.found);
-        let (on, split, filter) = (on.into(), (rank, ranks), Filter::Separation { separation_m });
+        let (on, filter) = (on.into(), Filter::Separation { separation_m });
         let stats = self.searches.search(on, &query, &choice, &filter, split, memory_limit_bytes, &start, finish)?;
         let stats = self.stats(stats, &all);
         *out = all.items;
@@ -368,7 +384,7 @@ impl Detector {
             smallest_gap_m: all.smallest_gap_m,
             narrow_ns: all.ns,
             bytes: broad.bytes + size_of_val(&all.items[..]) as u64,
-            replicated_bytes: self.searches.native.mesh().bytes() + self.around.bytes() + self.rules.bytes(),
+            replicated_bytes: self.searches.native.mesh_bytes() + self.around.bytes() + self.rules.bytes(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use super::Candidate;
-use super::broad::{Broad, BroadError, BroadStats, Choice, DeviceBroad, Filter, Query, Sink};
+use super::broad::{Broad, BroadError, BroadStats, Choice, DeviceBroad, Filter, Query, Sink, Split};
 use crate::gpu::{CpuExecutor, Executor};
 
 /// Candidates per unit of work of the host's threads, and at most handed over at once.
@@ -54,7 +54,7 @@ impl Searches {
         query: &Query,
         choice: &Choice,
         filter: &Filter,
-        (rank, ranks): (usize, usize),
+        split: &mut Split,
         memory_limit_bytes: Option<u64>,
         start: &(dyn Fn() -> S + Sync),
         finish: &mut (dyn FnMut(S) + Send),
@@ -73,13 +73,13 @@ impl Searches {
                 });
             };
             let piece_radius_m = choice.piece_radius_m;
-            let split = (rank, ranks);
+            let place = split.place();
             if let Some(stats) =
-                device.search(executor, query, piece_radius_m, filter, split, memory_limit_bytes, emit)?
+                device.search(executor, query, piece_radius_m, filter, place, memory_limit_bytes, emit)?
             {
                 return Ok(stats);
             }
         }
-        self.native.search(on.host, query, choice, (rank, ranks), memory_limit_bytes, start, finish)
+        self.native.search(on.host, query, choice, split, memory_limit_bytes, start, finish)
     }
 }

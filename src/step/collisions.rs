@@ -4,7 +4,7 @@
 //! finds goes to all ranks. Lists are sorted before use and decisions are made by everybody from the same data, so nothing
 //! depends on who found what or on the number of ranks.
 
-use crate::collision::broad::CollisionMesh;
+use crate::collision::broad::{BroadError, CollisionMesh, Split};
 use crate::collision::{ContactParams, Detector, DetectorError, Impact, RunsOn, merge_contacts, merge_impacts};
 use crate::forces::{ContactElement, NO_VERTEX};
 use crate::gpu::{CpuExecutor, Executor};
@@ -183,13 +183,12 @@ impl Collisions {
             });
         }
         share_positions(transport, &self.partition, &ahead, &mut self.x_t1)?;
-        let (rank, ranks) = (transport.rank(), transport.ranks());
         let mut found = Vec::new();
         let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
         let query = self
             .detector
-            .contacts_ahead(on, &self.x_t0, &self.x_t1, rank, ranks, limit, &mut found)
-            .map_err(|error| detection_failed(stats.step, error))?;
+            .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(transport), limit, &mut found)
+            .map_err(|error| query_failed(stats.step, error))?;
         stats.proximity.add(&query);
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
         recorder.end(EventName::ProximityQuery, Activity::Compute, start, query.bytes, 0);
@@ -373,17 +372,17 @@ impl Collisions {
         recorder: &mut Recorder,
     ) -> Result<Vec<Impact>, StepError> {
         let start = recorder.now();
-        let (rank, ranks) = (transport.rank(), transport.ranks());
         let mut found = Vec::new();
         let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
+        let split = &mut Split::together(transport);
         let query = self
             .detector
-            .impacts(on, &self.x_t0, &self.x_t1, touched, rank, ranks, limit, &mut found)
-            .map_err(|error| detection_failed(stats.step, error))?;
+            .impacts_split(on, &self.x_t0, &self.x_t1, touched, split, limit, &mut found)
+            .map_err(|error| query_failed(stats.step, error))?;
         stats.continuous.add(&query);
         recorder.end(EventName::ContinuousQuery, Activity::Compute, start, query.bytes, 0);
         transport.alive()?;
-        let mut lists = vec![Vec::new(); ranks];
+        let mut lists = vec![Vec::new(); transport.ranks()];
         share_lists(transport, &found, &mut |source, part: &[Impact]| lists[source].extend_from_slice(part))?;
         Ok(merge_impacts(&lists.iter().map(Vec::as_slice).collect::<Vec<_>>()))
     }
@@ -402,6 +401,13 @@ fn share_positions(
         next[source] += part.len();
     })?;
     Ok(())
+}
+
+fn query_failed(step: u32, error: BroadError) -> StepError {
+    match error {
+        BroadError::Transport(error) => StepError::Transport(error),
+        error => detection_failed(step, error),
+    }
 }
 
 fn detection_failed(step: u32, error: impl std::fmt::Display) -> StepError {

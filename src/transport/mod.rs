@@ -41,7 +41,7 @@ pub use wait::{HOOK_INTERVAL, WaitHook};
 use thiserror::Error;
 
 /// Why a transport call failed. All of them end the run of this rank.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, PartialEq)]
 pub enum TransportError {
     /// No message within the deadline.
     #[error("rank {rank} waited {waited_s:.1} s for rank {source_rank} ({what})")]

@@ -52,6 +52,12 @@ impl Aabb {
         Aabb { lo: self.lo + by, hi: self.hi - by }
     }
 
+    /// Whether nothing was joined.
+    #[inline(always)]
+    pub fn is_empty(&self) -> bool {
+        self.lo.x > self.hi.x
+    }
+
     /// Longest side.
     #[inline(always)]
     pub fn extent(&self) -> f32 {
@@ -66,6 +72,8 @@ pub(super) struct Motion<'a> {
     pad: Vec3A,
     /// How much a box may shrink before it is tested with one of the same piece.
     pub within_piece: Option<Vec3A>,
+    /// Distance up to which pairs within one piece are wanted, metres.
+    pub within_piece_m: f32,
 }
 
 impl<'a> Motion<'a> {
@@ -86,12 +94,13 @@ impl<'a> Motion<'a> {
         if !(query.radius_m >= 0.0 && query.radius_m <= MOST_M) {
             return Err(BroadError::Radius { radius_m: query.radius_m });
         }
-        // Rounding of the shrunk bounds is within what inflating added.
         let within_piece = choice.piece_radius_m.filter(|&radius_m| radius_m < query.radius_m);
+        let within_piece_m = within_piece.map_or(query.radius_m, |radius_m| radius_m.max(0.0));
+        // Rounding of the shrunk bounds is within what inflating added.
         let within_piece =
             within_piece.map(|radius_m| Vec3A::splat((query.radius_m - radius_m.max(0.0)) * (1.0 - SLACK)));
         let pad = Vec3A::splat(0.5 * query.radius_m * (1.0 + SLACK));
-        Ok(Motion { start: query.x_t0, end: query.x_t1, pad, within_piece })
+        Ok(Motion { start: query.x_t0, end: query.x_t1, pad, within_piece, within_piece_m })
     }
 
     /// Box of the path of a vertex, not inflated.
@@ -106,6 +115,20 @@ impl<'a> Motion<'a> {
     #[inline(always)]
     fn inflate(&self, path: Aabb) -> Aabb {
         path.inflated(self.pad)
+    }
+
+    /// False if start and end are known to be the same.
+    pub fn moves(&self) -> bool {
+        !std::ptr::eq(self.start, self.end)
+    }
+
+    /// Position of a vertex at the end of its path that `end` says.
+    #[inline(always)]
+    pub fn at(&self, vertex: u32, end: bool) -> Vec3A {
+        let x = if end { self.end } else { self.start };
+        let at = 3 * vertex as usize;
+        let x = &x[at..at + 3];
+        Vec3A::new(x[0], x[1], x[2])
     }
 
     /// How far boxes are inflated, metres.

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use bytemuck::Zeroable;
 
 use super::grid::Entry;
+use super::patches::Patches;
 use super::table::{Input, Load, Table, bump};
 use super::workload::Batch;
 use crate::gpu::CpuExecutor;
@@ -33,44 +34,37 @@ pub(super) struct Entries {
 
 impl Entries {
     /// Scans the counts of the batch and writes its entries.
-    pub fn fill(&mut self, cpu: &CpuExecutor, input: &Input, table: &Table, batch: &Batch) {
+    pub fn fill(&mut self, cpu: &CpuExecutor, input: &Input, patches: &Patches, table: &Table, batch: &Batch) {
         self.scan(table, batch);
         let shared = cpu.threads() > 1;
         let slots = Slots(self.entries.as_mut_ptr(), self.entries.len());
         let slots = &slots;
         let (resident, visiting) = (&self.resident, &self.visiting);
-        let (first, buckets) = (self.first, self.resident.len());
-        let first_visited = self.first_visited;
+        let (first, first_visited) = (self.first, self.first_visited);
         let write = |cursors: &[AtomicU32], at: usize, entry: Entry| {
-            if cursors[at].load(Relaxed) == NONE {
-                return;
-            }
-            let slot = bump(&cursors[at], shared) as usize;
+            let Some(cursor) = cursors.get(at).filter(|cursor| cursor.load(Relaxed) != NONE) else { return };
+            let slot = bump(cursor, shared) as usize;
             assert!(slot < slots.1, "entries were counted by the same code");
             // SAFETY: within the vector, and this slot is handed out only here and now.
             unsafe { slots.0.add(slot).write(entry) };
         };
-        cpu.for_ranges(table.triangles(input), 256, |range| {
-            for at in range {
-                let triangle = table.triangle(at);
-                let wanted = input.tag(triangle);
+        let (fine, coarse) = table.reach(&batch.buckets);
+        table.for_each_patch(cpu, patches, &fine, coarse, |triangles| {
+            for triangle in triangles {
                 let Some(aabb) = input.aabb(triangle) else { continue };
-                let Some((own, home, cells)) = table.home(input, &aabb) else { continue };
-                home.for_each(&cells, |bucket, tag| {
+                let wanted = input.tag(triangle);
+                let put = |cursors: &[AtomicU32], first: usize, bucket: u32, tag: u32| {
                     let at = (bucket as usize).wrapping_sub(first);
-                    if at < buckets {
-                        write(resident, at, Entry::new(&aabb, tag | wanted, triangle as u32));
-                    }
-                });
-                if visiting.is_empty() {
-                    continue;
-                }
-                table.for_each_visited(input, triangle, &aabb, own, |bucket, tag| {
-                    let at = (bucket as usize).wrapping_sub(first_visited);
-                    if at < visiting.len() {
-                        write(visiting, at, Entry::new(&aabb, tag | wanted, triangle as u32));
-                    }
-                });
+                    write(cursors, at, Entry::new(&aabb, tag | wanted, triangle as u32));
+                };
+                table.for_each_bucket(
+                    input,
+                    triangle,
+                    &aabb,
+                    (&fine, coarse),
+                    |bucket, tag| put(resident, first, bucket, tag),
+                    |bucket, tag| put(visiting, first_visited, bucket, tag),
+                );
             }
         });
         if shared {

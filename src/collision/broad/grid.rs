@@ -25,8 +25,8 @@ const MAGIC: f32 = (3 << 22) as f32;
 /// The cells of a box in one grid: lower and upper cell per axis (biased integers), at most one apart.
 #[derive(Clone, Copy)]
 pub(super) struct Cells {
-    lo: [u32; 3],
-    hi: [u32; 3],
+    pub lo: [u32; 3],
+    pub hi: [u32; 3],
 }
 
 /// Sizes and origin of the grids; a function of the query alone, so every rank has the same.
@@ -34,6 +34,8 @@ pub(super) struct Grid {
     origin: Vec3A,
     cell_m: [f32; LEVELS],
     per_m: [f32; LEVELS],
+    /// The axis along which most of the cloth is spread out farthest.
+    longest: usize,
 }
 
 impl Grid {
@@ -56,7 +58,18 @@ impl Grid {
             (cell_m[level], per_m[level]) = (size, 1.0 / size);
             size *= 4.0;
         }
-        Grid { origin: Vec3A::new(middle(0), middle(1), middle(2)), cell_m, per_m }
+        let spread = |axis: usize| {
+            let middle = |b: &Aabb| 0.5 * (b.lo[axis] + b.hi[axis]);
+            quantile(&middle, 0.9) - quantile(&middle, 0.1)
+        };
+        let spread = [spread(0), spread(1), spread(2)];
+        let longest = (1..3).fold(0, |longest, axis| if spread[axis] > spread[longest] { axis } else { longest });
+        Grid { origin: Vec3A::new(middle(0), middle(1), middle(2)), cell_m, per_m, longest }
+    }
+
+    /// The axis along which most of the cloth is spread out farthest.
+    pub fn longest(&self) -> usize {
+        self.longest
     }
 
     /// Origin of all grids.
@@ -120,28 +133,44 @@ impl Buckets {
         Buckets { base: base as u32, bits: blocks.trailing_zeros() }
     }
 
+    pub fn start(&self) -> usize {
+        self.base as usize
+    }
+
     pub fn end(&self) -> usize {
         self.base as usize + (8usize << self.bits)
     }
 
-    /// Calls `visit(bucket, tag)` for each cell; the buckets differ. The tag (see [`same_cell_first`]) holds in bits 0-2
-    /// whether the cell is the box's lowest along x, y, z, in bits 3-5 the second lowest bits of its coordinates.
+    /// Calls `visit(bucket, tag)` for each cell; the buckets differ.
     #[inline(always)]
     pub fn for_each(&self, cells: &Cells, mut visit: impl FnMut(u32, u32)) {
+        cells.for_each(|cell, tag| visit(self.of(cell), tag));
+    }
+
+    /// The bucket of a cell.
+    #[inline(always)]
+    pub fn of(&self, [x, y, z]: [u32; 3]) -> u32 {
         let mix = [0x9E37_79B1u32, 0x85EB_CA77, 0xC2B2_AE3D];
-        for z in cells.lo[2]..=cells.hi[2] {
-            for y in cells.lo[1]..=cells.hi[1] {
-                for x in cells.lo[0]..=cells.hi[0] {
-                    let hash =
-                        (x >> 1).wrapping_mul(mix[0]) ^ (y >> 1).wrapping_mul(mix[1]) ^ (z >> 1).wrapping_mul(mix[2]);
-                    let hash = (hash ^ (hash >> 15)).wrapping_mul(0x2C1B_3C6D);
-                    let block = ((u64::from(hash) << self.bits) >> 32) as u32;
-                    let bucket = self.base + block * 8 + ((x & 1) | (y & 1) << 1 | (z & 1) << 2);
-                    let first = u32::from(x == cells.lo[0])
-                        | u32::from(y == cells.lo[1]) << 1
-                        | u32::from(z == cells.lo[2]) << 2;
+        let hash = (x >> 1).wrapping_mul(mix[0]) ^ (y >> 1).wrapping_mul(mix[1]) ^ (z >> 1).wrapping_mul(mix[2]);
+        let hash = (hash ^ (hash >> 15)).wrapping_mul(0x2C1B_3C6D);
+        let block = ((u64::from(hash) << self.bits) >> 32) as u32;
+        self.base + block * 8 + ((x & 1) | (y & 1) << 1 | (z & 1) << 2)
+    }
+}
+
+impl Cells {
+    /// Calls `visit(cell, tag)` for each cell. The tag (see [`same_cell_first`]) holds in bits 0-2 whether the cell is the
+    /// box's lowest along x, y, z, in bits 3-5 the second lowest bits of its coordinates.
+    #[inline(always)]
+    pub fn for_each(&self, mut visit: impl FnMut([u32; 3], u32)) {
+        for z in self.lo[2]..=self.hi[2] {
+            for y in self.lo[1]..=self.hi[1] {
+                for x in self.lo[0]..=self.hi[0] {
+                    let first = u32::from(x == self.lo[0])
+                        | u32::from(y == self.lo[1]) << 1
+                        | u32::from(z == self.lo[2]) << 2;
                     let second = (x >> 1 & 1) | (y >> 1 & 1) << 1 | (z >> 1 & 1) << 2;
-                    visit(bucket, first | second << 3);
+                    visit([x, y, z], first | second << 3);
                 }
             }
         }

@@ -1,21 +1,29 @@
 //! Broad phase: pairs of features whose swept, inflated boxes overlap, found with a triangle hash table and split evenly
 //! over the ranks by a workload table [Li et al. 2020, Sec. 4.2 and 4.4].
 //!
-//! Passes: count (every rank counts all triangles per bucket), scan (tests per bucket, share of this rank), then per batch
-//! of buckets fill and test. Each is loops over flat arrays. Promises the same *set* of pairs for any number of ranks,
-//! threads and batches, each pair once over all ranks; not an order. Does not say whether anything touches.
+//! Passes: look (boxes of patches of triangles, which of them take part), count (triangles per bucket of the layers that
+//! this rank guesses to be its own), scan (tests per bucket and layer, share of this rank), then per batch of buckets fill
+//! and test. Each is loops over flat arrays. Ranks that work together look at an even part of the patches each and count a
+//! part of the layers each; see [`Split`]. Promises the same *set* of pairs for any number of ranks, threads and batches,
+//! each pair once over all ranks; not an order. Does not say whether anything touches.
 
 mod boxes;
 mod brute;
+mod contour;
+mod cull;
 mod device;
 mod features;
 mod fill;
 mod grid;
+mod layers;
 mod mesh;
 mod pairs;
+mod patches;
+mod split;
 mod table;
 mod workload;
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -24,14 +32,17 @@ use thiserror::Error;
 pub use brute::brute_force;
 pub use device::{DeviceBroad, Filter};
 pub use mesh::{CollisionMesh, CollisionMeshError};
+pub use split::Split;
 
 use crate::collision::Candidate;
 use crate::gpu::{CpuExecutor, GpuError};
+use crate::transport::TransportError;
 use boxes::Motion;
 use fill::Entries;
 use pairs::Tester;
+use patches::Patches;
 use table::{Input, Table};
-use workload::{Batch, Workload};
+use workload::{Batch, LayerLoad, Workload, layers_of};
 
 /// Buckets per unit of work of the test pass.
 const GRAIN: usize = 256;
@@ -106,6 +117,9 @@ pub enum BroadError {
     /// The device stopped.
     #[error(transparent)]
     Device(#[from] GpuError),
+    /// Another rank was not heard.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
 }
 
 /// What a query did on this rank. Counts repeat exactly; times do not.
@@ -121,11 +135,13 @@ pub struct BroadStats {
     pub entries: u64,
     /// Pairs of features that this rank reported.
     pub candidates: u64,
-    /// Largest number of bytes held at once: counters, sums, entries, buffers. Not the mesh, not the positions.
+    /// Patches of triangles that took part, and those of the mesh, over all ranks; 0 on a device.
+    pub patches: [u64; 2],
+    /// Largest number of bytes held at once: patches, counters, sums, entries, buffers. Not the mesh, not the positions.
     pub bytes: u64,
     /// Passes of fill and test.
     pub batches: u64,
-    /// Time of the counting pass and the scan.
+    /// Time of the passes before entries are made, waiting for other ranks included.
     pub count_ns: u64,
     /// Time of the fill passes.
     pub fill_ns: u64,
@@ -140,6 +156,9 @@ pub struct Choice<'a> {
     pub touched: Option<&'a [bool]>,
     /// Distance beyond which pairs within one piece may be left out, metres. None stands for the query's radius.
     pub piece_radius_m: Option<f32>,
+    /// Whether pairs within one piece that are proven farther apart than that distance on the whole way may be left out, by
+    /// self-collision culling. Not looked at in a search among touched vertices.
+    pub cull: bool,
 }
 
 /// Takes the candidates that one thread finds.
@@ -151,6 +170,7 @@ pub trait Sink: Send {
 /// The broad phase of one mesh. Keeps its buffers from query to query.
 pub struct Broad {
     mesh: Arc<CollisionMesh>,
+    patches: Patches,
     table: Table,
     workload: Workload,
     entries: Entries,
@@ -175,6 +195,7 @@ impl Broad {
     /// A broad phase over `mesh`.
     pub fn new(mesh: CollisionMesh) -> Broad {
         Broad {
+            patches: Patches::new(&mesh),
             mesh: Arc::new(mesh),
             table: Table::default(),
             workload: Workload::default(),
@@ -185,6 +206,11 @@ impl Broad {
     /// The mesh.
     pub fn mesh(&self) -> &Arc<CollisionMesh> {
         &self.mesh
+    }
+
+    /// Bytes of the mesh and of what follows from it alone; every rank holds all of it.
+    pub fn mesh_bytes(&self) -> u64 {
+        self.mesh.bytes() + self.patches.mesh_bytes()
     }
 
     /// Hands the candidates of this rank's share of the tests to `emit`, at most a few thousand at a time, in no promised
@@ -204,7 +230,8 @@ impl Broad {
     ) -> Result<BroadStats, BroadError> {
         let emit = Mutex::new(emit);
         let start = || Locked(&emit);
-        self.search(cpu, query, &Choice::default(), (rank, ranks), memory_limit_bytes, &start, &mut |_| ())
+        let split = &mut Split::alone(rank, ranks);
+        self.search(cpu, query, &Choice::default(), split, memory_limit_bytes, &start, &mut |_| ())
     }
 
     /// As [`Broad::candidates`], less what `choice` leaves out, with the work on candidates done by the threads that find
@@ -215,11 +242,12 @@ impl Broad {
         cpu: &CpuExecutor,
         query: &Query,
         choice: &Choice,
-        (rank, ranks): (usize, usize),
+        split: &mut Split,
         memory_limit_bytes: Option<u64>,
         start: &(dyn Fn() -> S + Sync),
         finish: &mut (dyn FnMut(S) + Send),
     ) -> Result<BroadStats, BroadError> {
+        let (rank, ranks) = split.place();
         if rank >= ranks {
             return Err(BroadError::Rank { rank, ranks });
         }
@@ -228,13 +256,14 @@ impl Broad {
         }
         let started = Instant::now();
         let input = Input::new(&self.mesh, Motion::new(&self.mesh, query, choice)?, *choice);
-        self.table.count(cpu, &input);
-        self.workload.scan(&self.table);
+        self.patches.look(cpu, &input, split)?;
+        let share = count((&mut self.table, &mut self.workload, &self.patches), cpu, &input, split)?;
         let parts = (&self.table, &self.workload, &mut self.entries);
-        let (batches, fixed) = plan(parts, cpu.threads(), (rank, ranks), memory_limit_bytes)?;
+        let (batches, fixed) = plan(parts, cpu.threads(), self.patches.bytes(), &share, memory_limit_bytes)?;
         let mut stats = BroadStats {
             tests_total: self.workload.tests,
             cells: self.workload.busy,
+            patches: [self.patches.active.len() as u64, self.patches.count() as u64],
             bytes: fixed,
             batches: batches.len() as u64,
             count_ns: nanoseconds(started),
@@ -244,7 +273,7 @@ impl Broad {
         let finish = Mutex::new(finish);
         for batch in &batches {
             let started = Instant::now();
-            self.entries.fill(cpu, &input, &self.table, batch);
+            self.entries.fill(cpu, &input, &self.patches, &self.table, batch);
             stats.fill_ns += nanoseconds(started);
             stats.entries += batch.entries as u64;
             let started = Instant::now();
@@ -270,25 +299,51 @@ impl Broad {
     }
 }
 
+/// Counts what this rank needs; its share of the tests. Between ranks: 12 bytes per layer.
+fn count(
+    (table, workload, patches): (&mut Table, &mut Workload, &Patches),
+    cpu: &CpuExecutor,
+    input: &Input,
+    split: &mut Split,
+) -> Result<Range<u64>, BroadError> {
+    let (rank, ranks) = split.place();
+    table.lay_out(input, patches);
+    let guess = if split.is_together() { table.guess(rank, ranks) } else { 0..table.layers() };
+    table.count(cpu, input, patches, guess.clone());
+    let mut loads = vec![LayerLoad::default(); table.layers()];
+    for layer in guess.clone() {
+        loads[layer] = LayerLoad::new(table, layer);
+    }
+    split.share(&mut loads, |rank| table.guess(rank, ranks))?;
+    workload.add_up(&loads);
+    let share = workload.share(rank, ranks);
+    let needed = layers_of(&loads, &share);
+    if needed.start < guess.start || needed.end > guess.end {
+        table.count(cpu, input, patches, needed);
+    }
+    workload.scan(table, &loads);
+    Ok(share)
+}
+
 /// The batches of a rank's share within the limit, and the bytes that are needed besides their entries.
 fn plan(
     (table, workload, entries): (&Table, &Workload, &mut Entries),
     threads: usize,
-    (rank, ranks): (usize, usize),
+    patches_bytes: u64,
+    share: &Range<u64>,
     memory_limit_bytes: Option<u64>,
 ) -> Result<(Vec<Batch>, u64), BroadError> {
-    let share = workload.share(rank, ranks);
-    let fixed = table.bytes() + workload.bytes() + threads as u64 * Tester::bytes();
+    let fixed = patches_bytes + table.bytes() + workload.bytes() + threads as u64 * Tester::bytes();
     if memory_limit_bytes.is_some_and(|limit| fixed + entries.bytes() > limit) {
         // What an earlier, unlimited query left must not count against this one.
         *entries = Entries::default();
     }
     let room = memory_limit_bytes.map_or(u64::MAX / 4, |limit| limit.saturating_sub(fixed));
     let (most_entries, most_buckets) = Entries::fit(room);
-    let batches = workload.batches(table, &share, most_entries, most_buckets);
+    let batches = workload.batches(table, share, most_entries, most_buckets);
     let fullest = batches.iter().map(|b| b.entries).max().unwrap_or(0);
     if let Some(limit_bytes) = memory_limit_bytes.filter(|&limit| fixed > limit || fullest > most_entries) {
-        let singles = workload.batches(table, &share, 0, 0);
+        let singles = workload.batches(table, share, 0, 0);
         let fullest = singles.iter().map(|b| b.entries).max().unwrap_or(0);
         return Err(BroadError::MemoryLimit { needs_bytes: fixed + Entries::bytes_for(fullest), limit_bytes });
     }

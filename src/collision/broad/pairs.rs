@@ -10,11 +10,11 @@ use super::workload::Batch;
 use crate::collision::Candidate;
 
 /// Candidates handed over at once, at most.
-pub(super) const BUFFER: usize = 4096;
+pub(super) const BUFFER: usize = 1024;
 /// Most candidates of a pair of triangles: 3 + 3 vertices, 3 x 3 edges.
 const PER_PAIR: usize = 15;
 /// Triangles of a bucket whose feature boxes are kept; in a larger bucket they are formed per pair.
-const KEPT: usize = 128;
+const KEPT: usize = 64;
 /// Box tests between two looks at what they found.
 const STRIDE: usize = 64;
 

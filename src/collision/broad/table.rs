@@ -1,16 +1,18 @@
-//! Triangle hash table, first half: how many triangles are in each bucket (counting pass). Every rank counts all of it,
-//! with the same result; counts are all that a rank keeps of the buckets of others.
+//! Triangle hash table, first half: how many triangles are in each bucket of a window of layers (counting pass). A rank counts
+//! the layers that its share of the tests lies in, and looks only at patches of triangles that reach them.
 
-use std::sync::Mutex;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use super::boxes::{Aabb, Motion};
 use super::grid::{Buckets, Cells, Grid, LEVELS, WANTED};
+use super::layers::Layers;
+use super::patches::Patches;
 use super::{Choice, CollisionMesh};
 use crate::gpu::CpuExecutor;
 
-/// Triangles per unit of work of a pass over triangles.
-const GRAIN: usize = 256;
+/// Patches per unit of work of a pass over triangles.
+const GRAIN: usize = 4;
 
 /// Adds one and returns the value before. `shared`: other threads may do the same now.
 #[inline(always)]
@@ -23,11 +25,11 @@ pub(super) fn bump(count: &AtomicU32, shared: bool) -> u32 {
     before
 }
 
-/// A grid that has residents.
+/// A coarser grid that has residents.
 #[derive(Clone, Copy)]
-pub(super) struct Level {
+struct Level {
     level: usize,
-    pub buckets: Buckets,
+    buckets: Buckets,
     /// Holds the boxes of the residents.
     bounds: Aabb,
 }
@@ -41,20 +43,13 @@ pub(super) struct Input<'a> {
     pub choice: Choice<'a>,
     /// Obstacles are cut to these bounds.
     cloth: Aabb,
-    /// Triangles outside have no partner.
-    reach: Option<Aabb>,
 }
 
 impl<'a> Input<'a> {
     pub fn new(mesh: &'a CollisionMesh, motion: Motion<'a>, choice: Choice<'a>) -> Input<'a> {
         let grid = Grid::new(mesh, &motion);
         let cloth = motion.cloth_bounds(mesh);
-        let mut input = Input { mesh, motion, grid, choice, cloth, reach: None };
-        if choice.touched.is_some() {
-            let wanted = (0..mesh.triangles.len()).filter(|&t| input.tag(t) != 0);
-            input.reach = Some(wanted.fold(Aabb::EMPTY, |all, t| all.join(input.motion.triangle(mesh.triangles[t]))));
-        }
-        input
+        Input { mesh, motion, grid, choice, cloth }
     }
 
     /// [`WANTED`], or 0 for a triangle that is of interest only as partner of such a one.
@@ -66,37 +61,45 @@ impl<'a> Input<'a> {
     }
 
     /// Box of a triangle; that of an obstacle is cut to the cloth's bounds, which changes no intersection with cloth.
-    /// None for a triangle out of reach of all that could be its partner.
+    /// None for an obstacle's triangle that cannot meet cloth.
     #[inline(always)]
     pub fn aabb(&self, triangle: usize) -> Option<Aabb> {
         let aabb = self.motion.triangle(self.mesh.triangles[triangle]);
-        if let Some(reach) = &self.reach
-            && !aabb.overlaps(reach)
-        {
-            return None;
-        }
         if triangle < self.mesh.cloth_triangles {
             return Some(aabb);
         }
         aabb.overlaps(&self.cloth).then(|| aabb.clip(&self.cloth))
     }
+
+    #[inline(always)]
+    fn role(&self, triangle: usize) -> usize {
+        usize::from(triangle >= self.mesh.cloth_triangles)
+    }
 }
 
-/// Number of triangles per bucket, by role.
+/// Number of triangles per bucket, by role. Buckets are numbered layer by layer; behind those of the last layer come those of
+/// the coarser grids, which count as one layer more.
 #[derive(Default)]
 pub(super) struct Table {
-    /// Grids that have residents, the first always, from fine to coarse.
-    pub levels: Vec<Level>,
-    /// Per bucket: resident cloth triangles, resident obstacle triangles.
-    resident: Vec<AtomicU32>,
-    /// Per bucket behind those of the first grid: visiting cloth triangles, visiting obstacle triangles.
-    visiting: Vec<AtomicU32>,
-    /// Buckets of the first grid.
+    layers: Layers,
+    /// Coarser grids that have residents, from fine to coarse.
+    levels: Vec<Level>,
+    /// Triangles that reside in coarser grids, ascending.
+    large: Vec<(u32, Aabb)>,
+    /// Layers of every active patch.
+    spans: Vec<Range<u32>>,
+    /// Layers that are counted.
+    window: Range<usize>,
+    /// First bucket that is counted.
     first: usize,
-    /// Bytes of the list of triangles that do not reside in the first grid.
-    large_bytes: u64,
-    /// In a search among touched vertices: the triangles that have entries, ascending.
-    pub few: Option<Vec<u32>>,
+    /// First bucket of the coarser grids.
+    coarse: usize,
+    /// Per bucket from the first: resident cloth triangles, resident obstacle triangles.
+    resident: Vec<AtomicU32>,
+    /// Per bucket of the coarser grids, if they are counted: visiting cloth triangles, visiting obstacle triangles.
+    visiting: Vec<AtomicU32>,
+    /// In a search among touched vertices: the buckets of the finest grid to look at.
+    marked: Option<Marked>,
 }
 
 /// Who is in a bucket. Entries are in this order.
@@ -126,7 +129,7 @@ impl Load {
     }
 }
 
-/// Buckets of the first grid where wanted triangles reside.
+/// Buckets of the finest grid where wanted triangles reside.
 struct Marked {
     bits: Vec<u64>,
     /// A wanted triangle may visit coarser grids, or reside there and be visited from anywhere.
@@ -134,15 +137,15 @@ struct Marked {
 }
 
 impl Marked {
-    fn new(input: &Input, first: &Buckets) -> Marked {
-        let mut marked = Marked { bits: vec![0; first.end().div_ceil(64)], coarse: false };
-        for triangle in 0..input.mesh.triangles.len() {
-            // Any triangle, as a large one may be the partner of a wanted one.
+    fn new(input: &Input, patches: &Patches, layers: &Layers) -> Marked {
+        let all = 0..layers.count();
+        let mut marked = Marked { bits: vec![0; layers.start(all.end).div_ceil(64)], coarse: false };
+        for triangle in patches.active.iter().flat_map(|&patch| patches.triangles(patch as usize)) {
             let wanted = input.tag(triangle) != 0;
             let Some(aabb) = wanted.then(|| input.aabb(triangle)).flatten() else { continue };
             match input.grid.finest(&aabb) {
                 Some(cells) => {
-                    first.for_each(&cells, |bucket, _| marked.bits[bucket as usize / 64] |= 1 << (bucket % 64))
+                    layers.for_each(&cells, &all, |bucket, _| marked.bits[bucket as usize / 64] |= 1 << (bucket % 64));
                 }
                 None => marked.coarse = true,
             }
@@ -159,124 +162,162 @@ impl Marked {
 fn clear(counts: &mut Vec<AtomicU32>, len: usize) {
     counts.truncate(len);
     counts.iter_mut().for_each(|count| *count.get_mut() = 0);
+    if counts.capacity() < len {
+        // The old counts need not be moved, and no more room than asked for.
+        *counts = Vec::new();
+        counts.reserve_exact(len);
+    }
     counts.resize_with(len, || AtomicU32::new(0));
 }
 
 impl Table {
-    /// The counting pass.
-    pub fn count(&mut self, cpu: &CpuExecutor, input: &Input) {
-        let shared = cpu.threads() > 1;
-        let first = Buckets::new(0, input.mesh.triangles.len());
-        self.first = first.end();
-        self.levels = vec![Level { level: 0, buckets: first, bounds: Aabb::EMPTY }];
-        clear(&mut self.resident, 2 * self.first);
-        let marked = input.choice.touched.is_some().then(|| Marked::new(input, &first));
-        let found = Mutex::new((Vec::new(), Vec::new()));
-        let resident = &self.resident;
-        cpu.for_ranges(input.mesh.triangles.len(), GRAIN, |range| {
-            let (mut large, mut few) = (Vec::new(), Vec::new());
-            for triangle in range {
-                let Some(aabb) = input.aabb(triangle) else { continue };
-                let Some(cells) = input.grid.finest(&aabb) else {
-                    large.push((triangle, aabb));
-                    few.push(triangle as u32);
-                    continue;
-                };
-                let role = usize::from(triangle >= input.mesh.cloth_triangles);
-                let Some(marked) = &marked else {
-                    first.for_each(&cells, |bucket, _| {
-                        bump(&resident[2 * bucket as usize + role], shared);
-                    });
-                    continue;
-                };
-                let mut any = marked.coarse;
-                first.for_each(&cells, |bucket, _| {
-                    if marked.contains(bucket) {
-                        bump(&resident[2 * bucket as usize + role], shared);
-                        any = true;
-                    }
-                });
-                if any {
-                    few.push(triangle as u32);
-                }
+    /// Layers and coarser grids of a query; nothing is counted yet.
+    pub fn lay_out(&mut self, input: &Input, patches: &Patches) {
+        let boxes: Vec<(Aabb, usize)> = patches
+            .active
+            .iter()
+            .map(|&p| (patches.states[p as usize].aabb(), patches.triangles(p as usize).len()))
+            .collect();
+        self.layers = Layers::new(&input.grid, boxes.iter().map(|(aabb, triangles)| (aabb, *triangles)));
+        let span = |(aabb, _): &(Aabb, usize)| {
+            let layers = self.layers.of(&input.grid.cells(0, aabb));
+            layers.start as u32..layers.end as u32
+        };
+        self.spans = boxes.iter().map(span).collect();
+        self.large.clear();
+        for &patch in patches.active.iter().filter(|&&p| patches.states[p as usize].is_large()) {
+            for triangle in patches.triangles(patch as usize) {
+                let aabb = input.aabb(triangle).filter(|aabb| input.grid.finest(aabb).is_none());
+                self.large.extend(aabb.map(|aabb| (triangle as u32, aabb)));
             }
-            if let Ok(mut found) = found.lock() {
-                found.0.append(&mut large);
-                found.1.append(&mut few);
-            }
-        });
-        let (large, mut few) = found.into_inner().unwrap_or_default();
-        self.few = marked.is_some().then(|| {
-            few.sort_unstable();
-            few
-        });
-        let few = self.few.as_ref().map_or(0, |few| size_of_val(&few[..]));
-        self.large_bytes = (size_of_val(&large[..]) + few) as u64;
-        self.count_coarse(input, &large);
-        self.count_visitors(cpu, input);
+        }
+        self.marked = input.choice.touched.map(|_| Marked::new(input, patches, &self.layers));
+        self.lay_out_coarse(input);
+        self.window = 0..0;
     }
 
-    /// Residents of the coarser grids: few.
-    fn count_coarse(&mut self, input: &Input, large: &[(usize, Aabb)]) {
+    fn lay_out_coarse(&mut self, input: &Input) {
         let mut members = [0; LEVELS];
         let mut bounds = [Aabb::EMPTY; LEVELS];
-        for (_, aabb) in large {
+        for (_, aabb) in &self.large {
             let (level, _) = input.grid.coarse(aabb);
             members[level] += 1;
             bounds[level] = bounds[level].join(*aabb);
         }
-        let mut base = self.first;
+        self.coarse = self.layers.start(self.layers.count());
+        self.levels.clear();
+        let mut base = self.coarse;
         for level in (1..LEVELS).filter(|&level| members[level] > 0) {
             let buckets = Buckets::new(base, 4 * members[level]);
             base = buckets.end();
             self.levels.push(Level { level, buckets, bounds: bounds[level] });
         }
-        self.resident.resize_with(2 * base, || AtomicU32::new(0));
-        clear(&mut self.visiting, 2 * (base - self.first));
-        for (triangle, aabb) in large {
-            let role = usize::from(*triangle >= input.mesh.cloth_triangles);
-            let (own, cells) = input.grid.coarse(aabb);
-            for level in self.levels.iter().filter(|l| l.level == own) {
-                level.buckets.for_each(&cells, |bucket, _| {
-                    bump(&self.resident[2 * bucket as usize + role], false);
+    }
+
+    /// Layers, the one of the coarser grids included.
+    pub fn layers(&self) -> usize {
+        self.layers.count() + 1
+    }
+
+    /// Layers that may hold about an even share of the tests.
+    pub fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
+        self.layers.guess(rank, ranks)
+    }
+
+    /// Layers that are counted.
+    pub fn window(&self) -> Range<usize> {
+        self.window.clone()
+    }
+
+    /// Buckets of a layer.
+    pub fn buckets_of(&self, layer: usize) -> Range<usize> {
+        self.layers.start(layer)..if layer < self.layers.count() { self.layers.start(layer + 1) } else { self.end() }
+    }
+
+    fn end(&self) -> usize {
+        self.levels.last().map_or(self.coarse, |level| level.buckets.end())
+    }
+
+    /// The counting pass over a window of layers.
+    pub fn count(&mut self, cpu: &CpuExecutor, input: &Input, patches: &Patches, window: Range<usize>) {
+        let shared = cpu.threads() > 1;
+        self.window = window.clone();
+        self.first = self.layers.start(window.start);
+        let with_coarse = window.end > self.layers.count();
+        let end = if with_coarse { self.end() } else { self.layers.start(window.end) };
+        clear(&mut self.resident, 2 * (end - self.first));
+        clear(&mut self.visiting, if with_coarse { 2 * (end - self.coarse) } else { 0 });
+        let resident = &self.resident;
+        let fine = window.start..window.end.min(self.layers.count());
+        self.for_each_patch(cpu, patches, &fine, false, |triangles| {
+            for triangle in triangles {
+                let Some(cells) = input.aabb(triangle).and_then(|aabb| input.grid.finest(&aabb)) else { continue };
+                let role = input.role(triangle);
+                self.layers.for_each(&cells, &fine, |bucket, _| {
+                    if self.marked.as_ref().is_none_or(|marked| marked.contains(bucket)) {
+                        bump(&resident[2 * (bucket as usize - self.first) + role], shared);
+                    }
                 });
             }
+        });
+        if with_coarse {
+            self.count_coarse(cpu, input, patches);
         }
     }
 
-    fn count_visitors(&self, cpu: &CpuExecutor, input: &Input) {
-        let shared = cpu.threads() > 1;
-        if self.levels.len() == 1 {
+    fn count_coarse(&self, cpu: &CpuExecutor, input: &Input, patches: &Patches) {
+        for (triangle, aabb) in &self.large {
+            let role = input.role(*triangle as usize);
+            if let Some((_, buckets, cells)) = self.coarse_home(input, aabb) {
+                buckets.for_each(&cells, |bucket, _| {
+                    bump(&self.resident[2 * (bucket as usize - self.first) + role], false);
+                });
+            }
+        }
+        if self.levels.is_empty() {
             return;
         }
-        cpu.for_ranges(self.triangles(input), GRAIN, |range| {
-            for at in range {
-                let triangle = self.triangle(at);
+        let shared = cpu.threads() > 1;
+        self.for_each_patch(cpu, patches, &(0..0), true, |triangles| {
+            for triangle in triangles {
                 let Some(aabb) = input.aabb(triangle) else { continue };
-                let role = usize::from(triangle >= input.mesh.cloth_triangles);
+                let role = input.role(triangle);
                 let own = if input.grid.finest(&aabb).is_some() { 0 } else { input.grid.coarse(&aabb).0 };
                 self.for_each_visited(input, triangle, &aabb, own, |bucket, _| {
-                    bump(&self.visiting[2 * (bucket as usize - self.first) + role], shared);
+                    bump(&self.visiting[2 * (bucket as usize - self.coarse) + role], shared);
                 });
             }
         });
     }
 
-    /// Number of triangles that may have entries.
-    pub fn triangles(&self, input: &Input) -> usize {
-        self.few.as_ref().map_or(input.mesh.triangles.len(), Vec::len)
-    }
-
-    /// Triangle with number `at` among those that may have entries.
-    #[inline(always)]
-    pub fn triangle(&self, at: usize) -> usize {
-        self.few.as_ref().map_or(at, |few| few[at] as usize)
+    /// Calls `visit` with the triangles of every active patch that reaches the layers `fine` or, with `coarse`, a coarser
+    /// grid.
+    pub fn for_each_patch(
+        &self,
+        cpu: &CpuExecutor,
+        patches: &Patches,
+        fine: &Range<usize>,
+        coarse: bool,
+        visit: impl Fn(Range<usize>) + Sync,
+    ) {
+        let reaches = |at: &usize| {
+            let span = &self.spans[*at];
+            let aabb = || patches.states[patches.active[*at] as usize].aabb();
+            ((span.start as usize) < fine.end && fine.start < span.end as usize)
+                || (coarse && self.levels.iter().any(|level| level.bounds.overlaps(&aabb())))
+        };
+        let wanted: Vec<usize> = (0..self.spans.len()).filter(reaches).collect();
+        cpu.for_ranges(wanted.len(), GRAIN, |range| {
+            for &at in &wanted[range] {
+                visit(patches.triangles(patches.active[at] as usize));
+            }
+        });
     }
 
     /// Calls `visit(bucket, tag)` for the buckets that a triangle of grid `own` visits: those of coarser grids where
     /// there is a resident to test it with.
     #[inline(always)]
-    pub fn for_each_visited(
+    fn for_each_visited(
         &self,
         input: &Input,
         triangle: usize,
@@ -284,8 +325,11 @@ impl Table {
         own: usize,
         mut visit: impl FnMut(u32, u32),
     ) {
-        let obstacle = triangle >= input.mesh.cloth_triangles;
-        for level in &self.levels[1..] {
+        if self.marked.as_ref().is_some_and(|marked| !marked.coarse) {
+            return;
+        }
+        let obstacle = input.role(triangle) != 0;
+        for level in &self.levels {
             if level.level <= own || !aabb.overlaps(&level.bounds) {
                 continue;
             }
@@ -298,39 +342,70 @@ impl Table {
         }
     }
 
-    /// Grid (number and buckets) and cells where a box resides.
     #[inline(always)]
-    pub fn home(&self, input: &Input, aabb: &Aabb) -> Option<(usize, Buckets, Cells)> {
-        if let Some(cells) = input.grid.finest(aabb) {
-            return Some((0, self.levels[0].buckets, cells));
-        }
+    fn coarse_home(&self, input: &Input, aabb: &Aabb) -> Option<(usize, Buckets, Cells)> {
         let (own, cells) = input.grid.coarse(aabb);
         self.levels.iter().find(|l| l.level == own).map(|l| (own, l.buckets, cells))
     }
 
+    /// Calls `resides(bucket, tag)` and `visits(bucket, tag)` for the buckets in the layers `fine` and, with `coarse`, in
+    /// coarser grids where a triangle resides or visits.
     #[inline(always)]
-    fn residents(&self, bucket: usize) -> [u32; 2] {
-        [self.resident[2 * bucket].load(Relaxed), self.resident[2 * bucket + 1].load(Relaxed)]
+    pub fn for_each_bucket(
+        &self,
+        input: &Input,
+        triangle: usize,
+        aabb: &Aabb,
+        (fine, coarse): (&Range<usize>, bool),
+        mut resides: impl FnMut(u32, u32),
+        visits: impl FnMut(u32, u32),
+    ) {
+        let own = match input.grid.finest(aabb) {
+            Some(cells) => {
+                self.layers.for_each(&cells, fine, resides);
+                0
+            }
+            None if !coarse => return,
+            None => {
+                let Some((own, buckets, cells)) = self.coarse_home(input, aabb) else { return };
+                buckets.for_each(&cells, &mut resides);
+                own
+            }
+        };
+        if coarse {
+            self.for_each_visited(input, triangle, aabb, own, visits);
+        }
     }
 
-    /// Number of buckets of all grids.
-    pub fn buckets(&self) -> usize {
-        self.resident.len() / 2
+    /// The layers of the finest grid that hold buckets of a range, and whether buckets of coarser grids are among them.
+    pub fn reach(&self, buckets: &Range<usize>) -> (Range<usize>, bool) {
+        (self.layers.holding(buckets), buckets.end > self.coarse)
+    }
+
+    #[inline(always)]
+    fn residents(&self, bucket: usize) -> [u32; 2] {
+        let at = 2 * (bucket - self.first);
+        [self.resident[at].load(Relaxed), self.resident[at + 1].load(Relaxed)]
+    }
+
+    /// The buckets that are counted.
+    pub fn buckets(&self) -> Range<usize> {
+        self.first..self.first + self.resident.len() / 2
     }
 
     /// Whether a bucket belongs to a grid that has visitors.
     #[inline(always)]
     pub fn is_coarse(&self, bucket: usize) -> bool {
-        bucket >= self.first
+        bucket >= self.coarse
     }
 
-    /// Who is in a bucket.
+    /// Who is in a bucket that is counted.
     #[inline(always)]
     pub fn load(&self, bucket: usize) -> Load {
         let [resident_cloth, resident_obstacles] = self.residents(bucket);
         let mut load = Load { resident_cloth, resident_obstacles, ..Load::default() };
         if self.is_coarse(bucket) {
-            let at = 2 * (bucket - self.first);
+            let at = 2 * (bucket - self.coarse);
             load.visiting_cloth = self.visiting[at].load(Relaxed);
             load.visiting_obstacles = self.visiting[at + 1].load(Relaxed);
         }
@@ -339,6 +414,8 @@ impl Table {
 
     /// Bytes of the counters, and of what counting needed besides.
     pub fn bytes(&self) -> u64 {
-        4 * (self.resident.len() + self.visiting.len()) as u64 + self.large_bytes
+        let counters = 4 * (self.resident.capacity() + self.visiting.capacity());
+        let marked = self.marked.as_ref().map_or(0, |marked| size_of_val(&marked.bits[..]));
+        (counters + marked + size_of_val(&self.large[..]) + size_of_val(&self.spans[..])) as u64 + self.layers.bytes()
     }
 }

@@ -3,12 +3,54 @@
 
 use std::ops::Range;
 
+use bytemuck::{Pod, Zeroable};
+
 use super::table::Table;
 
 /// Buckets per stored partial sum; sums within are formed again when needed.
 const CHUNK: usize = 1024;
 
-/// Tests before each chunk of buckets, and in total.
+/// Tests and busy buckets of a layer: what ranks tell each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct LayerLoad {
+    /// Lower and upper half.
+    tests: [u32; 2],
+    busy: u32,
+}
+
+impl LayerLoad {
+    /// Of a layer that is counted.
+    pub fn new(table: &Table, layer: usize) -> LayerLoad {
+        let (mut tests, mut busy) = (0, 0);
+        for bucket in table.buckets_of(layer) {
+            let own = table.load(bucket).tests();
+            tests += own;
+            busy += u32::from(own > 0);
+        }
+        LayerLoad { tests: [tests as u32, (tests >> 32) as u32], busy }
+    }
+
+    fn tests(&self) -> u64 {
+        u64::from(self.tests[0]) | u64::from(self.tests[1]) << 32
+    }
+}
+
+/// The layers that hold the tests `share`; none if it is empty.
+pub(super) fn layers_of(loads: &[LayerLoad], share: &Range<u64>) -> Range<usize> {
+    let mut before = 0;
+    let mut held = 0..0;
+    for (layer, load) in loads.iter().enumerate() {
+        let own = before.max(share.start)..(before + load.tests()).min(share.end);
+        before += load.tests();
+        if !own.is_empty() {
+            held = if held.is_empty() { layer..layer + 1 } else { held.start..layer + 1 };
+        }
+    }
+    held
+}
+
+/// Tests before each chunk of counted buckets, and in total.
 #[derive(Default)]
 pub(super) struct Workload {
     before: Vec<u64>,
@@ -30,16 +72,20 @@ pub(super) struct Batch {
 }
 
 impl Workload {
-    /// The scan pass.
-    pub fn scan(&mut self, table: &Table) {
+    /// Totals of all layers.
+    pub fn add_up(&mut self, loads: &[LayerLoad]) {
+        self.tests = loads.iter().map(LayerLoad::tests).sum();
+        self.busy = loads.iter().map(|load| u64::from(load.busy)).sum();
+    }
+
+    /// The scan pass, over the buckets that are counted.
+    pub fn scan(&mut self, table: &Table, loads: &[LayerLoad]) {
         self.before.clear();
-        (self.tests, self.busy) = (0, 0);
-        for start in (0..table.buckets()).step_by(CHUNK) {
-            self.before.push(self.tests);
-            for bucket in start..(start + CHUNK).min(table.buckets()) {
-                let tests = table.load(bucket).tests();
-                self.tests += tests;
-                self.busy += u64::from(tests > 0);
+        let mut before = loads[..table.window().start].iter().map(LayerLoad::tests).sum();
+        for start in table.buckets().step_by(CHUNK) {
+            self.before.push(before);
+            for bucket in start..(start + CHUNK).min(table.buckets().end) {
+                before += table.load(bucket).tests();
             }
         }
     }
@@ -59,7 +105,7 @@ impl Workload {
         }
         let chunk = self.before.partition_point(|&before| before <= share.start) - 1;
         let mut test = self.before[chunk];
-        for bucket in chunk * CHUNK..table.buckets() {
+        for bucket in table.buckets().start + chunk * CHUNK..table.buckets().end {
             if test >= share.end {
                 break;
             }

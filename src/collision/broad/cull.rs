@@ -1,0 +1,266 @@
+//! Self-collision culling [Tang et al. 2018a; Volino and Magnenat-Thalmann 1994]: patches of cloth that provably touch
+//! neither themselves nor the patches around them take no part in a query, unless something else comes near.
+//!
+//! What is proven is about the union of a patch and all patches that share a vertex with it. Seen along one fixed direction
+//! d, at every time of the step:
+//!
+//! 1. **Normals.** Every triangle faces d, and its altitudes, seen along d, exceed a margin m. A triangle's normal is
+//!    quadratic in time, so it lies in the cone of its three Bernstein coefficients [Tang et al. 2009]; one cone per patch.
+//! 2. **Contour.** The boundary of the union is one closed polygon in which edges without a common vertex stay farther apart
+//!    than m, and so do, of two that share one, the far end of each and the other. "Apart" means that both ends of the step
+//!    have them on the same sides of one fixed axis, farther apart than m: along an axis, distances are linear in time.
+//!
+//! By 2 the contour winds around no point more than once; by 1 every triangle covers the points it is projected to once and
+//! with the same sign. The number of triangles over a point is the winding number of the contour (the boundary of a sum of
+//! triangles is the sum of their boundaries), hence at most 1: the projection is a planar triangulation without overlap.
+//! Normals alone do not do: a strip that winds like a helix faces its axis everywhere.
+//!
+//! In such a triangulation a vertex v and a face or edge without v are farther apart than m. The shortest way between them
+//! leaves the triangles around v through an edge opposite v, that is by an altitude of one of them; or it leaves the union
+//! through its contour and comes back through another part of it. Two edges without a common vertex are closest at an end of
+//! one. Distances in space are no shorter than seen along d. With m the query's radius within pieces this serves proximity;
+//! with radius 0 m is what rounding takes and it serves continuous detection.
+//!
+//! A patch is left out if all pairs of its triangles with triangles that are near are proven apart in this way. Says nothing
+//! of patches that are not left out.
+
+use std::ops::Range;
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3A;
+
+use super::boxes::Aabb;
+use super::contour::Contour;
+use super::patches::Patches;
+use super::split::{Split, even};
+use super::table::Input;
+use crate::gpu::CpuExecutor;
+use crate::transport::TransportError;
+
+/// Least cosine between a normal and the direction of view: beyond it altitudes are seen too short to prove anything.
+const LEAST_COSINE: f32 = 0.15;
+/// Least area over squared longest edge, seen along the axis: keeps the rounding of normals below [`ROUNDING`].
+const LEAST_AREA: f32 = 1e-3;
+/// More than normals of such triangles are wrong in angle (radians) and relative length: their rounding is 16 units in the
+/// last place of the squared edge.
+const ROUNDING: f32 = 4e-3;
+
+/// Where the normals of a patch point during the step.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Cone {
+    /// Unit vector, or 0 where there is no cone.
+    axis: [f32; 3],
+    /// Least cosine of the angle between a normal and the axis.
+    cosine: f32,
+    /// Least altitude of a triangle seen along the axis, metres.
+    altitude_m: f32,
+}
+
+impl Cone {
+    /// The cone of some triangles.
+    pub fn new(input: &Input, triangles: Range<usize>) -> Cone {
+        let moves = input.motion.moves();
+        let mut normals = Vec::with_capacity(triangles.len());
+        let mut sum = Vec3A::ZERO;
+        for &[a, b, c] in &input.mesh.triangles[triangles] {
+            let sides = |end: bool| {
+                let a = input.motion.at(a, end);
+                (input.motion.at(b, end) - a, input.motion.at(c, end) - a)
+            };
+            let longest = |(one, other): (Vec3A, Vec3A)| {
+                one.length_squared().max(other.length_squared()).max((one - other).length_squared())
+            };
+            let start = sides(false);
+            let end = if moves { sides(true) } else { start };
+            let first = start.0.cross(start.1);
+            // Bernstein coefficients of the normal over time.
+            let (middle, last) = if moves {
+                (0.5 * (start.0.cross(end.1) + end.0.cross(start.1)), end.0.cross(end.1))
+            } else {
+                (first, first)
+            };
+            sum += first + last;
+            normals.push(([first, middle, last], longest(start).max(longest(end))));
+        }
+        let Some(axis) = sum.try_normalize() else { return Cone::zeroed() };
+        let (mut cosine, mut altitude_m) = (1.0f32, f32::INFINITY);
+        for (normals, longest_squared) in &normals {
+            for normal in normals {
+                let area = normal.dot(axis);
+                // Written so that what is no number makes no cone.
+                if !(area > LEAST_AREA * longest_squared) {
+                    return Cone::zeroed();
+                }
+                cosine = cosine.min(area / normal.length());
+                altitude_m = altitude_m.min(area / longest_squared.sqrt());
+            }
+        }
+        let altitude_m = altitude_m * (1.0 - ROUNDING);
+        Cone { axis: axis.to_array(), cosine: (cosine - ROUNDING).max(0.0), altitude_m }
+    }
+
+    /// An altitude that all triangles exceed when seen along `view`; 0 if some may not face it.
+    fn altitude_along(&self, view: Vec3A) -> f32 {
+        let toward = view.dot(Vec3A::from_array(self.axis));
+        let sine = |cosine: f32| (1.0 - cosine * cosine).max(0.0).sqrt();
+        // Cosine of the sum of both angles; less than half a turn, as both cosines are positive.
+        let least = self.cosine * toward - sine(self.cosine) * sine(toward) - ROUNDING;
+        if toward > 0.0 && least >= LEAST_COSINE { self.altitude_m * least } else { 0.0 }
+    }
+}
+
+/// What the mesh alone decides: who is around every patch of cloth, and the contour of both together.
+pub(super) struct Culling {
+    /// First of `around` of every patch, and the end.
+    firsts: Vec<u32>,
+    /// Patches that share a vertex with the patch, itself among them, ascending.
+    around: Vec<u32>,
+    /// First of `contours` of every patch, and the end. Empty where the union has no contour of one closed polygon.
+    contour_firsts: Vec<u32>,
+    contours: Vec<u32>,
+}
+
+impl Culling {
+    pub fn new(mesh: &super::CollisionMesh, patches: &Patches) -> Culling {
+        let mut culling =
+            Culling { firsts: vec![0], around: Vec::new(), contour_firsts: vec![0], contours: Vec::new() };
+        // Which patches have a vertex: at most one per triangle around it.
+        let mut users: Vec<(u32, u32)> = Vec::with_capacity(mesh.vertices);
+        for patch in 0..patches.cloth() {
+            let from = users.len();
+            let corners = mesh.triangles[patches.triangles(patch)].as_flattened();
+            users.extend(corners.iter().map(|&vertex| (vertex, patch as u32)));
+            users[from..].sort_unstable();
+            let kept = from + dedup(&mut users[from..]);
+            users.truncate(kept);
+        }
+        users.sort_unstable();
+        let mut pairs: Vec<(u32, u32)> = Vec::new();
+        for same in users.chunk_by(|a, b| a.0 == b.0) {
+            for (_, one) in same {
+                pairs.extend(same.iter().map(|(_, other)| (*one, *other)));
+            }
+        }
+        pairs.sort_unstable();
+        pairs.dedup();
+        let outlines: Vec<_> =
+            (0..patches.cloth()).map(|p| super::contour::outline(&mesh.triangles[patches.triangles(p)])).collect();
+        for same in pairs.chunk_by(|a, b| a.0 == b.0) {
+            culling.around.extend(same.iter().map(|(_, other)| *other));
+            culling.firsts.push(culling.around.len() as u32);
+            let parts = same.iter().map(|(_, other)| outlines[*other as usize].as_deref());
+            culling.contours.extend(super::contour::polygon(parts));
+            culling.contour_firsts.push(culling.contours.len() as u32);
+        }
+        culling
+    }
+
+    fn around(&self, patch: usize) -> &[u32] {
+        &self.around[self.firsts[patch] as usize..self.firsts[patch + 1] as usize]
+    }
+
+    fn contour(&self, patch: usize) -> &[u32] {
+        &self.contours[self.contour_firsts[patch] as usize..self.contour_firsts[patch + 1] as usize]
+    }
+
+    /// Whether nothing in the union around a patch comes within the query's radius of what it is not joined to.
+    fn is_free(&self, input: &Input, patches: &Patches, patch: usize, contour: &mut Contour) -> bool {
+        let vertices = self.contour(patch);
+        if vertices.is_empty() {
+            return false;
+        }
+        let cones = || self.around(patch).iter().map(|&p| &patches.states[p as usize].cone);
+        let sum: Vec3A = cones().map(|cone| Vec3A::from_array(cone.axis)).sum();
+        let Some(view) = sum.try_normalize() else { return false };
+        let altitude_m = cones().map(|cone| cone.altitude_along(view)).fold(f32::INFINITY, f32::min);
+        let radius_m = input.motion.within_piece_m;
+        if altitude_m <= radius_m {
+            return false;
+        }
+        let rounding_m = contour.project(&input.motion, vertices, view);
+        // A relative margin, too, as the query's radius is a rounded number.
+        let margin_m = radius_m * (1.0 + ROUNDING) + rounding_m;
+        altitude_m > margin_m && contour.is_apart(margin_m)
+    }
+
+    /// Patches that may have a pair, ascending.
+    pub fn active(
+        &self,
+        cpu: &CpuExecutor,
+        input: &Input,
+        patches: &Patches,
+        split: &mut Split,
+    ) -> Result<Vec<u32>, TransportError> {
+        let mut free = vec![0u32; patches.cloth()];
+        let own = split.part(free.len());
+        cpu.for_ranges_mut(&mut free[own.clone()], 1, 4, |range, out| {
+            let mut contour = Contour::default();
+            for (patch, free) in (own.start + range.start..).zip(out) {
+                *free = u32::from(self.is_free(input, patches, patch, &mut contour));
+            }
+        });
+        let ((_, ranks), count) = (split.place(), free.len());
+        split.share(&mut free, |rank| even(rank, ranks, count))?;
+        Ok(self.sweep(input, patches, &free))
+    }
+
+    /// Patches with a pair of which nothing is known: pairs of patches with overlapping boxes, found along one axis.
+    fn sweep(&self, input: &Input, patches: &Patches, free: &[u32]) -> Vec<u32> {
+        let axis = input.grid.longest();
+        let boxes: Vec<Aabb> = patches.states.iter().map(|state| state.aabb()).collect();
+        let pieces: Vec<u32> = (0..boxes.len()).map(|patch| piece(input, patches, patch)).collect();
+        let mut order: Vec<usize> = (0..boxes.len()).filter(|&p| !boxes[p].is_empty()).collect();
+        order.sort_unstable_by(|&a, &b| boxes[a].lo[axis].total_cmp(&boxes[b].lo[axis]).then(a.cmp(&b)));
+        let mut active: Vec<bool> =
+            (0..boxes.len()).map(|p| p < free.len() && !self.is_covered(p as u32, p as u32, free)).collect();
+        for (place, &one) in order.iter().enumerate() {
+            let end = boxes[one].hi[axis];
+            for &other in order[place + 1..].iter().take_while(|&&other| boxes[other].lo[axis] <= end) {
+                let known = active[one] && active[other];
+                if known || !boxes[one].overlaps(&boxes[other]) || one.min(other) >= free.len() {
+                    continue;
+                }
+                let within_piece = input.motion.within_piece.filter(|_| pieces[one] == pieces[other]);
+                if within_piece.is_some_and(|by| !boxes[one].shrink(by).overlaps(&boxes[other])) {
+                    continue;
+                }
+                if one.max(other) >= free.len() || !self.is_covered(one as u32, other as u32, free) {
+                    (active[one], active[other]) = (true, true);
+                }
+            }
+        }
+        (0..boxes.len()).filter(|&patch| active[patch]).map(|patch| patch as u32).collect()
+    }
+
+    /// Whether two patches lie in one union that is free.
+    fn is_covered(&self, one: u32, other: u32, free: &[u32]) -> bool {
+        let others = self.around(other as usize);
+        self.around(one as usize).iter().any(|p| free[*p as usize] != 0 && others.binary_search(p).is_ok())
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> u64 {
+        let lists = [&self.firsts, &self.around, &self.contour_firsts, &self.contours];
+        lists.iter().map(|list| size_of_val(&list[..]) as u64).sum()
+    }
+}
+
+/// The piece of all triangles of a patch; a number of its own if they are of several.
+fn piece(input: &Input, patches: &Patches, patch: usize) -> u32 {
+    let mut pieces = input.mesh.triangles[patches.triangles(patch)].iter().map(|t| input.mesh.pieces[t[0] as usize]);
+    let first = pieces.next().unwrap_or(u32::MAX);
+    if pieces.all(|piece| piece == first) { first } else { u32::MAX - patch as u32 }
+}
+
+/// Moves the first of equal neighbours to the front; how many there are.
+fn dedup(sorted: &mut [(u32, u32)]) -> usize {
+    let mut kept = 0;
+    for at in 0..sorted.len() {
+        if at == 0 || sorted[at] != sorted[kept - 1] {
+            sorted[kept] = sorted[at];
+            kept += 1;
+        }
+    }
+    kept
+}
