@@ -154,10 +154,10 @@ impl Simulation {
             })
             .transpose()?;
         let schwarz =
-            Schwarz::wanted(settings.preconditioner, ex, &partition).map_err(SetupError::Preconditioner)?.then(|| {
-                let (offsets, block_address) = fill_tables.blocks();
-                let columns = fill_tables.local_columns(&matrix, &numbering);
-                let pattern = RankPattern { offsets, columns: &columns, block_address };
+            Schwarz::wanted(settings.preconditioner, &partition).map_err(SetupError::Preconditioner)?.then(|| {
+                let (offsets, block_address) = fill_tables.blocks(ex);
+                let columns = fill_tables.local_columns(ex, &matrix, &numbering);
+                let pattern = RankPattern { offsets: &offsets, columns: &columns, block_address: &block_address };
                 Schwarz::new(ex, &partition, &plan, exchange.mode, &exchange.queue, pattern)
             });
         let simulation = Simulation {

@@ -2,6 +2,8 @@
 //! same element records. The paper adds with atomics per element; here each row gathers from its sorted list, which gives the
 //! same bits for every rank count (docs/papers.md).
 
+use std::borrow::Cow;
+
 use super::contact_fill::ContactSums;
 use super::element_matrix::ElementLists;
 use super::element_rows::ElementRows;
@@ -155,10 +157,10 @@ impl FillTables {
         self.hinge_positions = DeviceVec::zeros(executor, 0);
     }
 
-    /// Local columns of all blocks of `matrix`, row by row, ascending. Native executor only.
-    pub fn local_columns(&self, matrix: &SellMatrix, numbering: &Numbering<'_>) -> Vec<u32> {
-        let columns = matrix.columns.as_slice();
-        let addresses = self.block_address.as_slice();
+    /// Local columns of all blocks of `matrix`, row by row, ascending. From a device they are copied.
+    pub fn local_columns(&self, executor: &Executor, matrix: &SellMatrix, numbering: &Numbering<'_>) -> Vec<u32> {
+        let columns = matrix.columns.host(executor);
+        let addresses = self.block_address.host(executor);
         let Some(cut) = &numbering.sub_vectors else {
             return addresses.iter().map(|&address| columns[address as usize]).collect();
         };
@@ -167,7 +169,7 @@ impl FillTables {
         let starts =
             cut.rows_of.iter().filter(|rows| rows.contains(&own)).chain(cut.order.iter().map(|&r| &cut.rows_of[r]));
         let starts: Vec<usize> = starts.map(|rows| rows.start).collect();
-        let section_ends: Vec<u32> = matrix.section_ends();
+        let section_ends: Vec<u32> = matrix.section_ends(executor);
         let local =
             |global: u32| numbering.global_from_local[..numbering.columns].partition_point(|&g| g < global) as u32;
         addresses
@@ -179,9 +181,9 @@ impl FillTables {
             .collect()
     }
 
-    /// Start of every own row's blocks, and the address of every block. Native executor only.
-    pub fn blocks(&self) -> (&[u32], &[u32]) {
-        (self.row_offsets.as_slice(), self.block_address.as_slice())
+    /// Start of every own row's blocks, and the address of every block. From a device they are copied.
+    pub fn blocks(&self, executor: &Executor) -> (Cow<'_, [u32]>, Cow<'_, [u32]>) {
+        (self.row_offsets.host(executor), self.block_address.host(executor))
     }
 
     /// Device bytes.

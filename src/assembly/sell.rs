@@ -162,16 +162,17 @@ impl SellMatrix {
         self.columns.len() as f64 / self.blocks.max(1) as f64
     }
 
-    /// Slot after the last of each section. Native executor only.
-    pub(super) fn section_ends(&self) -> Vec<u32> {
-        self.sections.iter().map(|section| self.slice_offsets.as_slice()[section.end as usize]).collect()
+    /// Slot after the last of each section.
+    pub(super) fn section_ends(&self, executor: &Executor) -> Vec<u32> {
+        let offsets = self.slice_offsets.host(executor);
+        self.sections.iter().map(|section| offsets[section.end as usize]).collect()
     }
 
     /// Calls `visit(section, row, column, block)` for all blocks, padding included, row by row, in the order in which a row is
-    /// summed. Native executor only.
-    pub fn for_each_block(&self, mut visit: impl FnMut(usize, u32, u32, [f32; BLOCK])) {
-        let (offsets, lanes) = (self.slice_offsets.as_slice(), self.row_of_lane.as_slice());
-        let (columns, values) = (self.columns.as_slice(), self.values.as_slice());
+    /// summed. From a device all of it is copied.
+    pub fn for_each_block(&self, executor: &Executor, mut visit: impl FnMut(usize, u32, u32, [f32; BLOCK])) {
+        let (offsets, lanes) = (self.slice_offsets.host(executor), self.row_of_lane.host(executor));
+        let (columns, values) = (self.columns.host(executor), self.values.host(executor));
         let mut places: Vec<(u32, u32, u32)> = Vec::new();
         for (section, slices) in self.sections.iter().enumerate() {
             let lanes_of = slices.start as usize * LANES..slices.end as usize * LANES;

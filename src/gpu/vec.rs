@@ -1,5 +1,7 @@
 //! Arrays that live where the executor's kernels can reach them.
 
+use std::borrow::Cow;
+
 use bytemuck::Pod;
 
 use super::Executor;
@@ -112,6 +114,14 @@ impl<T: Pod> DeviceVec<T> {
         let mut out = vec![T::zeroed(); self.len()];
         self.read_range(executor, 0, &mut out);
         out
+    }
+
+    /// Everything, for the host: in place on the native executor, copied from a device.
+    pub fn host(&self, executor: &Executor) -> Cow<'_, [T]> {
+        match &self.storage {
+            Storage::Cpu(values) => Cow::Borrowed(values),
+            Storage::Gpu(..) => Cow::Owned(self.read(executor)),
+        }
     }
 
     /// Copies `values` to items `start..`; ordered with the kernels submitted before and after.

@@ -11,10 +11,24 @@ use crate::transport::{ALL_GATHER_MAX, Transport, TransportError};
 
 /// Most groups: what a factorization costs if contacts couple all of them stays within a few per cent of a solve.
 const GROUPS_MAX: usize = 240;
+/// Sums of blocks by group of their column; those of a chunk.
+pub(super) type GroupSums = Vec<(u32, [f64; 9])>;
 /// Values of a sent entry: chunk and group in one number, then the block.
 const ENTRY: usize = 10;
 /// A pivot smaller than this part of its diagonal value is rounding.
 const PIVOT_MIN: f64 = 1e-10;
+
+/// Adds a block to the sum of its group.
+pub(super) fn add_block(entries: &mut GroupSums, group: u32, block: [f32; 9]) {
+    let at = match entries.iter().position(|(other, _)| *other == group) {
+        Some(at) => at,
+        None => {
+            entries.push((group, [0.0; 9]));
+            entries.len() - 1
+        }
+    };
+    entries[at].1.iter_mut().zip(block).for_each(|(sum, v)| *sum += f64::from(v));
+}
 
 /// Coarse residual, its recurrence and the factor.
 pub(super) struct Coarse {
@@ -46,22 +60,13 @@ impl Coarse {
         }
     }
 
-    /// First own chunk.
-    pub fn first_chunk(&self) -> usize {
-        self.own.start
-    }
-
     /// Group of a chunk.
     pub fn group(&self, chunk: usize) -> usize {
         chunk / self.per_group
     }
 
-    /// Factors P' A P. `entries`: of every own chunk, ascending groups of the columns and the sums of the blocks.
-    pub fn set_up(
-        &mut self,
-        transport: &mut dyn Transport,
-        entries: &[Vec<(u32, [f64; 9])>],
-    ) -> Result<(), TransportError> {
+    /// Factors P' A P. `entries`: of every own chunk.
+    pub fn set_up(&mut self, transport: &mut dyn Transport, entries: &[GroupSums]) -> Result<(), TransportError> {
         let mut own = Vec::new();
         for (chunk, entries) in self.own.clone().zip(entries) {
             for (group, block) in entries {

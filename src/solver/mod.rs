@@ -2,6 +2,8 @@
 //! reductions in a fixed order.
 
 mod coarse;
+mod colored;
+mod colored_cpu;
 pub mod exchange;
 mod gather;
 mod gather_cpu;
@@ -13,6 +15,7 @@ pub mod reduction;
 pub mod schwarz;
 pub mod spmv;
 mod spmv_cpu;
+mod sweep;
 mod sweep_cpu;
 pub mod vector;
 mod vector_cpu;

@@ -166,13 +166,17 @@ impl Pcg {
                     recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, v.w.len() as u64 * 2);
                 }
                 Some(schwarz) => {
-                    // The sweep has left the product with the blocks inside chunks in w.
-                    spmv.accumulate = true;
-                    let outer = SystemMatrix { elastic: schwarz.outer(), contact: matrix.contact, elements: None };
-                    let applied = spmv.apply(executor, transport, &outer, &mut v.u, &mut v.w, recorder);
-                    spmv.accumulate = false;
-                    applied?;
-                    let start = recorder.now();
+                    if let Some(elastic) = schwarz.outer() {
+                        // The sweep has left the product with the blocks inside chunks in w.
+                        spmv.accumulate = true;
+                        let outer = SystemMatrix { elastic, contact: matrix.contact, elements: None };
+                        let applied = spmv.apply(executor, transport, &outer, &mut v.u, &mut v.w, recorder);
+                        spmv.accumulate = false;
+                        applied?;
+                    } else {
+                        spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
+                    }
+                    let start = recorder.before_kernels();
                     let (scalars, restricted) = (&mut self.chunk_sums, &mut self.own_restricted);
                     schwarz.sums(executor, inverse_diagonal, &mut v.w, &v.u, own, scalars, restricted);
                     let bytes = v.w.bytes() * 5;
@@ -221,31 +225,22 @@ impl Pcg {
                 });
             }
             let alpha = gamma / curvature;
-            let start = recorder.before_kernels();
+            let (alpha_f32, beta_f32) = (alpha as f32, beta as f32);
+            if schwarz.as_deref().is_none_or(|schwarz| !schwarz.updates()) {
+                let start = recorder.before_kernels();
+                let PcgVectors { u, x, r, w, p, s } = &mut *v;
+                self.ops.update(executor, alpha_f32, beta_f32, w, inverse_diagonal, u, own, p, s, x, r);
+                let (bytes, flops) = (w.bytes() * 13, w.len() as u64 * 18);
+                recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, flops);
+            }
             if let Some(schwarz) = schwarz.as_deref_mut() {
+                let start = recorder.before_kernels();
                 schwarz.coarse.update(&self.restricted, alpha, beta);
                 let PcgVectors { u, x, r, w, p, s } = &mut *v;
-                let update = Some((alpha as f32, beta as f32));
-                schwarz.sweep(executor, update, inverse_diagonal, w, u, own, p, s, x, r);
+                schwarz.sweep(executor, Some((alpha_f32, beta_f32)), inverse_diagonal, w, u, own, p, s, x, r);
                 let (bytes, flops) = (schwarz.sweep_bytes(), schwarz.sweep_flops());
                 recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, flops);
-                (gamma_old, alpha_old) = (gamma, alpha);
-                continue;
             }
-            self.ops.update(
-                executor,
-                alpha as f32,
-                beta as f32,
-                &v.w,
-                inverse_diagonal,
-                &mut v.u,
-                own,
-                &mut v.p,
-                &mut v.s,
-                &mut v.x,
-                &mut v.r,
-            );
-            recorder.end(EventName::VectorUpdate, Activity::Compute, start, v.w.bytes() * 13, v.w.len() as u64 * 18);
             (gamma_old, alpha_old) = (gamma, alpha);
         }
         unreachable!("the loop ends at max_iterations")

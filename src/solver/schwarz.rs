@@ -2,18 +2,17 @@
 //! [Young 1954], over all chunks a coarse level of one displacement per group of chunks [Wu, Wang and Wang 2022 use several
 //! levels of aggregates instead of the sweep].
 //!
-//! M^-1 = SCALE (D' + U)^-1 D' (D' + L)^-1 + P (P' A P)^-1 P', symmetric positive definite whatever A is coupled with outside
-//! the chunks. Chunks depend on the number of rows alone, so the bits do not depend on ranks. Native executor only.
+//! M^-1 = (D' + U)^-1 D' (D' + L)^-1 + P (P' A P)^-1 P', symmetric positive definite whatever A is coupled with outside
+//! the chunks. The native executor takes the rows of a chunk one after the other (`sweep`), a device by colour (`colored`).
+//! Chunks depend on the number of rows alone, so the bits do not depend on ranks.
 
-use std::ops::Range;
-
-use super::coarse::Coarse;
+use super::coarse::{Coarse, GroupSums, add_block};
+use super::colored::Colored;
 use super::exchange::{ExchangeMode, HaloExchange, TrafficCounter};
-use super::sweep_cpu::{self, Blocks};
+use super::sweep::Sweeps;
 use super::vector::ChunkSums;
-use super::vector_cpu::Shared;
-use crate::assembly::sell::{BLOCK, value_index};
-use crate::assembly::{SellLayout, SellMatrix, SystemMatrix};
+use crate::assembly::sell::BLOCK;
+use crate::assembly::{SellMatrix, SystemMatrix};
 use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::partition::{HaloPlan, RowPartition};
@@ -26,9 +25,6 @@ const CHUNK_ROWS_MAX: usize = 1 << 16;
 /// Rows per chunk from which `auto` takes it: below, Jacobi needs so few iterations that the dearer ones do not pay.
 const CHUNK_ROWS_WORTH: usize = 40;
 
-/// Sums of a block by group of its column, ascending.
-type GroupSums = Vec<(u32, [f64; BLOCK])>;
-
 /// Pattern of a rank's rows, as the matrix was laid out.
 #[derive(Clone, Copy)]
 pub struct RankPattern<'a> {
@@ -36,70 +32,39 @@ pub struct RankPattern<'a> {
     pub offsets: &'a [u32],
     /// Local columns, ascending in a row.
     pub columns: &'a [u32],
-    /// See [`SellLayout::block_address`].
+    /// See [`crate::assembly::SellLayout::block_address`].
     pub block_address: &'a [u32],
 }
 
-/// The preconditioner of one rank, and the matrix in the form that it multiplies.
+/// How the rows of a chunk are swept; both hold the matrix in the form that they multiply.
+enum Smoother {
+    /// Along the rows, together with the updates of a solve and the products inside chunks. Native.
+    Chain(Box<Sweeps>),
+    /// By colour.
+    Colors(Box<Colored>),
+}
+
+/// The preconditioner of one rank.
 pub struct Schwarz {
     chunk_rows: usize,
-    rows: usize,
     /// First local row that is owned.
     own_start: usize,
-    upper_offsets: Vec<u32>,
-    upper_columns: Vec<u16>,
-    upper_source: Vec<u32>,
-    upper: Vec<f32>,
-    diagonal_source: Vec<u32>,
-    diagonal: Vec<f32>,
-    /// Blocks that couple chunks.
-    outer: SellMatrix,
-    outer_blocks: Vec<OuterBlock>,
-    /// Start of each own chunk's outer blocks; one more than chunks.
-    outer_offsets: Vec<usize>,
+    smoother: Smoother,
     /// In `full` mode: first global row of the sub-vector of each section.
     sub_vectors: Vec<u32>,
     pub(super) coarse: Coarse,
-    residual_sums: Vec<[f64; 2]>,
-    product_sums: Vec<[f64; 4]>,
-}
-
-/// A block outside the chunks: where it comes from, where it goes to, whom it couples.
-#[derive(Clone, Copy)]
-struct OuterBlock {
-    source: u32,
-    target: u32,
-    row: u32,
-    column: u32,
-    group: u32,
-}
-
-/// Adds a block to the sum of its group.
-fn add_block(entries: &mut GroupSums, group: u32, block: [f32; BLOCK]) {
-    let at = match entries.iter().position(|(other, _)| *other == group) {
-        Some(at) => at,
-        None => {
-            entries.push((group, [0.0; BLOCK]));
-            entries.len() - 1
-        }
-    };
-    entries[at].1.iter_mut().zip(block).for_each(|(sum, v)| *sum += f64::from(v));
 }
 
 impl Schwarz {
-    /// True if a solve takes this preconditioner: the same on all ranks, if their executors are of one kind.
+    /// True if a solve takes this preconditioner: the same on all ranks.
     ///
     /// # Errors
     /// It was asked for and is not to be had; the text says why.
-    pub fn wanted(kind: PreconditionerKind, executor: &Executor, partition: &RowPartition) -> Result<bool, String> {
-        let native = matches!(executor, Executor::Cpu(_));
+    pub fn wanted(kind: PreconditionerKind, partition: &RowPartition) -> Result<bool, String> {
         let fits = partition.chunk_rows() <= CHUNK_ROWS_MAX;
         match kind {
             PreconditionerKind::Jacobi => Ok(false),
-            PreconditionerKind::Auto => Ok(native && fits && partition.chunk_rows() >= CHUNK_ROWS_WORTH),
-            PreconditionerKind::Schwarz if !native => {
-                Err("preconditioner schwarz runs on the cpu executor only; use auto, jacobi or --executor cpu".into())
-            }
+            PreconditionerKind::Auto => Ok(fits && partition.chunk_rows() >= CHUNK_ROWS_WORTH),
             PreconditionerKind::Schwarz if !fits => Err(format!(
                 "preconditioner schwarz takes at most {CHUNK_ROWS_MAX} rows per chunk, this system has {}; use auto or jacobi",
                 partition.chunk_rows()
@@ -117,44 +82,26 @@ impl Schwarz {
         queue: &[QueueNode],
         pattern: RankPattern,
     ) -> Schwarz {
-        let (rows, chunk_rows, own_start) = (plan.own.len(), partition.chunk_rows(), plan.own.start);
+        let by_color = matches!(executor, Executor::Gpu(_));
+        Schwarz::with_smoother(executor, partition, plan, mode, queue, pattern, by_color)
+    }
+
+    /// As [`Schwarz::new`]; `by_color`: sweep as a device does.
+    pub(super) fn with_smoother(
+        executor: &Executor,
+        partition: &RowPartition,
+        plan: &HaloPlan,
+        mode: ExchangeMode,
+        queue: &[QueueNode],
+        pattern: RankPattern,
+        by_color: bool,
+    ) -> Schwarz {
         let coarse = Coarse::new(partition, plan.rank);
-        let first_chunk = partition.chunks_of(plan.rank).start;
-        let (mut upper_offsets, mut upper_columns, mut upper_source) = (vec![0u32], Vec::new(), Vec::new());
-        let mut diagonal_source = Vec::with_capacity(rows);
-        let (mut outer_rows, mut outer_columns, mut outer_blocks) = (vec![0u32], Vec::new(), Vec::new());
-        let mut outer_offsets = vec![0];
-        for row in 0..rows {
-            let chunk = row / chunk_rows;
-            let first = own_start + chunk * chunk_rows;
-            let inside = first..(first + chunk_rows).min(plan.own.end);
-            for k in pattern.offsets[row] as usize..pattern.offsets[row + 1] as usize {
-                let (column, source) = (pattern.columns[k] as usize, pattern.block_address[k]);
-                if column == own_start + row {
-                    diagonal_source.push(source);
-                } else if !inside.contains(&column) {
-                    let group = coarse.group(plan.global_from_local[column] as usize / chunk_rows) as u32;
-                    let (row, column) = (row as u32, column as u32);
-                    outer_columns.push(column);
-                    outer_blocks.push(OuterBlock { source, target: 0, row, column, group });
-                } else if column > own_start + row {
-                    upper_columns.push((column - first) as u16);
-                    upper_source.push(source);
-                }
-            }
-            assert_eq!(diagonal_source.len(), row + 1, "row {row} has a diagonal block");
-            upper_offsets.push(upper_columns.len() as u32);
-            outer_rows.push(outer_columns.len() as u32);
-            if (row + 1) % chunk_rows == 0 || row + 1 == rows {
-                outer_offsets.push(outer_blocks.len());
-            }
-        }
-        debug_assert_eq!(first_chunk * chunk_rows, plan.global_from_local[own_start] as usize);
-        let layout = outer_layout(partition, plan, mode, queue, &outer_rows, &outer_columns);
-        for (block, &target) in outer_blocks.iter_mut().zip(&layout.block_address) {
-            block.target = target;
-        }
-        let chunks = rows.div_ceil(chunk_rows);
+        let smoother = if by_color {
+            Smoother::Colors(Box::new(Colored::new(executor, partition, plan, pattern, &coarse)))
+        } else {
+            Smoother::Chain(Box::new(Sweeps::new(executor, partition, plan, mode, queue, pattern, &coarse)))
+        };
         let sub_vectors = match mode {
             ExchangeMode::Halo => Vec::new(),
             ExchangeMode::Full => {
@@ -162,28 +109,12 @@ impl Schwarz {
                 ranks.map(|rank| partition.rows_of(rank).start as u32).collect()
             }
         };
-        Schwarz {
-            chunk_rows,
-            rows,
-            own_start,
-            upper: vec![0.0; upper_columns.len() * BLOCK + 3],
-            upper_offsets,
-            upper_columns,
-            upper_source,
-            diagonal_source,
-            diagonal: vec![0.0; rows * 6],
-            outer: SellMatrix::new(executor, rows, &layout),
-            outer_blocks,
-            outer_offsets,
-            sub_vectors,
-            coarse,
-            residual_sums: vec![[0.0; 2]; chunks],
-            product_sums: vec![[0.0; 4]; chunks],
-        }
+        let (chunk_rows, own_start) = (partition.chunk_rows(), plan.own.start);
+        Schwarz { chunk_rows, own_start, smoother, sub_vectors, coarse }
     }
 
     /// Takes over new values of the matrix and factors the coarse level; once per step, on all ranks together. Uses `flags`, a
-    /// local vector, for the halo's pins. Bytes per row: about 900.
+    /// local vector, for the halo's pins. Bytes per row: about 900, on a device 1,600.
     ///
     /// # Errors
     /// A transfer failed.
@@ -197,98 +128,35 @@ impl Schwarz {
         flags: &mut DeviceVec<f32>,
         recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
-        let cpu = native(executor);
-        let inverses = inverse_diagonal.as_slice().as_chunks::<6>().0;
-        let own = self.own_start * 3..(self.own_start + self.rows) * 3;
-        for (flag, inverse) in flags.as_mut_slice()[own].as_chunks_mut::<3>().0.iter_mut().zip(inverses) {
-            *flag = [f32::from(inverse[0] != 0.0); 3];
-        }
+        let inverses = inverse_diagonal.host(executor);
+        let free = inverses.as_chunks::<6>().0.iter().flat_map(|inverse| [f32::from(inverse[0] != 0.0); 3]);
+        flags.write_range(executor, self.own_start * 3, &free.collect::<Vec<f32>>());
         let mut traffic = TrafficCounter::default();
         halo.publish(executor, transport, &[&*flags], recorder)?;
         halo.receive(executor, transport, &mut [flags], recorder, &mut traffic)?;
-        let mut entries = self.take_over(cpu, matrix.elastic.values.as_slice(), flags.as_slice());
+        let mut entries = match &mut self.smoother {
+            Smoother::Chain(sweeps) => {
+                sweeps.take_over(native(executor), matrix.elastic.values.as_slice(), flags.as_slice())
+            }
+            Smoother::Colors(colored) => colored.take_over(executor, matrix.elastic, flags),
+        };
         if let Some(contact) = matrix.contact {
-            self.add_contacts(contact, halo.plan(), flags.as_slice(), &mut entries);
+            self.add_contacts(executor, contact, halo.plan(), &flags.host(executor), &mut entries);
         }
         self.coarse.set_up(transport, &entries)
     }
 
-    /// Copies the values and adds them up by chunk and group.
-    fn take_over(&mut self, cpu: &CpuExecutor, values: &[f32], flags: &[f32]) -> Vec<GroupSums> {
-        let mut entries: Vec<GroupSums> = vec![Vec::new(); self.residual_sums.len()];
-        let (upper, diagonal) = (Shared(self.upper.as_mut_ptr()), Shared(self.diagonal.as_mut_ptr()));
-        let outer = Shared(self.outer.values.as_mut_slice().as_mut_ptr());
-        let tables = &*self;
-        cpu.for_ranges_mut(&mut entries, 1, 1, |range, entries| {
-            for (chunk, entries) in range.zip(entries) {
-                let rows = chunk * tables.chunk_rows..((chunk + 1) * tables.chunk_rows).min(tables.rows);
-                let blocks = tables.upper_offsets[rows.start] as usize..tables.upper_offsets[rows.end] as usize;
-                // SAFETY: rows and blocks of chunks are disjoint.
-                let (upper, diagonal) = unsafe {
-                    (
-                        upper.part(blocks.start * BLOCK, blocks.len() * BLOCK),
-                        diagonal.part(rows.start * 6, rows.len() * 6),
-                    )
-                };
-                let within = tables.take_inner(rows, values, flags, upper, diagonal);
-                *entries = vec![(tables.coarse_group(chunk), within)];
-                tables.take_outer(chunk, values, flags, outer, entries);
-            }
-        });
-        entries
-    }
-
-    /// The blocks inside a chunk; the sum of all of them between rows that are not pinned.
-    fn take_inner(
-        &self,
-        rows: Range<usize>,
-        values: &[f32],
-        flags: &[f32],
-        upper: &mut [f32],
-        diagonal: &mut [f32],
-    ) -> [f64; BLOCK] {
-        let mut sum = [0.0f64; BLOCK];
-        let free = |row: usize| flags[(self.own_start + row) * 3] != 0.0;
-        let mut upper = upper.as_chunks_mut::<BLOCK>().0.iter_mut();
-        for (row, diagonal) in rows.clone().zip(diagonal.as_chunks_mut::<6>().0) {
-            let of = |source: u32| -> [f32; BLOCK] { std::array::from_fn(|c| values[value_index(source, c)]) };
-            let block = of(self.diagonal_source[row]);
-            *diagonal = [0, 1, 2, 4, 5, 8].map(|c| block[c]);
-            let mut of_row = [0.0f32; BLOCK];
-            for k in self.upper_offsets[row] as usize..self.upper_offsets[row + 1] as usize {
-                let Some(to) = upper.next() else { return sum };
-                *to = of(self.upper_source[k]);
-                if free(rows.start + self.upper_columns[k] as usize) {
-                    of_row.iter_mut().zip(&*to).for_each(|(sum, v)| *sum += v);
-                }
-            }
-            if free(row) {
-                for c in 0..BLOCK {
-                    sum[c] += block[c] as f64 + of_row[c] as f64 + of_row[c % 3 * 3 + c / 3] as f64;
-                }
-            }
-        }
-        sum
-    }
-
-    /// The blocks between chunk `chunk` and others.
-    fn take_outer(&self, chunk: usize, values: &[f32], flags: &[f32], outer: Shared, entries: &mut GroupSums) {
-        for block in &self.outer_blocks[self.outer_offsets[chunk]..self.outer_offsets[chunk + 1]] {
-            let of: [f32; BLOCK] = std::array::from_fn(|c| values[value_index(block.source, c)]);
-            for (c, &v) in of.iter().enumerate() {
-                // SAFETY: every block has its own address.
-                unsafe { outer.part(value_index(block.target, c), 1)[0] = v };
-            }
-            if flags[(self.own_start + block.row as usize) * 3] != 0.0 && flags[block.column as usize * 3] != 0.0 {
-                add_block(entries, block.group, of);
-            }
-        }
-    }
-
     /// The blocks of contacts: they are multiplied outside the sweeps, but the coarse level must know that they couple what
     /// their part of the diagonal seems to hold fast.
-    fn add_contacts(&self, contact: &SellMatrix, plan: &HaloPlan, flags: &[f32], entries: &mut [GroupSums]) {
-        contact.for_each_block(|section, row, column, block| {
+    fn add_contacts(
+        &self,
+        executor: &Executor,
+        contact: &SellMatrix,
+        plan: &HaloPlan,
+        flags: &[f32],
+        entries: &mut [GroupSums],
+    ) {
+        contact.for_each_block(executor, |section, row, column, block| {
             let column = match self.sub_vectors.get(section) {
                 None => Some(column),
                 Some(&start) => plan.local_from_global(start + column),
@@ -303,16 +171,21 @@ impl Schwarz {
         });
     }
 
-    fn coarse_group(&self, own_chunk: usize) -> u32 {
-        self.coarse.group(self.coarse.first_chunk() + own_chunk) as u32
+    /// What is left to multiply after [`Schwarz::sweep`], to be added to w: the blocks between chunks. None: all of the matrix.
+    pub(super) fn outer(&self) -> Option<&SellMatrix> {
+        match &self.smoother {
+            Smoother::Chain(sweeps) => Some(sweeps.outer()),
+            Smoother::Colors(_) => None,
+        }
     }
 
-    /// The blocks between chunks: what is left to multiply after [`Schwarz::sweep`].
-    pub fn outer(&self) -> &SellMatrix {
-        &self.outer
+    /// True if [`Schwarz::sweep`] also updates the vectors of a solve.
+    pub(super) fn updates(&self) -> bool {
+        matches!(self.smoother, Smoother::Chain(_))
     }
 
-    /// [`sweep_cpu::sweep`] on the vectors of a solve; `u_start`: first own value of u.
+    /// u from r and the coarse correction. If [`Schwarz::updates`], `update` = (alpha, beta) moves p, s, x and r before, and w
+    /// is left with the product inside chunks. `u_start`: first own value of u.
     pub(super) fn sweep(
         &mut self,
         executor: &Executor,
@@ -326,28 +199,13 @@ impl Schwarz {
         x: &mut DeviceVec<f32>,
         r: &mut DeviceVec<f32>,
     ) {
-        let own = u_start..u_start + w.len();
-        let blocks = Blocks {
-            chunk_rows: self.chunk_rows,
-            upper_offsets: &self.upper_offsets,
-            upper_columns: &self.upper_columns,
-            upper: &self.upper,
-            diagonal: &self.diagonal,
-            inverse_diagonal: inverse_diagonal.as_slice(),
-        };
-        sweep_cpu::sweep(
-            native(executor),
-            &blocks,
-            update,
-            &self.coarse.correction,
-            w.as_mut_slice(),
-            &mut u.as_mut_slice()[own],
-            p.as_mut_slice(),
-            s.as_mut_slice(),
-            x.as_mut_slice(),
-            r.as_mut_slice(),
-            &mut self.residual_sums,
-        );
+        let correction = &self.coarse.correction;
+        match &mut self.smoother {
+            Smoother::Chain(sweeps) => {
+                sweeps.sweep(native(executor), correction, update, inverse_diagonal, w, u, u_start, p, s, x, r);
+            }
+            Smoother::Colors(colored) => colored.sweep(executor, inverse_diagonal, correction, r, u),
+        }
     }
 
     /// Sums (r . u, r . r, w . u) per own chunk, and those of w, three per chunk; zeroes w on pinned rows.
@@ -361,77 +219,44 @@ impl Schwarz {
         scalars: &mut Vec<ChunkSums>,
         restricted: &mut Vec<f64>,
     ) {
-        let own = u_start..u_start + w.len();
-        let inverse = inverse_diagonal.as_slice();
-        sweep_cpu::product_sums(
-            native(executor),
-            self.chunk_rows,
-            inverse,
-            w.as_mut_slice(),
-            &u.as_slice()[own],
-            &mut self.product_sums,
-        );
-        scalars.clear();
-        scalars.extend(self.residual_sums.iter().zip(&self.product_sums).map(|(r, w)| [r[0], r[1], w[0]]));
-        restricted.clear();
-        restricted.extend(self.product_sums.iter().flat_map(|sums| &sums[1..]));
+        match &mut self.smoother {
+            Smoother::Chain(sweeps) => {
+                sweeps.sums(native(executor), inverse_diagonal, w, u, u_start, scalars, restricted);
+            }
+            Smoother::Colors(colored) => colored.sums(executor, inverse_diagonal, w, u, scalars, restricted),
+        }
     }
 
     /// Bytes of the tables and of the second copy of the matrix.
     pub fn bytes(&self) -> u64 {
-        let words = self.upper_offsets.len()
-            + self.upper_source.len()
-            + self.upper.len()
-            + self.diagonal_source.len()
-            + self.diagonal.len();
-        (words * 4 + self.upper_columns.len() * 2 + self.outer_blocks.len() * size_of::<OuterBlock>()) as u64
-            + self.outer.bytes()
+        match &self.smoother {
+            Smoother::Chain(sweeps) => sweeps.bytes(),
+            Smoother::Colors(colored) => colored.bytes(),
+        }
     }
 
     /// Floating-point operations of a sweep.
     pub(super) fn sweep_flops(&self) -> u64 {
-        (self.upper_columns.len() * 54 + self.rows * 100) as u64
+        match &self.smoother {
+            Smoother::Chain(sweeps) => sweeps.sweep_flops(),
+            Smoother::Colors(colored) => colored.sweep_flops(),
+        }
     }
 
     /// Bytes that a sweep moves.
     pub(super) fn sweep_bytes(&self) -> u64 {
-        (self.upper.len() * 4 + self.upper_columns.len() * 2 + self.rows * (4 + 48 + 192)) as u64
-    }
-}
-
-/// Layout of the blocks between chunks; rows without any are left out of the `halo` layout, too.
-fn outer_layout(
-    partition: &RowPartition,
-    plan: &HaloPlan,
-    mode: ExchangeMode,
-    queue: &[QueueNode],
-    offsets: &[u32],
-    columns: &[u32],
-) -> SellLayout {
-    match mode {
-        ExchangeMode::Halo => {
-            let held: Vec<usize> = (0..offsets.len() - 1).filter(|&r| offsets[r] < offsets[r + 1]).collect();
-            let mut dense: Vec<u32> = held.iter().map(|&row| offsets[row]).collect();
-            dense.push(columns.len() as u32);
-            let mut layout = SellLayout::halo(&dense, columns, plan.own.clone());
-            for row in layout.row_of_lane.iter_mut().filter(|row| **row != crate::assembly::NO_ROW) {
-                *row = held[*row as usize] as u32;
-            }
-            layout
-        }
-        ExchangeMode::Full => {
-            let rows_of: Vec<_> = (0..partition.ranks()).map(|rank| partition.rows_of(rank)).collect();
-            let order: Vec<usize> = queue.iter().map(|node| node.vector).collect();
-            SellLayout::full(offsets, columns, &plan.global_from_local, &rows_of, plan.rank, &order)
+        match &self.smoother {
+            Smoother::Chain(sweeps) => sweeps.sweep_bytes(),
+            Smoother::Colors(colored) => colored.sweep_bytes(),
         }
     }
 }
 
-/// The native executor; [`Schwarz::fits`] has refused others.
+/// The native executor: only it has sweeps along the rows.
 fn native(executor: &Executor) -> &CpuExecutor {
     match executor {
         Executor::Cpu(cpu) => cpu,
-        Executor::Gpu(_) => unreachable!("the sweeps run on the native executor only"),
+        Executor::Gpu(_) => unreachable!("the sweeps along the rows run on the native executor only"),
     }
 }
 

@@ -1,7 +1,10 @@
 //! The preconditioner on a seeded cloth-like system: symmetric, positive, zero on pins, the same on every number of ranks.
 
+use super::super::sweep::outer_layout;
 use super::*;
-use crate::gpu::test_support::Seeded;
+use crate::assembly::SellLayout;
+use crate::assembly::sell::value_index;
+use crate::gpu::test_support::{self, Seeded};
 use crate::partition::halo_plans;
 use crate::solver::PipelinedSpmv;
 use crate::solver::pcg::{Pcg, PcgParams, PcgVectors};
@@ -57,11 +60,32 @@ struct Solved {
     iterations: u32,
 }
 
+/// Who sweeps, and how.
+#[derive(Clone, Copy, PartialEq)]
+enum By {
+    /// The native executor, along the rows, with so many threads.
+    Chain(usize),
+    /// The native executor, by colour.
+    Colors,
+    /// A device, by colour.
+    Device,
+}
+
+impl By {
+    fn executor(self) -> Executor {
+        match self {
+            By::Chain(threads) => Executor::cpu(threads),
+            By::Colors => Executor::cpu(1),
+            By::Device => Executor::gpu(None, 0).expect("a device"),
+        }
+    }
+}
+
 /// Runs `work` on every rank with its matrix, inverses, tables that are set up, and transport.
 fn on_ranks<T: Send>(
     ranks: usize,
     mode: ExchangeMode,
-    threads: usize,
+    by: By,
     work: impl Fn(&Executor, &mut InProcessTransport, &mut Rank) -> T + Sync,
 ) -> Vec<T> {
     let (system, partition) = (system(), RowPartition::new(ROWS, ranks));
@@ -85,8 +109,8 @@ fn on_ranks<T: Send>(
             .zip(&schedule.queues)
             .map(|((plan, mut transport), queue)| {
                 scope.spawn(move || {
-                    let executor = Executor::cpu(threads);
-                    let mut rank = Rank::new(&executor, system, partition, plan, mode, queue);
+                    let executor = by.executor();
+                    let mut rank = Rank::new(&executor, system, partition, plan, mode, queue, by);
                     rank.set_up(&executor, &mut transport);
                     work(&executor, &mut transport, &mut rank)
                 })
@@ -114,6 +138,7 @@ impl Rank {
         plan: HaloPlan,
         mode: ExchangeMode,
         queue: &[QueueNode],
+        by: By,
     ) -> Rank {
         let own = partition.rows_of(plan.rank);
         let (mut offsets, mut columns) = (vec![0u32], Vec::new());
@@ -127,12 +152,12 @@ impl Rank {
             ExchangeMode::Full => outer_layout(&partition, &plan, mode, queue, &offsets, &columns),
         };
         let mut matrix = SellMatrix::new(executor, own.len(), &layout);
-        let mut inverse = Vec::new();
+        let (mut values, mut inverse) = (vec![0.0; matrix.values.len()], Vec::new());
         let mut k = 0;
         for row in own.clone() {
             for (column, block) in &system[row] {
                 for (c, &v) in block.iter().enumerate() {
-                    matrix.values.as_mut_slice()[value_index(layout.block_address[k], c)] = v;
+                    values[value_index(layout.block_address[k], c)] = v;
                 }
                 if *column == row {
                     let inverted = crate::assembly::fill::inverse_symmetric(block);
@@ -141,10 +166,19 @@ impl Rank {
                 k += 1;
             }
         }
+        matrix.values.write_range(executor, 0, &values);
         let pattern = RankPattern { offsets: &offsets, columns: &columns, block_address: &layout.block_address };
         let b: Vec<f32> = own.clone().flat_map(right_hand_side).collect();
         Rank {
-            schwarz: Schwarz::new(executor, &partition, &plan, mode, queue, pattern),
+            schwarz: Schwarz::with_smoother(
+                executor,
+                &partition,
+                &plan,
+                mode,
+                queue,
+                pattern,
+                !matches!(by, By::Chain(_)),
+            ),
             inverse: DeviceVec::upload(executor, &inverse),
             b: DeviceVec::upload(executor, &b),
             vectors: PcgVectors::new(executor, own.len(), plan.local_rows * 3),
@@ -219,7 +253,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 
 #[test]
 fn it_is_symmetric_positive_and_zero_on_pins() {
-    on_ranks(1, ExchangeMode::Halo, 1, |executor, _, rank| {
+    let check = |executor: &Executor, _: &mut InProcessTransport, rank: &mut Rank| {
         let mut seeded = Seeded::new(3);
         for _ in 0..4 {
             let mut vector = || (0..ROWS * 3).map(|_| seeded.uniform(-1.0, 1.0)).collect::<Vec<f32>>();
@@ -231,7 +265,97 @@ fn it_is_symmetric_positive_and_zero_on_pins() {
                 assert_eq!(my[row * 3..row * 3 + 3], [0.0; 3], "row {row}");
             }
         }
+    };
+    on_ranks(1, ExchangeMode::Halo, By::Chain(1), check);
+    on_ranks(1, ExchangeMode::Halo, By::Colors, check);
+    if test_support::executor().is_some() {
+        on_ranks(1, ExchangeMode::Halo, By::Device, check);
+    }
+}
+
+/// (D' + L) D'^-1 (D' + U) v on the rows that are not pinned, in f64, for the colours of `colored`.
+fn colored_product(colored: &Colored, v: &[f32]) -> Vec<f64> {
+    let (system, chunk_rows) = (system(), RowPartition::new(ROWS, 1).chunk_rows());
+    let colors = colored.colors_of_rows();
+    let multiply = |v: &[f64], above: bool| -> Vec<f64> {
+        let mut out = vec![0.0; v.len()];
+        for (row, blocks) in system.iter().enumerate().filter(|(row, _)| !pinned(*row)) {
+            for (column, block) in blocks.iter().filter(|(column, _)| !pinned(*column)) {
+                let inside = column / chunk_rows == row / chunk_rows;
+                assert!(!inside || *column == row || colors[*column] != colors[row], "{row} and {column} are coupled");
+                let factor = match (*column == row, (colors[*column] > colors[row]) == above) {
+                    (true, _) => 1.0 / super::super::colored::RELAXATION as f64,
+                    (false, counts) => f64::from(u8::from(inside && counts)),
+                };
+                for (c, &value) in block.iter().enumerate() {
+                    out[row * 3 + c / 3] += factor * value as f64 * v[column * 3 + c % 3];
+                }
+            }
+        }
+        out
+    };
+    let mut t = multiply(&v.iter().map(|&v| v as f64).collect::<Vec<_>>(), true);
+    for (row, t) in t.as_chunks_mut::<3>().0.iter_mut().enumerate().filter(|(row, _)| !pinned(*row)) {
+        let block = system[row].iter().find(|(column, _)| *column == row).map(|(_, block)| *block).expect("a diagonal");
+        let m = glam::DMat3::from_cols_array(&block.map(f64::from)).inverse();
+        *t = (m * glam::DVec3::from_array(*t)).to_array().map(|v| v * super::super::colored::RELAXATION as f64);
+    }
+    multiply(&t, false)
+}
+
+#[test]
+fn sweeps_by_color_solve_what_they_should() {
+    on_ranks(1, ExchangeMode::Halo, By::Colors, |executor, _, rank| {
+        let mut seeded = Seeded::new(5);
+        let values: Vec<f32> =
+            (0..ROWS * 3).map(|at| if pinned(at / 3) { 0.0 } else { seeded.uniform(-1.0, 1.0) }).collect();
+        let (mut r, zeros) = (DeviceVec::upload(executor, &values), || DeviceVec::zeros(executor, ROWS * 3));
+        let (mut w, mut u, mut p, mut s, mut x) = (zeros(), zeros(), zeros(), zeros(), zeros());
+        // The coarse level has not been started: its correction is zero.
+        rank.schwarz.sweep(executor, None, &rank.inverse, &mut w, &mut u, 0, &mut p, &mut s, &mut x, &mut r);
+        let Smoother::Colors(colored) = &rank.schwarz.smoother else { panic!("by colour") };
+        let back = colored_product(colored, u.as_slice());
+        let worst = back.iter().zip(&values).map(|(a, &b)| (a - b as f64).abs()).fold(0.0, f64::max);
+        assert!(worst < 1e-4, "{worst}");
     });
+}
+
+#[test]
+fn a_device_sweeps_and_sums_as_the_native_twin() {
+    if test_support::executor().is_none() {
+        return;
+    }
+    let run = |by: By| {
+        let mut of_ranks = on_ranks(3, ExchangeMode::Halo, by, |executor, transport, rank| {
+            let rows = rank.b.len();
+            let Smoother::Colors(colored) = &mut rank.schwarz.smoother else { panic!("by colour") };
+            let flags = &rank.vectors.u;
+            let sums: Vec<f64> = colored
+                .take_over(executor, &rank.matrix, flags)
+                .into_iter()
+                .flatten()
+                .flat_map(|(group, block)| block.into_iter().chain([f64::from(group)]))
+                .collect();
+            let mut seeded = Seeded::new(transport.rank() as u64);
+            let mut vector = |len: usize| -> Vec<f32> { (0..len).map(|_| seeded.uniform(-1.0, 1.0)).collect() };
+            let (r, correction) =
+                (DeviceVec::upload(executor, &vector(rows)), vector(rank.schwarz.coarse.correction.len()));
+            let (mut w, mut u) = (DeviceVec::upload(executor, &vector(rows)), DeviceVec::zeros(executor, flags.len()));
+            colored.sweep(executor, &rank.inverse, &correction, &r, &mut u);
+            let (mut scalars, mut restricted) = (Vec::new(), Vec::new());
+            colored.sums(executor, &rank.inverse, &mut w, &u, &mut scalars, &mut restricted);
+            let swept: Vec<f64> = u.read(executor).iter().chain(&w.read(executor)).map(|&v| v as f64).collect();
+            [sums, scalars.concat(), restricted, swept]
+        });
+        of_ranks.pop().expect("three ranks")
+    };
+    for (device, twin) in run(By::Device).iter().zip(&run(By::Colors)) {
+        let size = twin.iter().map(|v| v.abs()).fold(0.0, f64::max);
+        assert!(size > 0.1 && device.len() == twin.len());
+        for (at, (a, b)) in device.iter().zip(twin).enumerate() {
+            assert!((a - b).abs() < 1e-5 * size, "{at}: {a} and {b}");
+        }
+    }
 }
 
 /// |b - A x| / |b| over the rows that are not pinned, in f64.
@@ -285,7 +409,7 @@ fn textbook_iterations(executor: &Executor, rank: &mut Rank) -> u32 {
 
 #[test]
 fn iterations_are_those_of_textbook_pcg_and_far_fewer_than_with_jacobi() {
-    on_ranks(1, ExchangeMode::Halo, 1, |executor, transport, rank| {
+    let check = |executor: &Executor, transport: &mut InProcessTransport, rank: &mut Rank| {
         let jacobi = rank.solve(executor, transport, false);
         let textbook = textbook_iterations(executor, rank);
         let schwarz = rank.solve(executor, transport, true);
@@ -297,30 +421,43 @@ fn iterations_are_those_of_textbook_pcg_and_far_fewer_than_with_jacobi() {
             let reached = true_residual(x);
             assert!(reached < 1.05e-3, "{reached}");
         }
-    });
+    };
+    on_ranks(1, ExchangeMode::Halo, By::Chain(1), check);
+    on_ranks(1, ExchangeMode::Halo, By::Colors, check);
 }
 
 #[test]
 fn the_bits_are_those_of_one_rank_whatever_the_ranks_and_threads() {
-    let solve = |ranks, threads| {
-        let solved = on_ranks(ranks, ExchangeMode::Halo, threads, |executor, transport, rank| {
-            rank.solve(executor, transport, true)
-        });
+    let solve = |ranks, by| {
+        let solved =
+            on_ranks(ranks, ExchangeMode::Halo, by, |executor, transport, rank| rank.solve(executor, transport, true));
         let bits: Vec<u32> = solved.iter().flat_map(|s| s.x.iter().map(|v| v.to_bits())).collect();
         (bits, solved[0].iterations)
     };
-    let one = solve(1, 1);
+    let one = solve(1, By::Chain(1));
     for (ranks, threads) in [(1, 3), (2, 1), (3, 1), (4, 2), (8, 1)] {
-        assert!(solve(ranks, threads) == one, "{ranks} ranks, {threads} threads");
+        assert!(solve(ranks, By::Chain(threads)) == one, "{ranks} ranks, {threads} threads");
+    }
+    let one = solve(1, By::Colors);
+    assert!(solve(3, By::Colors) == one, "by colour");
+    if test_support::executor().is_some() {
+        let device = solve(1, By::Device);
+        assert!(device.1.abs_diff(one.1) <= 2, "{} and {} iterations", device.1, one.1);
+        for ranks in [2, 3] {
+            assert!(solve(ranks, By::Device) == device, "{ranks} ranks on devices");
+        }
     }
 }
 
 #[test]
 fn whole_sub_vectors_give_the_same_solution_within_rounding() {
-    let one = on_ranks(1, ExchangeMode::Halo, 1, |executor, transport, rank| rank.solve(executor, transport, true));
-    let full = on_ranks(3, ExchangeMode::Full, 1, |executor, transport, rank| rank.solve(executor, transport, true));
-    let x: Vec<f32> = full.iter().flat_map(|s| s.x.iter().copied()).collect();
-    let difference: Vec<f32> = one[0].x.iter().zip(&x).map(|(a, b)| a - b).collect();
-    assert!(full[0].iterations.abs_diff(one[0].iterations) <= 1);
-    assert!(dot(&difference, &difference) < 1e-4 * dot(&x, &x));
+    for by in [By::Chain(1), By::Colors] {
+        let solve =
+            |ranks, mode| on_ranks(ranks, mode, by, |executor, transport, rank| rank.solve(executor, transport, true));
+        let (one, full) = (solve(1, ExchangeMode::Halo), solve(3, ExchangeMode::Full));
+        let x: Vec<f32> = full.iter().flat_map(|s| s.x.iter().copied()).collect();
+        let difference: Vec<f32> = one[0].x.iter().zip(&x).map(|(a, b)| a - b).collect();
+        assert!(full[0].iterations.abs_diff(one[0].iterations) <= 1);
+        assert!(dot(&difference, &difference) < 1e-4 * dot(&x, &x));
+    }
 }

@@ -1,0 +1,251 @@
+// Sweeps of the Schwarz preconditioner in the order of colours; colored_cpu.rs has the formulas, colored.rs the tables. One
+// workgroup per chunk of rows (per sum in `entry_sums`): rows of one colour are not coupled, so they are done at once, and
+// nothing depends on how many chunks the rank has.
+
+struct ColoredParams {
+    rows: u32,
+    chunk_rows: u32,
+    // Own rows begin here in u.
+    u_first: u32,
+    // Colours of the chunk that has most; in the others the last ones are empty.
+    colors: u32,
+    relaxation: f32,
+    // Chunks, sums and blocks of this dispatch: the first of each, and how many.
+    first_chunk: u32,
+    chunks: u32,
+    first_entry: u32,
+    entries: u32,
+    first_block: u32,
+    blocks: u32,
+    // Slots of the matrix that are bound.
+    first_slot: u32,
+    slots: u32,
+}
+
+const CHUNK_THREADS: u32 = 128u;
+const LANES: u32 = 16u;
+const BLOCK: u32 = 9u;
+// Partial sums of the workgroup that are added last.
+const SUM_GROUPS: u32 = 8u;
+// Sums of a chunk: r.u, r.r, w.u, w.
+const SUMS: u32 = 6u;
+
+@group(0) @binding(0) var<storage, read> values: array<f32>;
+@group(0) @binding(1) var<storage, read> sources: array<u32>;
+@group(0) @binding(2) var<storage, read_write> blocks: array<f32>;
+@group(0) @binding(3) var<storage, read> blocks_read: array<f32>;
+@group(0) @binding(4) var<storage, read> block_rows: array<u32>;
+@group(0) @binding(5) var<storage, read> block_columns: array<u32>;
+@group(0) @binding(6) var<storage, read> entry_ends: array<vec2<u32>>;
+@group(0) @binding(7) var<storage, read> flags: array<Packed3>;
+@group(0) @binding(8) var<storage, read_write> entries: array<f32>;
+@group(0) @binding(9) var<storage, read> color_starts: array<u32>;
+@group(0) @binding(10) var<storage, read> order: array<u32>;
+// First block of a row's own (its diagonal), first above it in colour, end.
+@group(0) @binding(11) var<storage, read> spans: array<Packed3u>;
+@group(0) @binding(12) var<storage, read> inverse_diagonal: array<f32>;
+@group(0) @binding(13) var<storage, read> correction: array<Packed3>;
+@group(0) @binding(14) var<storage, read> r: array<Packed3>;
+@group(0) @binding(15) var<storage, read_write> u: array<Packed3>;
+@group(0) @binding(16) var<storage, read_write> w: array<Packed3>;
+@group(0) @binding(17) var<storage, read> u_read: array<Packed3>;
+@group(0) @binding(18) var<storage, read_write> sums: array<f32>;
+@group(0) @binding(19) var<uniform> params: ColoredParams;
+
+struct Packed3u {
+    x: u32,
+    y: u32,
+    z: u32,
+}
+
+var<workgroup> partial: array<vec4<f32>, CHUNK_THREADS>;
+var<workgroup> group_sums: array<vec4<f32>, SUM_GROUPS>;
+
+// Sum over the workgroup, for its first invocation, in a fixed order.
+fn group_sum(local: u32, own: vec4<f32>) -> vec4<f32> {
+    // The arrays may still be read for the sum before.
+    workgroupBarrier();
+    partial[local] = own;
+    workgroupBarrier();
+    var sum = vec4<f32>(0.0);
+    if (local < SUM_GROUPS) {
+        for (var i = local; i < CHUNK_THREADS; i += SUM_GROUPS) {
+            sum += partial[i];
+        }
+        group_sums[local] = sum;
+    }
+    workgroupBarrier();
+    sum = vec4<f32>(0.0);
+    if (local == 0u) {
+        for (var i = 0u; i < SUM_GROUPS; i++) {
+            sum += group_sums[i];
+        }
+    }
+    return sum;
+}
+
+// Copies the blocks of the matrix whose slots are bound.
+@compute @workgroup_size(WORKGROUP)
+fn take(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let k = global_index(id, groups);
+    if (k >= params.blocks) {
+        return;
+    }
+    let source = sources[k];
+    // Below the first slot it wraps around and is past the last, as is the source of padding.
+    let slot = source / LANES - params.first_slot;
+    if (slot >= params.slots) {
+        return;
+    }
+    let lane = source % LANES;
+    for (var c = 0u; c < BLOCK; c++) {
+        blocks[k * BLOCK + c] = values[(slot * BLOCK + c) * LANES + lane];
+    }
+}
+
+// Sums of blocks that couple rows that are not pinned: one workgroup per sum, nine values each.
+@compute @workgroup_size(CHUNK_THREADS)
+fn entry_sums(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = group_index(group, groups);
+    var first = vec4<f32>(0.0);
+    var second = vec4<f32>(0.0);
+    var last = vec4<f32>(0.0);
+    if (at < params.entries) {
+        let range = entry_ends[params.first_entry + at];
+        for (var k = range.x + local; k < range.y; k += CHUNK_THREADS) {
+            let block = k - params.first_block;
+            let row_free = flags[params.u_first + block_rows[block]].x != 0.0;
+            if (row_free && flags[block_columns[block]].x != 0.0) {
+                let v = block * BLOCK;
+                first += vec4<f32>(blocks_read[v], blocks_read[v + 1u], blocks_read[v + 2u], blocks_read[v + 3u]);
+                second += vec4<f32>(blocks_read[v + 4u], blocks_read[v + 5u], blocks_read[v + 6u], blocks_read[v + 7u]);
+                last.x += blocks_read[v + 8u];
+            }
+        }
+    }
+    first = group_sum(local, first);
+    second = group_sum(local, second);
+    last = group_sum(local, last);
+    if (local == 0u && at < params.entries) {
+        let to = (params.first_entry + at) * BLOCK;
+        for (var c = 0u; c < 4u; c++) {
+            entries[to + c] = first[c];
+            entries[to + 4u + c] = second[c];
+        }
+        entries[to + 8u] = last.x;
+    }
+}
+
+// Sum of block * u over blocks `first..end` of a row.
+fn row_product(first: u32, end: u32) -> vec3<f32> {
+    var sum = vec3<f32>(0.0);
+    for (var k = first; k < end; k++) {
+        let block = k - params.first_block;
+        let x = unpacked(u[block_columns[block]]);
+        let v = block * BLOCK;
+        sum += vec3<f32>(
+            blocks_read[v] * x.x + blocks_read[v + 1u] * x.y + blocks_read[v + 2u] * x.z,
+            blocks_read[v + 3u] * x.x + blocks_read[v + 4u] * x.y + blocks_read[v + 5u] * x.z,
+            blocks_read[v + 6u] * x.x + blocks_read[v + 7u] * x.y + blocks_read[v + 8u] * x.z,
+        );
+    }
+    return sum;
+}
+
+// relaxation * inverse_diagonal * v of a row.
+fn relaxed(row: u32, v: vec3<f32>) -> vec3<f32> {
+    let at = row * 6u;
+    let xx = inverse_diagonal[at];
+    let xy = inverse_diagonal[at + 1u];
+    let xz = inverse_diagonal[at + 2u];
+    let yy = inverse_diagonal[at + 3u];
+    let yz = inverse_diagonal[at + 4u];
+    let zz = inverse_diagonal[at + 5u];
+    return params.relaxation
+        * vec3<f32>(xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z, xz * v.x + yz * v.y + zz * v.z);
+}
+
+@compute @workgroup_size(CHUNK_THREADS)
+fn sweep(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    // Workgroups beyond the last chunk find only empty ranges.
+    let chunk = params.first_chunk + min(group_index(group, groups), params.chunks);
+    let idle = chunk >= params.first_chunk + params.chunks;
+    let colors = chunk * (params.colors + 1u);
+    for (var color = 0u; color < params.colors; color++) {
+        if (!idle) {
+            for (var i = color_starts[colors + color] + local; i < color_starts[colors + color + 1u]; i += CHUNK_THREADS) {
+                let row = order[i];
+                let span = spans[i];
+                let rest = unpacked(r[row]) - row_product(span.x + 1u, span.y);
+                u[params.u_first + row] = packed(relaxed(row, rest));
+            }
+        }
+        storageBarrier();
+    }
+    for (var turn = 1u; turn < params.colors; turn++) {
+        let color = params.colors - 1u - turn;
+        if (!idle) {
+            for (var i = color_starts[colors + color] + local; i < color_starts[colors + color + 1u]; i += CHUNK_THREADS) {
+                let row = order[i];
+                let span = spans[i];
+                let v = unpacked(u[params.u_first + row]) - relaxed(row, row_product(span.y, span.z));
+                u[params.u_first + row] = packed(v);
+            }
+        }
+        storageBarrier();
+    }
+    var own = vec4<f32>(0.0);
+    if (!idle) {
+        let first = min(chunk * params.chunk_rows, params.rows);
+        let end = min(first + params.chunk_rows, params.rows);
+        for (var row = first + local; row < end; row += CHUNK_THREADS) {
+            let residual = unpacked(r[row]);
+            var z = unpacked(u[params.u_first + row]);
+            if (inverse_diagonal[row * 6u] != 0.0) {
+                z += unpacked(correction[chunk]);
+            }
+            u[params.u_first + row] = packed(z);
+            own += vec4<f32>(dot(residual, z), dot(residual, residual), 0.0, 0.0);
+        }
+    }
+    let sum = group_sum(local, own);
+    if (local == 0u && !idle) {
+        sums[chunk * SUMS] = sum.x;
+        sums[chunk * SUMS + 1u] = sum.y;
+    }
+}
+
+@compute @workgroup_size(CHUNK_THREADS)
+fn product_sums(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let chunk = group_index(group, groups);
+    let first = min(chunk * params.chunk_rows, params.rows);
+    let end = min(first + params.chunk_rows, params.rows);
+    var own = vec4<f32>(0.0);
+    for (var row = first + local; row < end; row += CHUNK_THREADS) {
+        var product = unpacked(w[row]);
+        if (inverse_diagonal[row * 6u] == 0.0) {
+            product = vec3<f32>(0.0);
+            w[row] = packed(product);
+        }
+        own += vec4<f32>(dot(product, unpacked(u_read[params.u_first + row])), product);
+    }
+    let sum = group_sum(local, own);
+    if (local == 0u && first < end) {
+        sums[chunk * SUMS + 2u] = sum.x;
+        sums[chunk * SUMS + 3u] = sum.y;
+        sums[chunk * SUMS + 4u] = sum.z;
+        sums[chunk * SUMS + 5u] = sum.w;
+    }
+}
