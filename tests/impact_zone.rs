@@ -78,15 +78,16 @@ fn crossing_edges_share_the_impulse() {
     assert!((low + 0.02).abs() < 1e-4 && (high - low - 1e-4).abs() < 1e-5, "{low} {high}");
 }
 
-/// `sheets` sheets of n x n vertices, 0.2 m wide, 5 mm apart; the upper ones fall faster, so that all end up crossed.
-fn pile(sheets: u32, n: u32, seed: u64) -> World {
+/// `sheets` sheets of n x n vertices, 0.2 m wide, 5 mm apart; each falls by `fall_m` more than the one below, and all its
+/// vertices by up to as much more, so that all end up crossed.
+fn pile(sheets: u32, n: u32, fall_m: f32, seed: u64) -> World {
     let mut world = World::default();
     let mut random = Seeded::new(seed);
     for k in 0..sheets {
         let turn = Mat3::from_rotation_z(0.3 * k as f32);
         let place = |a: f32, b: f32| turn * v(0.2 * (a - 0.5), 0.2 * (b - 0.5), 0.0) + Vec3::Z * 0.005 * k as f32;
         world.sheet(n, 1.0, place, |x| {
-            x - Vec3::Z * (0.012 * k as f32 + random.uniform(0.0, 0.01)) + v(random.uniform(-0.01, 0.01), 0.0, 0.0)
+            x - Vec3::Z * (fall_m * k as f32 + random.uniform(0.0, fall_m)) + v(random.uniform(-0.01, 0.01), 0.0, 0.0)
         });
     }
     world
@@ -94,7 +95,7 @@ fn pile(sheets: u32, n: u32, seed: u64) -> World {
 
 #[test]
 fn a_pile_of_sheets_is_clean_after_a_few_rounds() {
-    let world = pile(5, 5, 1);
+    let world = pile(5, 5, 0.012, 1);
     assert!(world.is_free(&world.x_t0) && !world.is_free(&world.x_t1));
     let outcome = world.resolve(&cpu(), settings(), 1).unwrap();
     println!("{:?}, {} iterations, {:.4} s", outcome.counts, outcome.iterations, outcome.solve_s);
@@ -105,12 +106,27 @@ fn a_pile_of_sheets_is_clean_after_a_few_rounds() {
     assert!(change < 1e-5, "{change}");
 }
 
+/// Two thousand vertices in ten layers that all end up crossed: one zone with tens of thousands of impacts.
+#[test]
+fn a_large_pile_is_clean_after_a_few_rounds() {
+    let world = pile(10, 14, 0.005, 2);
+    let started = std::time::Instant::now();
+    let outcome = world.resolve(&cpu(), settings(), 1).unwrap();
+    let all_s = started.elapsed().as_secs_f64();
+    println!("{:?}, {} iterations, {:.3} s of {all_s:.3} s", outcome.counts, outcome.iterations, outcome.solve_s);
+    assert!(world.is_free(&outcome.x_t1));
+    assert!(outcome.counts.largest_vertices > 1500, "{:?}", outcome.counts);
+    assert_eq!((outcome.counts.rigid, outcome.counts.scaled, outcome.counts.still), (0, 0, 0));
+    let change = (world.momentum(&outcome.x_t1) - world.momentum(&world.x_t1)).length();
+    assert!(change < 1e-4, "{change}");
+}
+
 #[test]
 fn results_do_not_depend_on_the_number_of_ranks() {
     // Three piles side by side: several zones.
     let mut world = World::default();
     for (k, seed) in [3, 4, 5].into_iter().enumerate() {
-        let other = pile(2, 4, seed);
+        let other = pile(2, 4, 0.012, seed);
         let first = world.vertices() as u32;
         for i in 0..other.vertices() as u32 {
             let shift = Vec3::X * k as f32;
@@ -222,7 +238,7 @@ fn plates_that_close_are_named() {
 #[test]
 fn the_fail_safe_ends_free_of_penetration() {
     let no_descent = ZoneSettings { attempts: 0, ..settings() };
-    let outcome = pile(3, 4, 7).resolve(&cpu(), no_descent, 1).unwrap();
+    let outcome = pile(3, 4, 0.012, 7).resolve(&cpu(), no_descent, 1).unwrap();
     assert!(outcome.counts.rigid > 0, "{:?}", outcome.counts);
     assert_eq!(outcome.iterations, 0);
     let mut stages = [outcome.counts.rigid, outcome.counts.scaled, outcome.counts.still];
@@ -334,6 +350,7 @@ fn random_batch() -> Batch {
                 weights: [1.0, -s, s - 1.0, 0.0],
                 vertices: pick,
                 bound: 0.0,
+                start: 0.0,
             }
         };
         let rows: Vec<Row> = (0..rows).map(|_| row()).collect();
@@ -369,7 +386,7 @@ fn device_and_native_solve_agree() {
 #[test]
 fn the_device_resolves_a_pile() {
     let Some(gpu) = test_support::executor() else { return };
-    let world = pile(5, 5, 1);
+    let world = pile(5, 5, 0.012, 1);
     let outcome = world.resolve(&gpu, settings(), 1).unwrap();
     println!("{:?}, {} iterations", outcome.counts, outcome.iterations);
     assert!(world.is_free(&outcome.x_t1) && outcome.counts.rounds <= 8);

@@ -28,6 +28,7 @@ use crate::math::Vec3;
 use crate::model::RankModel;
 use crate::output::{Checkpoint, Status};
 use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
+use crate::scene::Scene;
 use crate::step::{ExchangePlan, Imposed, StepStats};
 use crate::telemetry::Event;
 use crate::transport::{STAMP_VALUES, check_shared_memory, shared_memory_space};
@@ -128,7 +129,7 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
         }
         Err(error) => {
             drop(crew);
-            let text = error.explain(&original_from_global);
+            let text = error.explain(&plan.scene, &original_from_global);
             let kept = recorder.keep_last_state();
             let _ = recorder.finish(Status::Failed(text.clone()));
             let kept = kept.map_err(|error| RunError::Failed(format!("{text}; and {error}")))?;
@@ -160,9 +161,9 @@ enum DriveError {
     Record(#[from] RecordError),
     /// Seen in the collected state; what a solve runs into is seen by a worker.
     #[error(
-        "step {step}: the {quantity} of vertex {vertex} is not finite; likely too large: simulation.step_s, the start velocity or a force"
+        "step {step}: the {quantity} of {vertex} is not finite; likely too large: simulation.step_s, the start velocity or a force"
     )]
-    NotFinite { step: u32, vertex: usize, quantity: &'static str },
+    NotFinite { step: u32, vertex: String, quantity: &'static str },
 }
 
 impl DriveError {
@@ -170,20 +171,19 @@ impl DriveError {
         matches!(self, DriveError::Crew(CrewError::Failed { failure: WorkerFailure::BadInput(_), .. }))
     }
 
-    /// The sentence for the user, with vertices in the mesh's numbering.
-    fn explain(&self, original_from_global: &[u32]) -> String {
+    /// The sentence for the user, with vertices by their piece and their number in it.
+    fn explain(&self, scene: &Scene, original_from_global: &[u32]) -> String {
+        let name = |row: u32| scene.vertex_name(original_from_global.get(row as usize).copied().unwrap_or(row));
         match self {
             DriveError::Crew(CrewError::Failed {
                 failure: WorkerFailure::NotFinite { step, row, quantity, cause, suspect },
                 ..
             }) => {
-                let vertex = original_from_global.get(*row as usize).copied().unwrap_or(*row);
-                format!(
-                    "step {step}: the {quantity} of vertex {vertex} is not finite ({cause}); likely too large: {suspect}"
-                )
+                let vertex = name(*row);
+                format!("step {step}: the {quantity} of {vertex} is not finite ({cause}); likely too large: {suspect}")
             }
             DriveError::Crew(CrewError::Failed { failure: WorkerFailure::Squeezed { step, imposed }, .. }) => {
-                squeezed(*step, imposed, original_from_global)
+                squeezed(*step, imposed, &name)
             }
             DriveError::Crew(CrewError::Failed { failure: WorkerFailure::BadInput(text), .. }) => text.clone(),
             other => other.to_string(),
@@ -195,18 +195,18 @@ impl DriveError {
 const NAMED_MOST: usize = 3;
 
 /// The sentence for a step that has no end without penetration.
-fn squeezed(step: u32, imposed: &[Imposed], original_from_global: &[u32]) -> String {
+fn squeezed(step: u32, imposed: &[Imposed], vertex_name: &dyn Fn(u32) -> String) -> String {
     let mut obstacles: Vec<&str> = Vec::new();
-    let mut pins: Vec<u32> = Vec::new();
+    let mut pins: Vec<String> = Vec::new();
     for one in imposed {
         match one {
             Imposed::Obstacle(name) => obstacles.push(name),
-            Imposed::Pin(row) => pins.push(original_from_global.get(*row as usize).copied().unwrap_or(*row)),
+            Imposed::Pin(row) => pins.push(vertex_name(*row)),
         }
     }
     let mut culprits: Vec<String> =
         obstacles.iter().take(NAMED_MOST).map(|name| format!("the obstacle `{name}`")).collect();
-    culprits.extend(pins.iter().take(NAMED_MOST).map(|vertex| format!("the pin of vertex {vertex}")));
+    culprits.extend(pins.iter().take(NAMED_MOST).map(|vertex| format!("the pin of {vertex}")));
     let unnamed = obstacles.len().saturating_sub(NAMED_MOST) + pins.len().saturating_sub(NAMED_MOST);
     if unnamed > 0 {
         culprits.push(format!("{unnamed} more"));
@@ -357,6 +357,7 @@ impl Driver<'_> {
     fn check_state(&self, step: u32) -> Result<(), DriveError> {
         for (quantity, values) in [("position", &self.state.positions), ("velocity", &self.state.velocities)] {
             if let Some(vertex) = values.iter().position(|value| !value.is_finite()) {
+                let vertex = self.plan.scene.vertex_name(vertex as u32);
                 return Err(DriveError::NotFinite { step, vertex, quantity });
             }
         }

@@ -32,20 +32,20 @@ use crate::math::DVec3;
 /// How zones are solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ZoneSettings {
-    /// Distance that a resolved pair keeps at the end of the step along the normal of its impact, metres. Grows by itself
-    /// with every failed attempt.
+    /// Distance that a resolved pair keeps at the end of the step along the normal of its impact, metres; as many times
+    /// that as the pair has hit.
     pub margin_m: f64,
     /// Attempts by descent before the fail-safe begins.
     pub attempts: u32,
-    /// Iterations of the descent per attempt at most.
+    /// Iterations of a descent at most; an attempt has a few.
     pub iterations: u32,
 }
 
 impl ZoneSettings {
-    /// Settings for a cloth of this thickness: a tenth of it as margin, so that all attempts stay below the thickness and a
-    /// resolved pair lies where proximity forces act.
+    /// Settings for a cloth of this thickness: a tenth of it as margin, so that a resolved pair lies where proximity
+    /// forces act.
     pub fn for_thickness(thickness_m: f64) -> ZoneSettings {
-        ZoneSettings { margin_m: 0.1 * thickness_m, attempts: 10, iterations: 1000 }
+        ZoneSettings { margin_m: 0.1 * thickness_m, attempts: 10, iterations: 400 }
     }
 }
 

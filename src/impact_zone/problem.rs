@@ -21,6 +21,8 @@ pub struct Row {
     pub vertices: [u32; 4],
     /// Sum of the magnitudes of the row's couplings, 1/(unit of mass): steps of 1 / bound never overshoot.
     pub bound: f64,
+    /// Multiplier to begin with, in units of its own, 0 or more.
+    pub start: f64,
 }
 
 /// Where a zone's parts lie in the batch's arrays.
@@ -77,8 +79,7 @@ impl Batch {
         let (first_vertex, first_row) = (self.inverse_masses.len() as u32, self.rows.len() as u32);
         let largest = inverse_masses.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         self.inverse_masses.extend(inverse_masses.iter().map(|m| m / largest));
-        let moves = |row: &Row| row.vertices.iter().zip(row.weights).any(|(&v, w)| v != IMMOVABLE && w != 0.0);
-        self.rows.extend(rows.into_iter().filter(moves));
+        self.rows.extend(rows.into_iter().filter(Row::moves));
         let mut entries: Vec<Vec<u32>> = vec![Vec::new(); inverse_masses.len()];
         let mut weight_sums = vec![0.0f64; inverse_masses.len()];
         for (i, row) in self.rows.iter_mut().enumerate().skip(first_row as usize) {
@@ -124,7 +125,19 @@ impl Row {
         margin_m: f64,
     ) -> Row {
         let offset: DVec3 = positions.iter().zip(weights).map(|(&x, w)| x * w).sum();
-        Row { normal: normal.to_array(), target: margin_m - normal.dot(offset), weights, vertices, bound: 0.0 }
+        Row {
+            normal: normal.to_array(),
+            target: margin_m - normal.dot(offset),
+            weights,
+            vertices,
+            bound: 0.0,
+            start: 0.0,
+        }
+    }
+
+    /// Whether any displacement changes it.
+    pub(super) fn moves(&self) -> bool {
+        self.vertices.iter().zip(self.weights).any(|(&v, w)| v != IMMOVABLE && w != 0.0)
     }
 }
 
@@ -140,6 +153,7 @@ mod tests {
             weights: [1.0, -0.5, -0.25, -0.25],
             vertices,
             bound: 0.0,
+            start: 0.0,
         };
         let mut batch = Batch::new();
         batch.push(&[2.0, 1.0], [row([0, 1, IMMOVABLE, IMMOVABLE]), row([1, 0, IMMOVABLE, IMMOVABLE])], 1e-6);

@@ -6,7 +6,7 @@ use super::constraint::{Constraint, stencil_kind};
 use super::distribute::distribute;
 use super::problem::{Batch, IMMOVABLE, Row};
 use super::rigid::{self, MovingPoint, RigidMotion};
-use super::solve::solve;
+use super::solve::{ZoneResult, solve};
 use super::zones::{ImpactZones, Stage, Zone};
 use super::{StepPositions, at};
 use crate::collision::Impact;
@@ -16,9 +16,13 @@ use crate::math::{DVec3, Vec3};
 
 /// Solves per attempt: between them the zone's own pairs are tested along the new paths, and those that still hit get a
 /// constraint from there. Saves rounds, in which all ranks meet.
-const PASSES: u32 = 4;
-/// Error of a constraint that ends a descent, in margins.
-const TOLERANCE: f64 = 0.05;
+const PASSES: u32 = 6;
+/// Error of a constraint that ends a descent, in margins: what is left of the margin is free of penetration.
+const TOLERANCE: f64 = 0.1;
+/// Error of a constraint that was not met, in margins.
+const UNMET: f64 = 0.5;
+/// Margin of a pair that hits again and again, in margins.
+const MARGINS_MOST: u32 = 10;
 
 /// A vertex and its new end position: what ranks exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -51,9 +55,8 @@ pub fn apply(moved: &[Moved], x_t1: &mut [f32]) {
 /// A zone in descent.
 struct Descent<'a> {
     zone: &'a Zone,
-    margin_m: f64,
-    /// Constraints found between passes.
-    more: Vec<Constraint>,
+    /// Of the zone, and those found between passes, with their multipliers; by pair, and in the order they were found.
+    constraints: Vec<(Constraint, f64)>,
     positions: Vec<[f32; 3]>,
     converged: bool,
 }
@@ -78,10 +81,9 @@ impl ImpactZones {
         let mut descents = Vec::new();
         for zone in which.iter().map(|&zone| &self.zones[zone as usize]) {
             match self.stage(zone) {
-                Stage::Descent(attempt) => descents.push(Descent {
+                Stage::Descent(_) => descents.push(Descent {
                     zone,
-                    margin_m: self.settings.margin_m * f64::from(1 + attempt),
-                    more: Vec::new(),
+                    constraints: zone.constraints.iter().map(|&constraint| (constraint, 0.0)).collect(),
                     positions: Vec::new(),
                     converged: true,
                 }),
@@ -96,13 +98,13 @@ impl ImpactZones {
                 break;
             }
             let mut batch = Batch::new();
-            left.iter().for_each(|&i| descents[i].push_to(&mut batch, step));
+            left.iter().for_each(|&i| descents[i].push_to(&mut batch, step, self.settings.margin_m));
             for (&i, result) in left.iter().zip(solve(executor, &batch, self.settings.iterations)) {
                 solved.iterations += u64::from(result.iterations);
-                descents[i].take(&result.displacements, result.converged);
+                descents[i].take(&result);
             }
             if pass + 1 < PASSES {
-                left.retain(|&i| descents[i].hits_again(step));
+                left.retain(|&i| descents[i].hits_again(step, self.settings.margin_m));
             }
         }
         for descent in descents {
@@ -115,25 +117,37 @@ impl ImpactZones {
 }
 
 impl Descent<'_> {
-    fn push_to(&self, batch: &mut Batch, step: &StepPositions) {
+    /// Its constraints, pair by pair.
+    fn of_pairs(&self) -> impl Iterator<Item = &[(Constraint, f64)]> {
+        self.constraints.chunk_by(|(a, _), (b, _)| a.candidate == b.candidate)
+    }
+
+    /// Rows of all constraints, in order. A pair that hits again is kept farther apart, as its normal was not good enough;
+    /// it alone, since in a pile every wider gap is taken from the layers around it.
+    fn rows(&self, step: &StepPositions, margin_m: f64) -> Vec<Row> {
         let zone = self.zone;
-        let row = |c: &Constraint| {
+        let row = |c: &Constraint, margins: u32, start: f64| {
             let places = c.candidate.vertices.map(|v| zone.place(v));
             let positions = std::array::from_fn(|i| match places[i] {
                 Some(place) => zone.wanted_at(place),
                 None => step.end(c.candidate.vertices[i]),
             });
             let vertices = places.map(|place| place.map_or(IMMOVABLE, |p| p as u32));
-            Row::new(c.normal, c.weights, vertices, positions, self.margin_m)
+            let margin_m = margin_m * f64::from(margins.min(MARGINS_MOST));
+            Row { start, ..Row::new(c.normal, c.weights, vertices, positions, margin_m) }
         };
-        let inverse_masses: Vec<f64> =
-            zone.vertices.iter().map(|&v| f64::from(step.inverse_masses[v as usize])).collect();
-        batch.push(&inverse_masses, zone.constraints.iter().chain(&self.more).map(row), TOLERANCE * self.margin_m);
+        self.of_pairs().flat_map(|pair| (1..).zip(pair).map(|(margins, (c, start))| row(c, margins, *start))).collect()
     }
 
-    fn take(&mut self, displacements: &[[f64; 3]], converged: bool) {
-        self.converged = converged;
-        self.positions = displacements
+    fn push_to(&self, batch: &mut Batch, step: &StepPositions, margin_m: f64) {
+        let masses = self.zone.vertices.iter().map(|&v| f64::from(step.inverse_masses[v as usize]));
+        batch.push(&masses.collect::<Vec<f64>>(), self.rows(step, margin_m), TOLERANCE * margin_m);
+    }
+
+    fn take(&mut self, result: &ZoneResult) {
+        self.converged = result.converged;
+        self.positions = result
+            .displacements
             .iter()
             .enumerate()
             .map(|(place, &d)| {
@@ -146,25 +160,47 @@ impl Descent<'_> {
                 }
             })
             .collect();
+        let mut multipliers = result.multipliers.iter();
+        for (constraint, multiplier) in &mut self.constraints {
+            if moves(self.zone, constraint) {
+                *multiplier = multipliers.next().copied().filter(|y| y.is_finite()).unwrap_or(0.0);
+            }
+        }
     }
 
-    /// Tests the zone's own pairs along their new paths; constraints from those that still hit are kept for the next pass.
-    fn hits_again(&mut self, step: &StepPositions) -> bool {
-        let before = self.more.len();
-        for candidate in self.zone.pairs() {
+    /// Tests the zone's own pairs along their new paths. Those that still hit get a constraint from there for the next
+    /// pass, unless the descent has not met the ones they have.
+    fn hits_again(&mut self, step: &StepPositions, margin_m: f64) -> bool {
+        let mut hits = false;
+        let mut more = Vec::new();
+        for pair in self.of_pairs() {
+            let candidate = pair[0].0.candidate;
             let x_t0 = candidate.vertices.map(|v| step.start(v));
             let x_t1 = candidate.vertices.map(|v| match self.zone.place(v) {
                 Some(place) => at(self.positions[place].as_slice(), 0),
                 None => step.end(v),
             });
             let narrow = |x: [DVec3; 4]| x.map(|p| p.as_vec3());
-            let found = ccd(stencil_kind(&candidate), narrow(x_t0), narrow(x_t1), 0.0);
-            if let Some(toi) = found.toi {
-                self.more.push(Constraint::of_impact(&Impact { candidate, toi }, x_t0, x_t1));
+            let Some(toi) = ccd(stencil_kind(&candidate), narrow(x_t0), narrow(x_t1), 0.0).toi else { continue };
+            hits = true;
+            let gap_m = |c: &Constraint| c.normal.dot((0..4).map(|i| x_t1[i] * c.weights[i]).sum());
+            let met = |(margins, (c, _)): (u32, &(Constraint, f64))| {
+                !moves(self.zone, c) || gap_m(c) > margin_m * (f64::from(margins.min(MARGINS_MOST)) - UNMET)
+            };
+            if (1..).zip(pair).all(met) {
+                more.push((Constraint::of_impact(&Impact { candidate, toi }, x_t0, x_t1), 0.0));
             }
         }
-        self.more.len() > before
+        self.constraints.extend(more);
+        self.constraints.sort_by_key(|(constraint, _)| constraint.candidate);
+        hits
     }
+}
+
+/// Whether a zone can do anything about a constraint.
+fn moves(zone: &Zone, constraint: &Constraint) -> bool {
+    let parts = constraint.candidate.vertices.iter().zip(constraint.weights);
+    parts.into_iter().any(|(&v, w)| w != 0.0 && zone.place(v).is_some())
 }
 
 fn momentum_preserving(zone: &Zone, step: &StepPositions) -> RigidMotion {

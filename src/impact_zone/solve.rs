@@ -51,6 +51,8 @@ gpu_struct! {
 pub struct ZoneResult {
     /// Displacement of every vertex, metres.
     pub displacements: Vec<[f64; 3]>,
+    /// Multiplier of every row of the zone, to go on from.
+    pub multipliers: Vec<f64>,
     /// Iterations made.
     pub iterations: u32,
     /// True if no constraint was off by more than the tolerance.
@@ -127,7 +129,9 @@ fn on_device(executor: &Executor, gpu: &GpuExecutor, batch: &Batch, iterations: 
     let gather = DeviceVec::upload(executor, &batch.gather);
     let rows: Vec<DeviceRow> = batch.rows.iter().map(device_row).collect();
     let rows = DeviceVec::upload(executor, &rows);
-    let mut multipliers = DeviceVec::<Multipliers>::zeros(executor, batch.rows.len());
+    let begin = |row: &Row| Multipliers { held: row.start as f32, tried: row.start as f32, next: 0.0 };
+    let mut last: Vec<Multipliers> = batch.rows.iter().map(begin).collect();
+    let mut multipliers = DeviceVec::upload(executor, &last);
     let mut displacements = DeviceVec::<[f32; 3]>::zeros(executor, batch.inverse_masses.len());
     let start = DeviceStatus { momentum: 1.0, iterations: 0, converged: 0 };
     let mut status = DeviceVec::upload(executor, &vec![start; batch.zones.len()]);
@@ -151,6 +155,7 @@ fn on_device(executor: &Executor, gpu: &GpuExecutor, batch: &Batch, iterations: 
     let mut ended = vec![start; batch.zones.len()];
     let mut reads = ReadBatch::new();
     reads.add(&displacements, 0, &mut found);
+    reads.add(&multipliers, 0, &mut last);
     reads.add(&status, 0, &mut ended);
     reads.finish(executor);
     let result = |zone: usize| {
@@ -159,6 +164,7 @@ fn on_device(executor: &Executor, gpu: &GpuExecutor, batch: &Batch, iterations: 
         }
         ZoneResult {
             displacements: found[batch.zones[zone].vertex_range()].iter().map(|d| d.map(f64::from)).collect(),
+            multipliers: last[batch.zones[zone].row_range()].iter().map(|m| f64::from(m.held)).collect(),
             iterations: ended[zone].iterations,
             converged: ended[zone].converged != 0,
         }

@@ -15,7 +15,8 @@ pub fn solve(
 ) -> ZoneResult {
     let (first_vertex, first_row) = (zone.first_vertex as usize, zone.first_row as usize);
     let count = zone.rows as usize;
-    let (mut held, mut tried, mut next) = (vec![0.0f64; count], vec![0.0f64; count], vec![0.0f64; count]);
+    let mut held: Vec<f64> = rows[zone.row_range()].iter().map(|row| row.start).collect();
+    let (mut tried, mut next) = (held.clone(), vec![0.0f64; count]);
     let mut displacements = vec![[0.0f64; 3]; zone.vertices as usize];
     let displace = |displacements: &mut [[f64; 3]], multipliers: &[f64]| {
         for (local, d) in displacements.iter_mut().enumerate() {
@@ -32,7 +33,7 @@ pub fn solve(
         }
     };
     let mut momentum = 1.0f64;
-    let mut result = ZoneResult { displacements: Vec::new(), iterations: 0, converged: false };
+    let mut result = ZoneResult::default();
     while result.iterations < iterations && !result.converged {
         displace(&mut displacements, &tried);
         let (mut change, mut turn) = (0.0f64, 0.0f64);
@@ -61,5 +62,6 @@ pub fn solve(
     }
     displace(&mut displacements, &held);
     result.displacements = displacements;
+    result.multipliers = held;
     result
 }

@@ -11,7 +11,7 @@ use super::constraint::Constraint;
 use super::group::DisjointSets;
 use super::rigid::{self, MovingPoint, RigidMotion};
 use super::{Impossible, StepPositions, ZoneSettings, at};
-use crate::collision::{Candidate, Impact};
+use crate::collision::Impact;
 use crate::math::DVec3;
 
 /// Effort of a round in which a zone hits itself: a failed attempt.
@@ -46,6 +46,7 @@ pub struct Zone {
     pub(super) vertices: Vec<u32>,
     /// End positions without zones, in the order of the vertices.
     pub(super) wanted: Vec<[f32; 3]>,
+    /// By pair; those of a pair in the order of their impacts.
     pub(super) constraints: Vec<Constraint>,
     effort: u32,
     rebases: u32,
@@ -60,11 +61,6 @@ impl Zone {
     /// Impacts so far, earlier rounds included.
     pub fn impacts(&self) -> usize {
         self.constraints.len()
-    }
-
-    /// The different pairs among its impacts, ascending.
-    pub fn pairs(&self) -> BTreeSet<Candidate> {
-        self.constraints.iter().map(|c| c.candidate).collect()
     }
 
     /// Place of a vertex in the zone.
@@ -246,6 +242,7 @@ impl ImpactZones {
         let mut made: Vec<(Zone, bool)> = Vec::with_capacity(parts.len());
         for mut part in parts.into_values() {
             part.vertices.sort_unstable_by_key(|&(vertex, _)| vertex);
+            part.constraints.sort_by_key(|constraint| constraint.candidate);
             let (vertices, wanted) = part.vertices.into_iter().unzip();
             let mut zone =
                 Zone { vertices, wanted, constraints: part.constraints, effort: part.effort, rebases: part.rebases };

@@ -182,6 +182,16 @@ impl Scene {
         let after = self.cloths.partition_point(|cloth| cloth.vertices.end <= vertex);
         self.cloths.get(after).map_or(self.settings.friction, |cloth| cloth.friction)
     }
+
+    /// A vertex of the mesh as messages name it: where there are several pieces, by its number within its piece.
+    pub fn vertex_name(&self, vertex: u32) -> String {
+        match self.cloths.iter().find(|cloth| cloth.vertices.contains(&vertex)) {
+            Some(cloth) if self.cloths.len() > 1 => {
+                format!("vertex {} of `{}`", vertex - cloth.vertices.start, cloth.name)
+            }
+            _ => format!("vertex {vertex}"),
+        }
+    }
 }
 
 /// A vertex whose position is prescribed.

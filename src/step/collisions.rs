@@ -171,7 +171,7 @@ impl Collisions {
             self.obstacles.positions_at(time_s, &mut self.obstacle_positions);
             x[cloth..].copy_from_slice(&self.obstacle_positions);
         }
-        self.set_step(span).map_err(|error| detection_failed(stats.step, error))?;
+        self.set_step(span).map_err(|error| StepError::Collision { step: stats.step, message: error.to_string() })?;
         let ahead = self.heading_for(own, gravity_m_s2, span);
         if let Some(at) = ahead.iter().position(|x| !x.is_finite()) {
             return Err(StepError::NotFinite {
@@ -188,7 +188,7 @@ impl Collisions {
         let query = self
             .detector
             .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(transport), limit, &mut found)
-            .map_err(|error| query_failed(stats.step, error))?;
+            .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
         stats.proximity.add(&query);
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
         recorder.end(EventName::ProximityQuery, Activity::Compute, start, query.bytes, 0);
@@ -282,8 +282,8 @@ impl Collisions {
         Ok(RankContacts { elements, plan, obstacle_positions, obstacle_velocities })
     }
 
-    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones, in at
-    /// most `rounds_most` rounds until nothing penetrates.
+    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones until
+    /// nothing penetrates; in at most `rounds_most` rounds, twice as many while every round halves the impacts at least.
     pub fn resolve(
         &mut self,
         executor: &Executor,
@@ -302,20 +302,24 @@ impl Collisions {
         clock.lap(&mut stats.seconds.positions);
         let mut zones = ImpactZones::new(ZoneSettings::for_thickness(self.model.thickness_m));
         let mut touched: Option<Vec<bool>> = None;
+        let mut last = usize::MAX;
         loop {
             let impacts = self.impacts(executor, transport, touched.as_deref(), stats, recorder)?;
             clock.lap(&mut stats.seconds.continuous);
             if impacts.is_empty() {
                 break;
             }
+            let rounds_most = if impacts.len() <= last / 2 { rounds_most.saturating_mul(2) } else { rounds_most };
             if zones.counts().rounds >= rounds_most {
                 stats.zones.add(&zones.counts());
                 return Ok(Resolved::Slow);
             }
+            last = impacts.len();
             let start = recorder.now();
             let inverse_masses = &self.detector.params().inverse_masses_per_kg;
             let step = StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses };
             if let Err(impossible) = zones.add(&step, &impacts) {
+                stats.zones.add(&zones.counts());
                 return Ok(Resolved::Squeezed(self.imposed(&impossible.imposed)));
             }
             let share = zones.share(transport.rank(), transport.ranks());
@@ -378,7 +382,7 @@ impl Collisions {
         let query = self
             .detector
             .impacts_split(on, &self.x_t0, &self.x_t1, touched, split, limit, &mut found)
-            .map_err(|error| query_failed(stats.step, error))?;
+            .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
         stats.continuous.add(&query);
         recorder.end(EventName::ContinuousQuery, Activity::Compute, start, query.bytes, 0);
         transport.alive()?;
@@ -403,13 +407,25 @@ fn share_positions(
     Ok(())
 }
 
-fn query_failed(step: u32, error: BroadError) -> StepError {
-    match error {
-        BroadError::Transport(error) => StepError::Transport(error),
-        error => detection_failed(step, error),
+/// Says which vertex of which mesh detection cannot work with; `rows` of the cloth precede the obstacles' vertices.
+fn detection_failed(step: u32, obstacles: &Obstacles, rows: usize, error: BroadError) -> StepError {
+    let (which, vertex, value_m) = match error {
+        BroadError::Position { which, vertex, value_m } => (which, vertex, value_m),
+        BroadError::Transport(error) => return StepError::Transport(error),
+        error => return StepError::Collision { step, message: error.to_string() },
+    };
+    match vertex.checked_sub(rows) {
+        None => StepError::NotFinite {
+            step,
+            vertex: vertex as u32,
+            quantity: "position",
+            cause: format!("{value_m} m at the {which} of the step, more than collisions are computed for"),
+            suspect: "simulation.step_s or a velocity",
+        },
+        Some(at) => {
+            let name = obstacles.name(obstacles.obstacle_of_vertex(at));
+            let message = format!("the obstacle `{name}` is {value_m} m from the origin at the {which} of the step");
+            StepError::Collision { step, message }
+        }
     }
-}
-
-fn detection_failed(step: u32, error: impl std::fmt::Display) -> StepError {
-    StepError::Collision { step, message: error.to_string() }
 }

@@ -58,8 +58,7 @@ pub(super) struct Patches {
 
 impl Patches {
     pub fn new(mesh: &CollisionMesh) -> Patches {
-        let mut patches =
-            Patches { firsts: vec![0], cloth: 0, states: Vec::new(), active: Vec::new(), culling: None };
+        let mut patches = Patches { firsts: vec![0], cloth: 0, states: Vec::new(), active: Vec::new(), culling: None };
         patches.cut(mesh, 0..mesh.cloth_vertices);
         patches.cloth = patches.count();
         patches.cut(mesh, mesh.cloth_vertices..mesh.vertices);
