@@ -240,6 +240,7 @@ fn draw(path: &Path, plan: &Plan, topology: &Topology, sub_vector_bytes: f64) ->
                 .into(),
         rows: (0..plan.schedule.gpus).map(|rank| format!("rank {rank}")).collect(),
         groups: groups.iter().map(link_name).collect(),
+        faint: None,
         boxes,
     };
     write_timeline(path, &timeline).map_err(|error| CliError::failed(format!("--svg: {error}")))

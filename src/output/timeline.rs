@@ -33,6 +33,8 @@ pub struct Timeline {
     pub rows: Vec<String>,
     /// Names of the colours.
     pub groups: Vec<String>,
+    /// A group that is no activity: grey.
+    pub faint: Option<usize>,
     /// Boxes in any order.
     pub boxes: Vec<TimelineBox>,
 }
@@ -97,7 +99,7 @@ pub fn timeline_svg(timeline: &Timeline) -> String {
         let _ = writeln!(
             svg,
             "<rect x=\"{left:.1}\" y=\"{top:.1}\" width=\"12\" height=\"12\" fill=\"{}\"/>",
-            color(group)
+            color(timeline, group)
         );
     }
     for b in timeline.boxes.iter().filter(|b| b.row < timeline.rows.len() && b.end_s.is_finite()) {
@@ -109,7 +111,7 @@ pub fn timeline_svg(timeline: &Timeline) -> String {
             "<rect x=\"{left:.2}\" y=\"{top:.1}\" width=\"{width:.2}\" height=\"{:.1}\" fill=\"{}\" stroke=\"white\" \
              stroke-width=\"0.5\"><title>{words}: {:.2} to {:.2} us</title></rect>",
             STRIP - 2.0,
-            color(b.group),
+            color(timeline, b.group),
             b.start_s * 1e6,
             b.end_s * 1e6
         );
@@ -131,7 +133,10 @@ fn legend_place(column: usize, row: usize, bottom: f64) -> (f64, f64) {
 }
 
 /// Neighbouring groups get hues far apart (steps of the golden angle), light enough for black text.
-fn color(group: usize) -> String {
+fn color(timeline: &Timeline, group: usize) -> String {
+    if timeline.faint == Some(group) {
+        return "#ebebeb".to_string();
+    }
     let hue = (group as f64 * 137.508) % 360.0;
     let light = if group.is_multiple_of(2) { 72 } else { 80 };
     format!("hsl({hue:.0},65%,{light}%)")

@@ -49,9 +49,9 @@ pub struct SpmvBench {
     /// Machine of the modelled table [default: Titan Xp on a balanced tree of PCIe 3 x16 links]
     #[arg(long, value_name = "FILE")]
     topology: Option<PathBuf>,
-    /// Share of the memory bandwidth that the modelled kernel reaches
-    #[arg(long, default_value_t = 1.0, value_parser = positive)]
-    efficiency: f64,
+    /// Shares of the memory bandwidth that the modelled kernel reaches, a table each
+    #[arg(long, value_delimiter = ',', default_value = "1", value_parser = positive)]
+    efficiency: Vec<f64>,
 }
 
 /// Schedules of the pipelined product, in the order of the columns.
@@ -90,7 +90,18 @@ struct SceneProducts<'a> {
     stem: String,
     /// Scene, size and step, for titles.
     what: String,
+    /// One product for one rank, and for every number of ranks.
+    recorded: Vec<Recorded>,
 }
+
+/// Traffic and kernels of a product on a number of ranks, in both exchange modes.
+struct Recorded {
+    ranks: usize,
+    halo: Product,
+    full: Product,
+}
+
+type Product = (Traffic, RecordedProduct);
 
 fn of_scene(bench: &SpmvBench, file: &Path, machine: &Topology) -> Result<(), CliError> {
     let overrides = Overrides { resolution: Some(bench.resolution), frames: None };
@@ -103,15 +114,28 @@ fn of_scene(bench: &SpmvBench, file: &Path, machine: &Topology) -> Result<(), Cl
     let state = ModelState::in_contact(model, &bench.common, bench.contacts, bench.steps)?;
     let stem = file.file_stem().map_or("scene".into(), |stem| stem.to_string_lossy().into_owned());
     let what = format!("{}, {rows} rows, {} contacts, step {}", scene.name, state.contacts, state.step);
-    let products = SceneProducts { bench, state, stem, what };
+    let mut products = SceneProducts { bench, state, stem, what, recorded: Vec::new() };
+    products.record()?;
     products.one_rank()?;
+    products.bytes()?;
     let curves = |columns: &'static [&'static str]| Some((columns[0], &columns[2..]));
-    products.modelled(machine)?.finish_curves(bench.common.out.as_deref(), curves(&MODELLED))?;
+    for &efficiency in &bench.efficiency {
+        products.modelled(machine, efficiency)?.finish_curves(bench.common.out.as_deref(), curves(&MODELLED))?;
+    }
     products.measured()?.finish_curves(bench.common.out.as_deref(), curves(&MEASURED))
 }
 
 impl SceneProducts<'_> {
-    /// Time of a product on one rank against the bandwidth of the memory, and what ranks receive.
+    fn record(&mut self) -> Result<(), CliError> {
+        let more = self.bench.workers.iter().copied().filter(|ranks| *ranks > 1);
+        for ranks in std::iter::once(1).chain(more) {
+            let [halo, full] = [ExchangeMode::Halo, ExchangeMode::Full].map(|mode| self.product(ranks, mode));
+            self.recorded.push(Recorded { ranks, halo: halo?, full: full? });
+        }
+        Ok(())
+    }
+
+    /// Time of a product on one rank against the bandwidth of the memory.
     fn one_rank(&self) -> Result<(), CliError> {
         let (bench, common) = (self.bench, &self.bench.common);
         let bandwidth =
@@ -133,23 +157,23 @@ impl SceneProducts<'_> {
         let rows = self.state.model.rows() as f64;
         let share = rate / bandwidth.read_gb_s;
         table.push(vec![rows, middle * 1e3, best * 1e3, *bytes as f64, rate, bandwidth.read_gb_s, share]);
-        table.finish(common.out.as_deref(), None)?;
+        table.finish(common.out.as_deref(), None)
+    }
+
+    /// What ranks receive.
+    fn bytes(&self) -> Result<(), CliError> {
         let title = format!("counted: bytes that all ranks receive per product: {}", self.what);
         let columns = vec!["ranks", "halo_bytes", "full_bytes", "halo_over_full"];
         let mut table = Table::new(format!("spmv_{}_bytes", self.stem), title, columns);
-        for &ranks in bench.workers.iter().filter(|ranks| **ranks > 1) {
-            let counted = |mode| {
-                let (traffic, _) = self.recorded(ranks, mode)?;
-                Ok::<f64, CliError>(traffic.received.iter().flatten().sum())
-            };
-            let (halo, full) = (counted(ExchangeMode::Halo)?, counted(ExchangeMode::Full)?);
-            table.push(vec![ranks as f64, halo, full, halo / full]);
+        for Recorded { ranks, halo, full } in self.recorded.iter().filter(|recorded| recorded.ranks > 1) {
+            let [halo, full] = [halo, full].map(|(traffic, _)| traffic.received.iter().flatten().sum::<f64>());
+            table.push(vec![*ranks as f64, halo, full, halo / full]);
         }
-        table.finish(common.out.as_deref(), Some(("ranks", "halo_over_full")))
+        table.finish(self.bench.common.out.as_deref(), Some(("ranks", "halo_over_full")))
     }
 
     /// Traffic and kernels of one product on `ranks` ranks.
-    fn recorded(&self, ranks: usize, mode: ExchangeMode) -> Result<(Traffic, RecordedProduct), CliError> {
+    fn product(&self, ranks: usize, mode: ExchangeMode) -> Result<Product, CliError> {
         let queues = direct(ranks).queues;
         let events: Vec<Vec<Event>> =
             self.state.on_ranks(&self.bench.common, mode, &queues, |simulation, transport| {
@@ -164,8 +188,7 @@ impl SceneProducts<'_> {
     }
 
     /// Speed-ups by the clock on the machine of the topology file; ranks that it has no GPUs for are left out.
-    fn modelled(&self, machine: &Topology) -> Result<Table, CliError> {
-        let efficiency = self.bench.efficiency;
+    fn modelled(&self, machine: &Topology, efficiency: f64) -> Result<Table, CliError> {
         let device = machine.device();
         let derated = DeviceModel { bandwidth_gb_s: device.bandwidth_gb_s * efficiency, ..device.clone() };
         let machine = machine.with_device(derated);
@@ -176,26 +199,25 @@ impl SceneProducts<'_> {
             efficiency * 100.0,
             self.what
         );
-        let mut table = Table::modelled(format!("spmv_{}_modelled", self.stem), title, MODELLED.to_vec());
-        let (_, whole) = self.recorded(1, ExchangeMode::Halo)?;
-        let one_gpu_s = kernel_s(machine.device(), &whole);
-        for &ranks in self.bench.workers.iter().filter(|ranks| **ranks <= machine.gpus()) {
-            let topology = machine.with_first_gpus(ranks).map_err(CliError::bad_input)?;
-            let halo = self.recorded(ranks, ExchangeMode::Halo)?;
-            let full = self.recorded(ranks, ExchangeMode::Full)?;
-            let speed_up = |kind, exchange| match exchange {
+        let slow = if efficiency == 1.0 { String::new() } else { format!("_{:.0}", efficiency * 100.0) };
+        let mut table = Table::modelled(format!("spmv_{}_modelled{slow}", self.stem), title, MODELLED.to_vec());
+        let one_gpu_s = self.recorded.first().map_or(f64::NAN, |one| kernel_s(machine.device(), &one.halo.1));
+        let wanted = |ranks: &usize| self.bench.workers.contains(ranks) && *ranks <= machine.gpus();
+        for Recorded { ranks, halo, full } in self.recorded.iter().filter(|recorded| wanted(&recorded.ranks)) {
+            let topology = machine.with_first_gpus(*ranks).map_err(CliError::bad_input)?;
+            let seconds = |kind, exchange| match exchange {
                 // Kernels of whole row blocks, as the halo product has them.
-                ProductExchange::Full => self.product_s(&topology, &full, kind, exchange),
-                _ => self.product_s(&topology, &halo, kind, exchange),
+                ProductExchange::Full => self.product_s(&topology, full, kind, exchange),
+                _ => self.product_s(&topology, halo, kind, exchange),
             };
-            let mut row = vec![ranks as f64, one_gpu_s * 1e3];
+            let mut row = vec![*ranks as f64, one_gpu_s * 1e3];
             for kind in [ScheduleKind::Direct, ScheduleKind::Ring, ScheduleKind::Best] {
-                row.push(one_gpu_s / speed_up(kind, ProductExchange::GatherFirst)?);
+                row.push(one_gpu_s / seconds(kind, ProductExchange::GatherFirst)?);
             }
             for kind in SCHEDULES {
-                row.push(one_gpu_s / speed_up(kind, ProductExchange::Full)?);
+                row.push(one_gpu_s / seconds(kind, ProductExchange::Full)?);
             }
-            row.push(one_gpu_s / speed_up(ScheduleKind::Best, ProductExchange::Halo)?);
+            row.push(one_gpu_s / seconds(ScheduleKind::Best, ProductExchange::Halo)?);
             table.push(row);
         }
         Ok(table)
@@ -205,7 +227,7 @@ impl SceneProducts<'_> {
     fn product_s(
         &self,
         topology: &Topology,
-        (traffic, product): &(Traffic, RecordedProduct),
+        (traffic, product): &Product,
         kind: ScheduleKind,
         exchange: ProductExchange,
     ) -> Result<f64, CliError> {

@@ -92,6 +92,7 @@ fn add_latencies(timeline: &mut Timeline, shown: &[&ReplaySpan], from_s: f64) {
         let end_s = later.fold(task.span.done_s, f64::min);
         if end_s > task.span.released_s {
             let group = group_of(timeline, "latency of the path".to_string());
+            timeline.faint = Some(group);
             let (start_s, end_s) = (task.span.released_s - from_s, end_s - from_s);
             let label = "latency".to_string();
             timeline.boxes.push(TimelineBox { row: task.rank, lane: task.lane, start_s, end_s, label, group });
