@@ -99,7 +99,7 @@ impl<'a> Residual<'a> {
     }
 
     /// 2-norm of r over all ranks, the same bits for every rank count.
-    pub(super) fn norm(&self, transport: &mut dyn Transport) -> Result<f64, TransportError> {
+    pub(super) fn norm(&mut self, transport: &mut dyn Transport) -> Result<f64, TransportError> {
         let chunk = self.system.partition.chunk_rows() * DIM;
         let sums: Vec<[f64; 1]> = self.r.chunks(chunk).map(|r| [r.iter().map(|v| v * v).sum::<f64>()]).collect();
         Ok(self.tree.all_reduce(transport, &sums)?[0].sqrt())

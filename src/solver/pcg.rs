@@ -185,7 +185,7 @@ impl Pcg {
             }
             products += 1;
             let start = recorder.now();
-            let (tree, own_restricted) = (&self.tree, &self.own_restricted);
+            let (tree, own_restricted) = (&mut self.tree, &self.own_restricted);
             let [gamma, rr, delta] =
                 tree.all_reduce_and_gather(transport, &self.chunk_sums, own_restricted, &mut self.restricted)?;
             recorder.end(EventName::AllReduce, Activity::Wait, start, 24, 0);

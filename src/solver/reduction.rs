@@ -14,6 +14,15 @@ use crate::transport::{Transport, TransportError};
 pub struct ReductionTree {
     leaves: usize,
     ranges: Vec<Range<usize>>,
+    sent: Vec<f64>,
+    messages: Vec<Vec<f64>>,
+}
+
+/// The roots that each rank has sent, as far as they have not been added yet.
+struct Streams<'a> {
+    messages: &'a [Vec<f64>],
+    /// Roots taken of each rank; more than [`crate::transport::RANKS_MAX`] ranks there are not.
+    taken: [u16; crate::transport::RANKS_MAX],
 }
 
 impl ReductionTree {
@@ -26,12 +35,12 @@ impl ReductionTree {
         if let Some(last) = ranges.last_mut() {
             last.end = leaves;
         }
-        ReductionTree { leaves, ranges }
+        ReductionTree { leaves, ranges, sent: Vec::new(), messages: Vec::new() }
     }
 
     /// Adds `WIDTH` scalars over all ranks. `chunk_sums[chunk][i]`: the own chunks' sums.
     pub fn all_reduce<const WIDTH: usize>(
-        &self,
+        &mut self,
         transport: &mut dyn Transport,
         chunk_sums: &[[f64; WIDTH]],
     ) -> Result<[f64; WIDTH], TransportError> {
@@ -40,28 +49,29 @@ impl ReductionTree {
 
     /// As [`ReductionTree::all_reduce`]; the same message carries `own` of every rank to `gathered`, in rank order.
     pub fn all_reduce_and_gather<const WIDTH: usize>(
-        &self,
+        &mut self,
         transport: &mut dyn Transport,
         chunk_sums: &[[f64; WIDTH]],
         own: &[f64],
         gathered: &mut Vec<f64>,
     ) -> Result<[f64; WIDTH], TransportError> {
-        let mut roots = Vec::new();
-        self.collect(0..self.leaves, &self.ranges[transport.rank()], chunk_sums, &mut roots);
-        gathered.clear();
+        let mut sent = std::mem::take(&mut self.sent);
+        sent.clear();
+        self.collect(0..self.leaves, &self.ranges[transport.rank()], chunk_sums, &mut sent);
+        sent.extend_from_slice(own);
+        self.sent = sent;
         if self.ranges.len() == 1 {
-            gathered.extend_from_slice(own);
-            return Ok(roots[0]);
+            self.messages.resize(1, Vec::new());
+            std::mem::swap(&mut self.messages[0], &mut self.sent);
+        } else {
+            transport.all_gather(&self.sent, &mut self.messages)?;
         }
-        let sent: Vec<f64> = roots.as_flattened().iter().chain(own).copied().collect();
-        let mut messages = Vec::new();
-        transport.all_gather(&sent, &mut messages)?;
-        let mut streams = Vec::with_capacity(messages.len());
-        for (values, range) in messages.iter().zip(&self.ranges) {
+        gathered.clear();
+        for (values, range) in self.messages.iter().zip(&self.ranges) {
             let roots = (self.roots(0..self.leaves, range) * WIDTH).min(values.len());
-            streams.push(values[..roots].as_chunks::<WIDTH>().0.iter());
             gathered.extend_from_slice(&values[roots..]);
         }
+        let mut streams = Streams { messages: &self.messages, taken: [0; crate::transport::RANKS_MAX] };
         Ok(self.finish(0..self.leaves, &mut streams))
     }
 
@@ -82,13 +92,13 @@ impl ReductionTree {
         node: Range<usize>,
         own: &Range<usize>,
         chunk_sums: &[[f64; WIDTH]],
-        roots: &mut Vec<[f64; WIDTH]>,
+        roots: &mut Vec<f64>,
     ) {
         if node.end <= own.start || node.start >= own.end {
             return;
         }
         if own.start <= node.start && node.end <= own.end {
-            roots.push(subtree(node.start - own.start..node.end - own.start, chunk_sums));
+            roots.extend(subtree(node.start - own.start..node.end - own.start, chunk_sums));
             return;
         }
         let middle = node.start.midpoint(node.end);
@@ -96,19 +106,24 @@ impl ReductionTree {
         self.collect(middle..node.end, own, chunk_sums, roots);
     }
 
-    fn finish<const WIDTH: usize>(
-        &self,
-        node: Range<usize>,
-        streams: &mut [std::slice::Iter<[f64; WIDTH]>],
-    ) -> [f64; WIDTH] {
+    fn finish<const WIDTH: usize>(&self, node: Range<usize>, streams: &mut Streams<'_>) -> [f64; WIDTH] {
         let owner = self.ranges.partition_point(|range| range.end <= node.start);
         if node.end <= self.ranges[owner].end {
             // A rank that sent fewer roots than its leaves need breaks the protocol; NaN makes the solve stop.
-            return streams[owner].next().copied().unwrap_or([f64::NAN; WIDTH]);
+            return streams.next(owner).unwrap_or([f64::NAN; WIDTH]);
         }
         let middle = node.start.midpoint(node.end);
         let left = self.finish(node.start..middle, streams);
         add(left, self.finish(middle..node.end, streams))
+    }
+}
+
+impl Streams<'_> {
+    /// The next root of a rank.
+    fn next<const WIDTH: usize>(&mut self, rank: usize) -> Option<[f64; WIDTH]> {
+        let root = self.messages.get(rank)?.as_chunks::<WIDTH>().0.get(self.taken[rank] as usize).copied();
+        self.taken[rank] += 1;
+        root
     }
 }
 
@@ -135,15 +150,15 @@ mod tests {
     fn reduce(rows: usize, ranks: usize, sums: &[[f64; 2]]) -> [f64; 2] {
         let partition = RowPartition::new(rows, ranks);
         let tree = ReductionTree::new(&partition);
-        let streams: Vec<Vec<[f64; 2]>> = (0..ranks)
+        let messages: Vec<Vec<f64>> = (0..ranks)
             .map(|r| {
                 let mut roots = Vec::new();
                 tree.collect(0..tree.leaves, &tree.ranges[r], &sums[partition.chunks_of(r)], &mut roots);
-                assert!(roots.len() * 3 <= crate::transport::ALL_GATHER_MAX);
+                assert!(roots.len() / 2 * 3 <= crate::transport::ALL_GATHER_MAX);
                 roots
             })
             .collect();
-        tree.finish(0..tree.leaves, &mut streams.iter().map(|s| s.iter()).collect::<Vec<_>>())
+        tree.finish(0..tree.leaves, &mut Streams { messages: &messages, taken: [0; crate::transport::RANKS_MAX] })
     }
 
     #[test]
