@@ -9,7 +9,7 @@ use contact_support::{Watched, assert_free, ball, contact_scene, floor, plate, r
 use loomtree::gpu::{Executor, test_support};
 use loomtree::math::{DVec3, Vec3};
 use loomtree::mesh::TriangleMesh;
-use loomtree::scene::{Pin, Scene};
+use loomtree::scene::{Pin, PreconditionerKind, Scene};
 use support::physics::DOWN;
 use support::{cpu, sheet};
 
@@ -145,8 +145,13 @@ fn layers_on_a_device() {
         return;
     }
     let gpu = |rank: usize| Executor::gpu(None, rank).unwrap();
-    for kind in [Kind::Usual, Kind::Fast] {
-        let scene = layers(kind, 2, 6);
+    for (kind, preconditioner) in [
+        (Kind::Usual, PreconditionerKind::Auto),
+        (Kind::Fast, PreconditionerKind::Auto),
+        (Kind::Fast, PreconditionerKind::Schwarz),
+    ] {
+        let mut scene = layers(kind, 2, 6);
+        scene.settings.preconditioner = preconditioner;
         let one = watch(&scene, 1, 12, gpu);
         println!("device, {kind:?}: {}", one.summary());
         assert!(one.stats.iter().map(|s| s.contacts).sum::<u64>() > 100, "{}", one.summary());

@@ -5,7 +5,7 @@ mod support;
 use loomtree::gpu::{Executor, test_support};
 use loomtree::math::Vec3;
 use loomtree::scene::Scene;
-use loomtree::solver::ExchangeMode;
+use loomtree::solver::{ExchangeMode, PreconditionerKind};
 use support::{Outcome, cpu, isotropic_fabric, scene, sheet, simulate};
 
 /// A sheet hung by two corners in the wind.
@@ -66,5 +66,30 @@ fn halo_mode_on_devices_gives_the_same_bits_for_every_rank_count() {
         let many = simulate(&scene, ranks, ExchangeMode::Halo, 3, gpu);
         assert_eq!(bits(&many.positions), bits(&one.positions), "{ranks} ranks");
         assert_eq!(bits(&many.velocities), bits(&one.velocities), "{ranks} ranks");
+    }
+}
+
+#[test]
+fn schwarz_on_devices_needs_fewer_iterations_and_gives_the_same_bits_for_every_rank_count() {
+    if test_support::executor().is_none() {
+        return;
+    }
+    // 2,500 vertices: chunks of six rows.
+    let mut scene = hanging(50);
+    scene.settings.preconditioner = PreconditionerKind::Jacobi;
+    let iterations = |outcome: &Outcome| outcome.stats.iter().map(|s| s.iterations).sum::<u32>();
+    let jacobi = simulate(&scene, 1, ExchangeMode::Halo, 2, gpu);
+    scene.settings.preconditioner = PreconditionerKind::Schwarz;
+    let one = simulate(&scene, 1, ExchangeMode::Halo, 2, gpu);
+    println!("{} iterations instead of {}", iterations(&one), iterations(&jacobi));
+    assert!(iterations(&one) * 3 < iterations(&jacobi) * 2, "{} and {}", iterations(&one), iterations(&jacobi));
+    let distance = largest_distance(&one, &jacobi);
+    assert!(distance < 2e-5, "{distance} m apart");
+    for (ranks, mode) in [(2, ExchangeMode::Halo), (3, ExchangeMode::Halo), (2, ExchangeMode::Full)] {
+        let many = simulate(&scene, ranks, mode, 2, gpu);
+        if mode == ExchangeMode::Halo {
+            assert!(bits(&many.positions) == bits(&one.positions), "{ranks} ranks");
+        }
+        assert!(largest_distance(&many, &one) < 2e-5, "{mode:?}, {ranks} ranks");
     }
 }

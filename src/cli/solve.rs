@@ -220,7 +220,7 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
 fn better_order(system: &BlockSystem, chunk_rows: usize) -> Option<Vec<u32>> {
     const CLEARLY: f64 = 0.8;
     let natural: Vec<u32> = (0..system.block_rows() as u32).collect();
-    let order = locality_order(system);
+    let order = locality_order(system, chunk_rows);
     let share = |order: &[u32]| share_between_chunks(system, order, chunk_rows);
     (share(&order) < CLEARLY * share(&natural)).then_some(order)
 }
