@@ -73,7 +73,8 @@ impl Tally {
                             break;
                         }
                         let (mut tally, mut random) = (Tally::default(), Random(seed + (u64::from(part) << 32)));
-                        (count * part / PARTS..count * (part + 1) / PARTS).for_each(|i| ask(&mut tally, &mut random, i));
+                        (count * part / PARTS..count * (part + 1) / PARTS)
+                            .for_each(|i| ask(&mut tally, &mut random, i));
                         all.lock().expect("no part failed").add(&tally);
                     }
                 });

@@ -197,7 +197,9 @@ fn contacts_ahead_do_not_depend_on_the_number_of_ranks() {
             let lists: Vec<_> = (0..ranks)
                 .map(|rank| {
                     let mut out = vec![];
-                    detector.contacts_ahead(on, x, ahead, &mut Split::alone(rank, ranks), None, &mut out).expect("contacts");
+                    detector
+                        .contacts_ahead(on, x, ahead, &mut Split::alone(rank, ranks), None, &mut out)
+                        .expect("contacts");
                     out
                 })
                 .collect();

@@ -166,9 +166,8 @@ impl Cells {
         for z in self.lo[2]..=self.hi[2] {
             for y in self.lo[1]..=self.hi[1] {
                 for x in self.lo[0]..=self.hi[0] {
-                    let first = u32::from(x == self.lo[0])
-                        | u32::from(y == self.lo[1]) << 1
-                        | u32::from(z == self.lo[2]) << 2;
+                    let first =
+                        u32::from(x == self.lo[0]) | u32::from(y == self.lo[1]) << 1 | u32::from(z == self.lo[2]) << 2;
                     let second = (x >> 1 & 1) | (y >> 1 & 1) << 1 | (z >> 1 & 1) << 2;
                     visit([x, y, z], first | second << 3);
                 }

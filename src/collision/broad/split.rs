@@ -43,7 +43,11 @@ impl<'a> Split<'a> {
 
     /// Completes a list of which every rank has made the range `of(rank)`. Items are whole 32-bit words. Moves every range
     /// once to every other rank.
-    pub(super) fn share<T: Pod>(&mut self, all: &mut [T], of: impl Fn(usize) -> Range<usize>) -> Result<(), TransportError> {
+    pub(super) fn share<T: Pod>(
+        &mut self,
+        all: &mut [T],
+        of: impl Fn(usize) -> Range<usize>,
+    ) -> Result<(), TransportError> {
         let Some(transport) = &mut self.transport else { return Ok(()) };
         let own = all[of(self.rank)].to_vec();
         let mut next: Vec<usize> = (0..self.ranks).map(|rank| of(rank).start).collect();
