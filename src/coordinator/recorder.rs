@@ -283,6 +283,7 @@ fn query_record<'a>(ranks: impl Iterator<Item = &'a QueryStats>) -> QueryRecord 
     for rank in ranks {
         record.tests += rank.tests;
         record.tests_per_rank.push(rank.tests);
+        record.patches = rank.patches;
         record.pairs += rank.candidates;
         record.found += rank.found;
         record.batches = record.batches.max(rank.batches);

@@ -189,6 +189,10 @@ pub struct QueryRecord {
     pub tests: u64,
     /// Those of every rank.
     pub tests_per_rank: Vec<u64>,
+    /// Patches of triangles that were searched, and all there are, over the queries; the others were proven free of
+    /// collisions as a whole or had nothing near. 0 where a device searched.
+    #[serde(default)]
+    pub patches: [u64; 2],
     /// Pairs of features handed to the narrow phase.
     pub pairs: u64,
     /// Contacts or impacts, as found (those found twice counted twice).

@@ -35,6 +35,9 @@ pub struct QueryStats {
     pub tests_total: u64,
     /// Those of this rank.
     pub tests: u64,
+    /// Patches of triangles that were searched, and those of the mesh; what self-collision culling and distance left out is
+    /// the difference. Of all ranks, the same on each; 0 where a device searched.
+    pub patches: [u64; 2],
     /// Pairs of features handed to the narrow phase on this rank.
     pub candidates: u64,
     /// Contacts or impacts this rank found.
@@ -55,6 +58,7 @@ impl QueryStats {
         let broad = &query.broad;
         self.tests_total += broad.tests_total;
         self.tests += broad.tests;
+        self.patches = [0, 1].map(|which| self.patches[which] + broad.patches[which]);
         self.candidates += query.tested;
         self.found += query.found;
         self.batches += broad.batches;

@@ -25,6 +25,12 @@ fn imbalance(query: &QueryRecord) -> f64 {
     if query.tests == 0 { 1.0 } else { most * query.tests_per_rank.len() as f64 / query.tests as f64 }
 }
 
+/// The part of the patches of triangles that culling did not leave out.
+fn searched(step: &StepRecord) -> f64 {
+    let [some, all] = [0, 1].map(|which| (step.proximity.patches[which] + step.continuous.patches[which]) as f64);
+    if all > 0.0 { some / all } else { 1.0 }
+}
+
 fn collision_table(title: String, all: &[Runs], triangles: usize) -> Table {
     let columns = vec![
         "workers",
@@ -36,6 +42,7 @@ fn collision_table(title: String, all: &[Runs], triangles: usize) -> Table {
         "speedup",
         "tests",
         "worst_max_over_mean",
+        "searched_part",
         "pairs",
         "contacts",
         "bytes_of_a_rank",
@@ -55,6 +62,7 @@ fn collision_table(title: String, all: &[Runs], triangles: usize) -> Table {
             base / seconds,
             runs.mean(|step| (step.proximity.tests + step.continuous.tests) as f64),
             runs.most(|step| imbalance(&step.proximity).max(imbalance(&step.continuous))),
+            runs.mean(searched),
             runs.mean(|step| (step.proximity.pairs + step.continuous.pairs) as f64),
             runs.mean(|step| step.contacts as f64),
             runs.most(|step| largest(&step.proximity).max(largest(&step.continuous))),

@@ -1,13 +1,12 @@
 //! The contour of a union of patches: which edges it has, and whether it keeps apart from itself when seen from one side. See
 //! `cull` for what that proves.
 
-use glam::Vec2;
-use glam::Vec3A;
+use glam::{Vec2, Vec3A, Vec4};
 
 use super::boxes::Motion;
 
 /// Edges whose bounds are looked at together.
-const CHUNK: usize = 8;
+const CHUNK: usize = 4;
 /// Coordinates are wrong by less than this part of the largest: differences of coordinates, a rotation, a sum of three.
 const ROUNDING: f32 = 1e-6;
 
@@ -18,8 +17,9 @@ type Path = [Vec2; 2];
 #[derive(Default)]
 pub(super) struct Contour {
     points: Vec<Path>,
-    /// Per chunk of edges: lower and upper bounds at both ends.
-    bounds: Vec<[Path; 2]>,
+    /// Of every edge, and of every chunk of edges.
+    edges: Vec<Bounds>,
+    chunks: Vec<Bounds>,
 }
 
 /// Boundary edges of triangles, in their direction; none if some edge has more than two triangles or two that do not agree
@@ -69,19 +69,15 @@ pub(super) fn polygon<'a>(parts: impl Iterator<Item = Option<&'a [[u32; 2]]>>) -
     if vertices.len() == edges.len() { vertices } else { Vec::new() }
 }
 
-/// Whether all of `some` stay beyond all of `others` along an axis, by more than a margin in units of its length.
-fn beyond(axis: Vec2, some: &[Path], others: &[Path], margin: f32) -> bool {
+/// Whether all of `some` stay beyond all of `others` along an axis of any length, by more than a margin in metres.
+fn beyond(axis: Vec2, some: &[Path], others: &[Path], margin_m: f32) -> bool {
+    let least_squared = margin_m * margin_m * axis.length_squared();
     (0..2).all(|end| {
         let least = some.iter().map(|p| axis.dot(p[end])).fold(f32::INFINITY, f32::min);
         let most = others.iter().map(|p| axis.dot(p[end])).fold(f32::NEG_INFINITY, f32::max);
-        least - most > margin
+        let gap = least - most;
+        gap > 0.0 && gap * gap > least_squared
     })
-}
-
-/// The same in either order, along an axis of any length.
-fn separates(axis: Vec2, some: &[Path], others: &[Path], margin_m: f32) -> bool {
-    let Some(axis) = axis.try_normalize() else { return false };
-    beyond(axis, some, others, margin_m) || beyond(axis, others, some, margin_m)
 }
 
 fn middle(of: &[Path]) -> Vec2 {
@@ -96,8 +92,37 @@ fn along(of: &[Path]) -> Vec2 {
 
 /// Whether a point or edge and an edge are proven apart.
 fn apart(some: &[Path], others: &[Path], margin_m: f32) -> bool {
-    let axes = [middle(some) - middle(others), along(others).perp(), along(some).perp()];
-    axes.into_iter().any(|axis| separates(axis, some, others, margin_m))
+    let either = |axis: Vec2| beyond(axis, some, others, margin_m) || beyond(-axis, some, others, margin_m);
+    // The first one points from the others to the one.
+    beyond(middle(some) - middle(others), some, others, margin_m)
+        || either(along(others).perp())
+        || either(along(some).perp())
+}
+
+/// Bounds of points: lower and upper coordinates, at the start and at the end.
+#[derive(Clone, Copy)]
+struct Bounds {
+    lo: Vec4,
+    hi: Vec4,
+}
+
+impl Bounds {
+    fn of(points: impl Iterator<Item = Path>) -> Bounds {
+        let mut bounds = Bounds { lo: Vec4::INFINITY, hi: Vec4::NEG_INFINITY };
+        for [start, end] in points {
+            let point = Vec4::new(start.x, start.y, end.x, end.y);
+            (bounds.lo, bounds.hi) = (bounds.lo.min(point), bounds.hi.max(point));
+        }
+        bounds
+    }
+
+    /// Whether both stay apart along one of the two axes of the view.
+    fn are_apart(&self, other: &Bounds, margin_m: f32) -> bool {
+        let above = (self.lo - other.hi).cmpgt(Vec4::splat(margin_m)).bitmask();
+        let below = (other.lo - self.hi).cmpgt(Vec4::splat(margin_m)).bitmask();
+        // Along the same axis at both ends.
+        ((above & (above >> 2)) | (below & (below >> 2))) & 3 != 0
+    }
 }
 
 impl Contour {
@@ -138,41 +163,35 @@ impl Contour {
             return false;
         }
         self.bound();
-        let chunks = self.bounds.len();
+        let chunks = self.chunks.len();
         (0..chunks).all(|one| (one..chunks).all(|other| self.are_apart(one, other, margin_m)))
     }
 
     fn bound(&mut self) {
         let count = self.points.len();
-        let chunks = count.div_ceil(CHUNK);
-        self.bounds.clear();
-        for chunk in 0..chunks {
-            let mut bounds = [[Vec2::INFINITY; 2], [Vec2::NEG_INFINITY; 2]];
-            for at in chunk * CHUNK..((chunk + 1) * CHUNK).min(count) + 1 {
-                let point = self.point(at);
-                for end in 0..2 {
-                    bounds[0][end] = bounds[0][end].min(point[end]);
-                    bounds[1][end] = bounds[1][end].max(point[end]);
-                }
-            }
-            self.bounds.push(bounds);
-        }
+        let mut edges = std::mem::take(&mut self.edges);
+        edges.clear();
+        edges.extend((0..count).map(|at| Bounds::of(self.edge(at).into_iter())));
+        self.chunks.clear();
+        let chunk = |edges: &[Bounds]| Bounds {
+            lo: edges.iter().fold(Vec4::INFINITY, |lo, edge| lo.min(edge.lo)),
+            hi: edges.iter().fold(Vec4::NEG_INFINITY, |hi, edge| hi.max(edge.hi)),
+        };
+        self.chunks.extend(edges.chunks(CHUNK).map(chunk));
+        self.edges = edges;
     }
 
     fn are_apart(&self, one: usize, other: usize, margin_m: f32) -> bool {
-        let (bounds, others) = (&self.bounds[one], &self.bounds[other]);
-        let over = |some: &[Path; 2], others: &[Path; 2]| {
-            let gap = (some[0][0] - others[1][0]).min(some[0][1] - others[1][1]);
-            gap.max_element() > margin_m
-        };
-        if over(bounds, others) || over(others, bounds) {
+        if one != other && self.chunks[one].are_apart(&self.chunks[other], margin_m) {
             return true;
         }
         let count = self.points.len();
         let edges = |chunk: usize| chunk * CHUNK..((chunk + 1) * CHUNK).min(count);
         edges(one).all(|a| {
-            let edge = self.edge(a);
-            edges(other).filter(|&b| b > a + 1 && (b + 1) % count != a).all(|b| apart(&edge, &self.edge(b), margin_m))
+            let mut others = edges(other).filter(|&b| b > a + 1 && (b + 1) % count != a);
+            others.all(|b| {
+                self.edges[a].are_apart(&self.edges[b], margin_m) || apart(&self.edge(a), &self.edge(b), margin_m)
+            })
         })
     }
 }

@@ -119,12 +119,14 @@ pub(super) struct Culling {
     /// First of `contours` of every patch, and the end. Empty where the union has no contour of one closed polygon.
     contour_firsts: Vec<u32>,
     contours: Vec<u32>,
+    /// Patches whose unions together hold every patch together with each one around it, ascending.
+    chosen: Vec<u32>,
 }
 
 impl Culling {
     pub fn new(mesh: &super::CollisionMesh, patches: &Patches) -> Culling {
         let mut culling =
-            Culling { firsts: vec![0], around: Vec::new(), contour_firsts: vec![0], contours: Vec::new() };
+            Culling { firsts: vec![0], around: vec![], contour_firsts: vec![0], contours: vec![], chosen: vec![] };
         // Which patches have a vertex: at most one per triangle around it.
         let mut users: Vec<(u32, u32)> = Vec::with_capacity(mesh.vertices);
         for patch in 0..patches.cloth() {
@@ -153,7 +155,23 @@ impl Culling {
             culling.contours.extend(super::contour::polygon(parts));
             culling.contour_firsts.push(culling.contours.len() as u32);
         }
+        culling.chosen = culling.choose(patches.cloth());
         culling
+    }
+
+    /// On a grid of patches every other one in every other row; where that leaves gaps, more.
+    fn choose(&self, count: usize) -> Vec<u32> {
+        let mut chosen = vec![0u32; count];
+        for patch in 0..count {
+            chosen[patch] = u32::from(self.around(patch).iter().all(|&p| chosen[p as usize] == 0));
+        }
+        for patch in 0..count {
+            let covered = |&other: &u32| self.is_covered(patch as u32, other, &chosen);
+            if !self.around(patch).iter().all(covered) {
+                chosen[patch] = 1;
+            }
+        }
+        (0..count as u32).filter(|&patch| chosen[patch as usize] != 0).collect()
     }
 
     fn around(&self, patch: usize) -> &[u32] {
@@ -193,27 +211,50 @@ impl Culling {
         split: &mut Split,
     ) -> Result<Vec<u32>, TransportError> {
         let mut free = vec![0u32; patches.cloth()];
-        let own = split.part(free.len());
-        cpu.for_ranges_mut(&mut free[own.clone()], 1, 4, |range, out| {
-            let mut contour = Contour::default();
-            for (patch, free) in (own.start + range.start..).zip(out) {
-                *free = u32::from(self.is_free(input, patches, patch, &mut contour));
+        let mut prove = |list: &[u32], free: &mut [u32]| {
+            let mut found = vec![0u32; list.len()];
+            let own = split.part(list.len());
+            cpu.for_ranges_mut(&mut found[own.clone()], 1, 4, |range, out| {
+                let mut contour = Contour::default();
+                for (at, free) in (own.start + range.start..).zip(out) {
+                    *free = u32::from(self.is_free(input, patches, list[at] as usize, &mut contour));
+                }
+            });
+            let (_, ranks) = split.place();
+            split.share(&mut found, |rank| even(rank, ranks, list.len()))?;
+            list.iter().zip(&found).for_each(|(&patch, &found)| free[patch as usize] = found);
+            Ok::<(), TransportError>(())
+        };
+        prove(&self.chosen, &mut free)?;
+        let (mut active, open) = self.sweep(input, patches, &free);
+        // Where the unions that were chosen do not settle a pair, others may.
+        let untried = |p: &u32| self.chosen.binary_search(p).is_err();
+        let mut others: Vec<u32> =
+            open.iter().flat_map(|&[one, other]| self.common(one, other)).filter(untried).collect();
+        others.sort_unstable();
+        others.dedup();
+        if !others.is_empty() {
+            prove(&others, &mut free)?;
+        }
+        for [one, other] in open {
+            if !self.is_covered(one, other, &free) {
+                (active[one as usize], active[other as usize]) = (true, true);
             }
-        });
-        let ((_, ranks), count) = (split.place(), free.len());
-        split.share(&mut free, |rank| even(rank, ranks, count))?;
-        Ok(self.sweep(input, patches, &free))
+        }
+        Ok((0..active.len() as u32).filter(|&patch| active[patch as usize]).collect())
     }
 
-    /// Patches with a pair of which nothing is known: pairs of patches with overlapping boxes, found along one axis.
-    fn sweep(&self, input: &Input, patches: &Patches, free: &[u32]) -> Vec<u32> {
+    /// Patches with a pair of which nothing can be proven, among pairs of patches with overlapping boxes (found along one
+    /// axis), and pairs that are open: not proven apart, but within one union.
+    fn sweep(&self, input: &Input, patches: &Patches, free: &[u32]) -> (Vec<bool>, Vec<[u32; 2]>) {
         let axis = input.grid.longest();
         let boxes: Vec<Aabb> = patches.states.iter().map(|state| state.aabb()).collect();
         let pieces: Vec<u32> = (0..boxes.len()).map(|patch| piece(input, patches, patch)).collect();
         let mut order: Vec<usize> = (0..boxes.len()).filter(|&p| !boxes[p].is_empty()).collect();
         order.sort_unstable_by(|&a, &b| boxes[a].lo[axis].total_cmp(&boxes[b].lo[axis]).then(a.cmp(&b)));
-        let mut active: Vec<bool> =
-            (0..boxes.len()).map(|p| p < free.len() && !self.is_covered(p as u32, p as u32, free)).collect();
+        let mut active = vec![false; boxes.len()];
+        let mut open: Vec<[u32; 2]> =
+            (0..free.len() as u32).filter(|&p| !self.is_covered(p, p, free)).map(|p| [p, p]).collect();
         for (place, &one) in order.iter().enumerate() {
             let end = boxes[one].hi[axis];
             for &other in order[place + 1..].iter().take_while(|&&other| boxes[other].lo[axis] <= end) {
@@ -225,23 +266,32 @@ impl Culling {
                 if within_piece.is_some_and(|by| !boxes[one].shrink(by).overlaps(&boxes[other])) {
                     continue;
                 }
-                if one.max(other) >= free.len() || !self.is_covered(one as u32, other as u32, free) {
+                let pair = [one as u32, other as u32];
+                if one.max(other) >= free.len() || self.common(pair[0], pair[1]).next().is_none() {
                     (active[one], active[other]) = (true, true);
+                } else if !self.is_covered(pair[0], pair[1], free) {
+                    open.push(pair);
                 }
             }
         }
-        (0..boxes.len()).filter(|&patch| active[patch]).map(|patch| patch as u32).collect()
+        open.retain(|&[one, other]| !(active[one as usize] && active[other as usize]));
+        (active, open)
+    }
+
+    /// Patches whose unions hold two patches.
+    fn common(&self, one: u32, other: u32) -> impl Iterator<Item = u32> {
+        let others = self.around(other as usize);
+        self.around(one as usize).iter().copied().filter(|p| others.binary_search(p).is_ok())
     }
 
     /// Whether two patches lie in one union that is free.
     fn is_covered(&self, one: u32, other: u32, free: &[u32]) -> bool {
-        let others = self.around(other as usize);
-        self.around(one as usize).iter().any(|p| free[*p as usize] != 0 && others.binary_search(p).is_ok())
+        self.common(one, other).any(|p| free[p as usize] != 0)
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
-        let lists = [&self.firsts, &self.around, &self.contour_firsts, &self.contours];
+        let lists = [&self.firsts, &self.around, &self.contour_firsts, &self.contours, &self.chosen];
         lists.iter().map(|list| size_of_val(&list[..]) as u64).sum()
     }
 }

@@ -3,6 +3,8 @@
 
 use thiserror::Error;
 
+use super::patches::cut;
+
 /// Why triangles do not make a [`CollisionMesh`].
 #[derive(Debug, Error, PartialEq)]
 pub enum CollisionMeshError {
@@ -59,8 +61,8 @@ pub struct CollisionMesh {
     pub vertices: usize,
     /// Vertices from this one on belong to obstacles.
     pub cloth_vertices: usize,
-    /// Triangles: cloth first, then obstacles, each sorted by smallest vertex so that neighbours in the list are
-    /// neighbours in memory. Corners in the order they were given.
+    /// Triangles: cloth first, then obstacles, each patch by patch, a patch sorted by smallest vertex, so that neighbours in
+    /// the list are neighbours in memory. Corners in the order they were given.
     pub triangles: Vec<[u32; 3]>,
     /// How many of the triangles are cloth.
     pub cloth_triangles: usize,
@@ -68,6 +70,8 @@ pub struct CollisionMesh {
     pub edges: Vec<[u32; 2]>,
     /// Per triangle: bit k (0..3) is set if it owns corner k, bit 3 + k if it owns the edge from corner k to k + 1.
     pub owned: Vec<u8>,
+    /// First triangle of every patch, and the end. A patch is a few dozen neighbouring triangles of one piece.
+    pub patches: Vec<u32>,
     /// Per vertex: the smallest vertex of its piece. A piece is a connected component, of cloth or of an obstacle.
     pub pieces: Vec<u32>,
 }
@@ -112,11 +116,17 @@ impl CollisionMesh {
         // Obstacle vertices come last, so this puts the cloth first, too.
         triangles.sort_by_key(|t| t.iter().min().copied());
         let cloth_triangles = triangles.partition_point(|t| (t[0] as usize) < cloth_vertices);
+        let pieces = pieces(vertices, &triangles);
+        let mut patches = vec![0];
+        // A part knows its triangles by their smallest vertices, which must still be sorted when it is cut.
+        cut(&mut triangles, &pieces, 0..cloth_vertices, &mut patches);
+        cut(&mut triangles, &pieces, cloth_vertices..vertices, &mut patches);
         let mut mesh = CollisionMesh {
             vertices,
             cloth_vertices,
             owned: vec![0; triangles.len()],
-            pieces: pieces(vertices, &triangles),
+            pieces,
+            patches,
             triangles,
             cloth_triangles,
             edges: Vec::new(),
@@ -157,7 +167,7 @@ impl CollisionMesh {
     /// Bytes of the mesh; every rank holds all of it.
     pub fn bytes(&self) -> u64 {
         let lists = size_of_val(&self.triangles[..]) + size_of_val(&self.edges[..]) + size_of_val(&self.owned[..]);
-        (lists + size_of_val(&self.pieces[..])) as u64
+        (lists + size_of_val(&self.pieces[..]) + size_of_val(&self.patches[..])) as u64
     }
 }
 

@@ -14,11 +14,32 @@ use super::table::Input;
 use crate::gpu::CpuExecutor;
 use crate::transport::TransportError;
 
-/// Most vertices whose triangles make a patch. In the locality order of vertices [`crate::mesh::locality_order`] that many
+/// Most vertices whose triangles make a patch. In the locality order of vertices ([`crate::mesh::locality_order`]) that many
 /// consecutive ones, from one of its own cuts to the next, are neighbours.
 const VERTICES: usize = 32;
 /// Most boxes that stand for the triangles with touched vertices.
 const REACHES: usize = 64;
+
+/// Orders triangles, which are sorted by their smallest vertices, such that each patch is consecutive: the triangles of one
+/// piece whose smallest vertex is in one of the parts into which `vertices` are cut. Adds the end of each to `ends`.
+pub(super) fn cut(triangles: &mut [[u32; 3]], pieces: &[u32], vertices: Range<usize>, ends: &mut Vec<u32>) {
+    if vertices.len() > VERTICES {
+        let middle = vertices.start + vertices.len() / 2;
+        cut(triangles, pieces, vertices.start..middle, ends);
+        cut(triangles, pieces, middle..vertices.end, ends);
+        return;
+    }
+    let smallest = |t: &[u32; 3]| t[0].min(t[1]).min(t[2]) as usize;
+    let start = triangles.partition_point(|t| smallest(t) < vertices.start);
+    let end = start + triangles[start..].partition_point(|t| smallest(t) < vertices.end);
+    let piece = |t: &[u32; 3]| pieces[t[0] as usize];
+    triangles[start..end].sort_by_key(piece);
+    let mut at = start;
+    for patch in triangles[start..end].chunk_by(|a, b| piece(a) == piece(b)) {
+        at += patch.len();
+        ends.push(at as u32);
+    }
+}
 
 /// What a query knows of a patch. The same bits whichever rank made it.
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -58,27 +79,10 @@ pub(super) struct Patches {
 
 impl Patches {
     pub fn new(mesh: &CollisionMesh) -> Patches {
-        let mut patches = Patches { firsts: vec![0], cloth: 0, states: Vec::new(), active: Vec::new(), culling: None };
-        patches.cut(mesh, 0..mesh.cloth_vertices);
-        patches.cloth = patches.count();
-        patches.cut(mesh, mesh.cloth_vertices..mesh.vertices);
-        patches.states = vec![PatchState::zeroed(); patches.count()];
-        patches
-    }
-
-    /// Makes patches of the triangles whose smallest vertex is in a range, by the cuts of the locality order.
-    fn cut(&mut self, mesh: &CollisionMesh, vertices: Range<usize>) {
-        if vertices.len() > VERTICES {
-            let middle = vertices.start + vertices.len() / 2;
-            self.cut(mesh, vertices.start..middle);
-            self.cut(mesh, middle..vertices.end);
-            return;
-        }
-        let smallest = |t: &[u32; 3]| t[0].min(t[1]).min(t[2]) as usize;
-        let end = mesh.triangles.partition_point(|t| smallest(t) < vertices.end) as u32;
-        if self.firsts.last().is_some_and(|&first| first < end) {
-            self.firsts.push(end);
-        }
+        let firsts = mesh.patches.clone();
+        let cloth = firsts.partition_point(|&first| (first as usize) < mesh.cloth_triangles);
+        let states = vec![PatchState::zeroed(); firsts.len() - 1];
+        Patches { firsts, cloth, states, active: Vec::new(), culling: None }
     }
 
     /// How many there are.
@@ -97,7 +101,8 @@ impl Patches {
         self.firsts[patch] as usize..self.firsts[patch + 1] as usize
     }
 
-    /// Finds boxes, and which patches are active. Between ranks: 48 bytes per patch, and 4 where self-collision is culled.
+    /// Finds boxes, and which patches are active. Between ranks: 48 bytes per patch, and
+    /// at most 4 for what is proven of it.
     pub fn look(&mut self, cpu: &CpuExecutor, input: &Input, split: &mut Split) -> Result<(), TransportError> {
         let (count, own) = (self.count(), split.part(self.count()));
         let mut states = std::mem::take(&mut self.states);

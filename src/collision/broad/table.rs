@@ -132,7 +132,7 @@ impl Load {
 /// Buckets of the finest grid where wanted triangles reside.
 struct Marked {
     bits: Vec<u64>,
-    /// A wanted triangle may visit coarser grids, or reside there and be visited from anywhere.
+    /// A wanted triangle resides in a coarser grid and may be visited by any; else wanted ones alone need to visit.
     coarse: bool,
 }
 
@@ -325,7 +325,7 @@ impl Table {
         own: usize,
         mut visit: impl FnMut(u32, u32),
     ) {
-        if self.marked.as_ref().is_some_and(|marked| !marked.coarse) {
+        if self.marked.as_ref().is_some_and(|marked| !marked.coarse) && input.tag(triangle) == 0 {
             return;
         }
         let obstacle = input.role(triangle) != 0;
