@@ -51,6 +51,9 @@ const COLORS: [RGBColor; 8] = [
     RGBColor(150, 110, 60),
 ];
 const SIZE: (u32, u32) = (860, 520);
+const TITLE_SIZE: u32 = 16;
+/// Characters of a line of the title, about half as wide as high.
+const TITLE_LINE: usize = 100;
 
 /// Draws lines with a dot at every point to `path` (SVG). The y axis starts at 0 unless a value is negative.
 pub fn line_chart(path: &Path, title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<(), PlotError> {
@@ -74,10 +77,12 @@ fn draw(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<
     let failed = |e: &dyn std::fmt::Display| PlotError::Draw { title: title.to_string(), message: e.to_string() };
     let mut svg = String::new();
     {
-        let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        let mut area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
         area.fill(&WHITE).map_err(|e| failed(&e))?;
+        for line in title_lines(title) {
+            area = area.titled(&line, ("sans-serif", TITLE_SIZE)).map_err(|e| failed(&e))?;
+        }
         let mut chart = ChartBuilder::on(&area)
-            .caption(title, ("sans-serif", caption_size(title)))
             .margin(16)
             .x_label_area_size(44)
             .y_label_area_size(70)
@@ -117,10 +122,18 @@ fn draw(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<
     Ok(svg)
 }
 
-/// A size at which the title fits: a character is about half as wide as high.
-fn caption_size(title: &str) -> u32 {
-    let fits = f64::from(SIZE.0 - 32) / (0.5 * title.chars().count().max(1) as f64);
-    fits.clamp(8.0, 20.0) as u32
+/// The title in lines of at most [`TITLE_LINE`] characters.
+fn title_lines(title: &str) -> Vec<String> {
+    let (mut lines, mut line) = (Vec::new(), String::new());
+    for word in title.split(' ') {
+        if !line.is_empty() && line.chars().count() + word.chars().count() >= TITLE_LINE {
+            lines.push(std::mem::take(&mut line));
+        }
+        line.push_str(if line.is_empty() { "" } else { " " });
+        line.push_str(word);
+    }
+    lines.push(line);
+    lines
 }
 
 /// The corner of the chart with the fewest points, for the legend.

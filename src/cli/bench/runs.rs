@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::{CliError, Common, worker_counts};
 use crate::cli::predict::RecordedRun;
-use crate::cli::run::{ExchangeArg, defaults};
+use crate::cli::run::{ExchangeArg, PreconditionerArg, defaults};
 use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
 use crate::interconnect::{KernelTimes, Replay, ScheduleKind, Topology, plan};
 use crate::output::{Existing, Report, StepRecord};
@@ -35,6 +35,9 @@ pub struct SceneBench {
     /// What a product exchanges
     #[arg(long, value_enum, default_value = "halo")]
     pub exchange: ExchangeArg,
+    /// Preconditioner of the solver [default: the scene's]; auto takes schwarz from a size on, which weak scaling may cross
+    #[arg(long, value_enum)]
+    pub preconditioner: Option<PreconditionerArg>,
 }
 
 /// The counted steps of all rounds with one number of workers.
@@ -140,6 +143,7 @@ impl SceneBench {
             resolution: Some(self.resolution),
             frames: Some(1),
             exchange: self.exchange.into(),
+            preconditioner: self.preconditioner.map(Into::into),
             checkpoint_every: 0,
             heartbeat_s: 600.0,
             trace_steps,
