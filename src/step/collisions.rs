@@ -13,7 +13,7 @@ use crate::model::CollisionModel;
 use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::Obstacles;
 use crate::telemetry::{Activity, EventName, Recorder};
-use crate::transport::{Transport, TransportError, share_lists};
+use crate::transport::{Transport, TransportError, share_lists, share_ranges};
 
 use super::error::{Imposed, SetupError, StepError};
 use super::stats::{StageClock, StepStats};
@@ -399,12 +399,12 @@ fn share_positions(
     own: &[f32],
     all: &mut [f32],
 ) -> Result<(), TransportError> {
-    let mut next: Vec<usize> = (0..transport.ranks()).map(|rank| partition.rows_of(rank).start * 3).collect();
-    share_lists(transport, own, &mut |source, part: &[f32]| {
-        all[next[source]..next[source] + part.len()].copy_from_slice(part);
-        next[source] += part.len();
-    })?;
-    Ok(())
+    let values = |rank: usize| {
+        let rows = partition.rows_of(rank);
+        rows.start * 3..rows.end * 3
+    };
+    all[values(transport.rank())].copy_from_slice(own);
+    share_ranges(transport, all, values)
 }
 
 /// Says which vertex of which mesh detection cannot work with; `rows` of the cloth precede the obstacles' vertices.

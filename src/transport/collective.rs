@@ -1,6 +1,8 @@
 //! Lists of any length from every rank to every rank, cut into messages that fit what the transport reserved.
 //! Part of the collective program: every rank calls it at the same place.
 
+use std::ops::Range;
+
 use bytemuck::Pod;
 
 use super::{Transport, TransportError};
@@ -14,15 +16,45 @@ pub fn share_lists<T: Pod>(
     own: &[T],
     read: &mut dyn FnMut(usize, &[T]),
 ) -> Result<Vec<usize>, TransportError> {
+    let mut lengths = vec![own.len()];
+    if transport.ranks() > 1 {
+        let mut gathered = Vec::new();
+        transport.all_gather(&[own.len() as f64], &mut gathered)?;
+        lengths = gathered.iter().map(|l| l.first().map_or(0, |&l| l as usize)).collect();
+    }
+    share_known(transport, own, &lengths, read)?;
+    Ok(lengths)
+}
+
+/// Completes a list of which every rank has made the range `of(rank)`: as [`share_lists`], without the all-gather.
+pub fn share_ranges<T: Pod>(
+    transport: &mut dyn Transport,
+    all: &mut [T],
+    of: impl Fn(usize) -> Range<usize>,
+) -> Result<(), TransportError> {
+    let ranges: Vec<Range<usize>> = (0..transport.ranks()).map(of).collect();
+    let lengths: Vec<usize> = ranges.iter().map(Range::len).collect();
+    let own = all[ranges[transport.rank()].clone()].to_vec();
+    let mut next: Vec<usize> = ranges.iter().map(|range| range.start).collect();
+    share_known(transport, &own, &lengths, &mut |source, part: &[T]| {
+        all[next[source]..next[source] + part.len()].copy_from_slice(part);
+        next[source] += part.len();
+    })
+}
+
+/// As [`share_lists`], if everybody knows how many items every rank has.
+fn share_known<T: Pod>(
+    transport: &mut dyn Transport,
+    own: &[T],
+    lengths: &[usize],
+    read: &mut dyn FnMut(usize, &[T]),
+) -> Result<(), TransportError> {
     const { assert!(size_of::<T>().is_multiple_of(4) && align_of::<T>() <= 4, "items must be whole 32-bit words") };
     let (rank, ranks, words) = (transport.rank(), transport.ranks(), size_of::<T>() / 4);
     read(rank, own);
     if ranks == 1 {
-        return Ok(vec![own.len()]);
+        return Ok(());
     }
-    let mut lengths = Vec::new();
-    transport.all_gather(&[own.len() as f64], &mut lengths)?;
-    let lengths: Vec<usize> = lengths.iter().map(|l| l.first().map_or(0, |&l| l as usize)).collect();
     let most = transport.max_message_values() / words;
     let longest = lengths.iter().copied().max().unwrap_or(0);
     if longest > 0 && most == 0 {
@@ -50,7 +82,7 @@ pub fn share_lists<T: Pod>(
             }
         }
     }
-    Ok(lengths)
+    Ok(())
 }
 
 #[cfg(test)]
@@ -80,5 +112,26 @@ mod tests {
                 .collect();
             threads.into_iter().for_each(|thread| thread.join().unwrap());
         }
+    }
+
+    #[test]
+    fn every_rank_completes_the_ranges_of_all() {
+        let ranges = [0..3, 3..3, 3..20];
+        let threads: Vec<_> = InProcessTransport::group(3)
+            .into_iter()
+            .map(|mut transport| {
+                transport.set_max_message_values(4);
+                let ranges = ranges.clone();
+                std::thread::spawn(move || {
+                    let mut all = [[0u32; 2]; 20];
+                    for at in ranges[transport.rank()].clone() {
+                        all[at] = [at as u32, 7];
+                    }
+                    share_ranges(&mut transport, &mut all, |rank| ranges[rank].clone()).unwrap();
+                    assert_eq!(all, std::array::from_fn(|at| [at as u32, 7]));
+                })
+            })
+            .collect();
+        threads.into_iter().for_each(|thread| thread.join().unwrap());
     }
 }

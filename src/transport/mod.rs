@@ -23,7 +23,7 @@ mod shared_memory;
 mod solo;
 mod wait;
 
-pub use collective::share_lists;
+pub use collective::{share_lists, share_ranges};
 pub use emulated::{EmulatedTransport, STAMP_VALUES};
 pub use faulty::{Fault, FaultyTransport};
 pub use iceoryx::{

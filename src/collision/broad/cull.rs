@@ -29,7 +29,6 @@ use std::ops::Range;
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3A;
 
-use super::boxes::Aabb;
 use super::contour::Contour;
 use super::patches::Patches;
 use super::split::{Split, even};
@@ -44,6 +43,9 @@ const LEAST_AREA: f32 = 1e-3;
 /// More than normals of such triangles are wrong in angle (radians) and relative length: their rounding is 16 units in the
 /// last place of the squared edge.
 const ROUNDING: f32 = 4e-3;
+
+/// In place of a second patch: the first one is active, whoever the other is.
+const ALONE: u32 = u32::MAX;
 
 /// Where the normals of a patch point during the step.
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -121,12 +123,23 @@ pub(super) struct Culling {
     contours: Vec<u32>,
     /// Patches whose unions together hold every patch together with each one around it, ascending.
     chosen: Vec<u32>,
+    /// The piece of all triangles of a patch (obstacles' patches too); a number of its own if they are of several.
+    pieces: Vec<u32>,
+    /// All patches, as the last query had them along its axis: nearly sorted for the next one.
+    order: Vec<u32>,
 }
 
 impl Culling {
     pub fn new(mesh: &super::CollisionMesh, patches: &Patches) -> Culling {
-        let mut culling =
-            Culling { firsts: vec![0], around: vec![], contour_firsts: vec![0], contours: vec![], chosen: vec![] };
+        let mut culling = Culling {
+            firsts: vec![0],
+            around: vec![],
+            contour_firsts: vec![0],
+            contours: vec![],
+            chosen: vec![],
+            pieces: (0..patches.count()).map(|patch| piece(mesh, patches, patch)).collect(),
+            order: (0..patches.count() as u32).collect(),
+        };
         // Which patches have a vertex: at most one per triangle around it.
         let mut users: Vec<(u32, u32)> = Vec::with_capacity(mesh.vertices);
         for patch in 0..patches.cloth() {
@@ -204,20 +217,22 @@ impl Culling {
 
     /// Patches that may have a pair, ascending.
     pub fn active(
-        &self,
+        &mut self,
         cpu: &CpuExecutor,
         input: &Input,
         patches: &Patches,
         split: &mut Split,
     ) -> Result<Vec<u32>, TransportError> {
         let mut free = vec![0u32; patches.cloth()];
-        let mut prove = |list: &[u32], free: &mut [u32]| {
+        self.sort(input, patches);
+        let this = &*self;
+        let prove = |split: &mut Split, list: &[u32], free: &mut [u32]| {
             let mut found = vec![0u32; list.len()];
             let own = split.part(list.len());
             cpu.for_ranges_mut(&mut found[own.clone()], 1, 4, |range, out| {
                 let mut contour = Contour::default();
                 for (at, free) in (own.start + range.start..).zip(out) {
-                    *free = u32::from(self.is_free(input, patches, list[at] as usize, &mut contour));
+                    *free = u32::from(this.is_free(input, patches, list[at] as usize, &mut contour));
                 }
             });
             let (_, ranks) = split.place();
@@ -225,45 +240,65 @@ impl Culling {
             list.iter().zip(&found).for_each(|(&patch, &found)| free[patch as usize] = found);
             Ok::<(), TransportError>(())
         };
-        prove(&self.chosen, &mut free)?;
-        let (mut active, open) = self.sweep(input, patches, &free);
+        prove(split, &this.chosen, &mut free)?;
+        let (mut active, mut open) = (vec![false; patches.count()], Vec::new());
+        for [one, other] in split.gather(this.sweep(input, patches, &free, split))? {
+            match other {
+                ALONE => active[one as usize] = true,
+                _ => open.push([one, other]),
+            }
+        }
+        open.retain(|&[one, other]| !(active[one as usize] && active[other as usize]));
         // Where the unions that were chosen do not settle a pair, others may.
-        let untried = |p: &u32| self.chosen.binary_search(p).is_err();
+        let untried = |p: &u32| this.chosen.binary_search(p).is_err();
         let mut others: Vec<u32> =
-            open.iter().flat_map(|&[one, other]| self.common(one, other)).filter(untried).collect();
+            open.iter().flat_map(|&[one, other]| this.common(one, other)).filter(untried).collect();
         others.sort_unstable();
         others.dedup();
         if !others.is_empty() {
-            prove(&others, &mut free)?;
+            prove(split, &others, &mut free)?;
         }
         for [one, other] in open {
-            if !self.is_covered(one, other, &free) {
+            if !this.is_covered(one, other, &free) {
                 (active[one as usize], active[other as usize]) = (true, true);
             }
         }
         Ok((0..active.len() as u32).filter(|&patch| active[patch as usize]).collect())
     }
 
-    /// Patches with a pair of which nothing can be proven, among pairs of patches with overlapping boxes (found along one
-    /// axis), and pairs that are open: not proven apart, but within one union.
-    fn sweep(&self, input: &Input, patches: &Patches, free: &[u32]) -> (Vec<bool>, Vec<[u32; 2]>) {
-        let axis = input.grid.longest();
-        let boxes: Vec<Aabb> = patches.states.iter().map(|state| state.aabb()).collect();
-        let pieces: Vec<u32> = (0..boxes.len()).map(|patch| piece(input, patches, patch)).collect();
-        let mut order: Vec<usize> = (0..boxes.len()).filter(|&p| !boxes[p].is_empty()).collect();
-        order.sort_unstable_by(|&a, &b| boxes[a].lo[axis].total_cmp(&boxes[b].lo[axis]).then(a.cmp(&b)));
-        let mut active = vec![false; boxes.len()];
+    /// Patches along the axis that the sweep goes along.
+    fn sort(&mut self, input: &Input, patches: &Patches) {
+        let (axis, states) = (input.grid.longest(), &patches.states);
+        let key = |patch: u32| states[patch as usize].aabb().lo[axis];
+        self.order.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
+    }
+
+    /// This rank's part of all pairs of patches with overlapping boxes: patches with a pair of which nothing can be proven
+    /// (as `[patch, ALONE]`), and pairs that are open: not proven apart, but within one union.
+    fn sweep(&self, input: &Input, patches: &Patches, free: &[u32], split: &Split) -> Vec<[u32; 2]> {
+        let (axis, states) = (input.grid.longest(), &patches.states);
+        let mut active = vec![false; states.len()];
+        let own = split.part(free.len());
         let mut open: Vec<[u32; 2]> =
-            (0..free.len() as u32).filter(|&p| !self.is_covered(p, p, free)).map(|p| [p, p]).collect();
-        for (place, &one) in order.iter().enumerate() {
-            let end = boxes[one].hi[axis];
-            for &other in order[place + 1..].iter().take_while(|&&other| boxes[other].lo[axis] <= end) {
+            own.map(|p| [p as u32; 2]).filter(|&[p, _]| !self.is_covered(p, p, free)).collect();
+        for place in split.every(self.order.len()) {
+            let one = self.order[place] as usize;
+            let aabb = states[one].aabb();
+            if aabb.is_empty() {
+                continue;
+            }
+            for &other in &self.order[place + 1..] {
+                let other = other as usize;
+                let beside = states[other].aabb();
+                if beside.lo[axis] > aabb.hi[axis] {
+                    break;
+                }
                 let known = active[one] && active[other];
-                if known || !boxes[one].overlaps(&boxes[other]) || one.min(other) >= free.len() {
+                if known || one.min(other) >= free.len() || beside.is_empty() || !aabb.overlaps(&beside) {
                     continue;
                 }
-                let within_piece = input.motion.within_piece.filter(|_| pieces[one] == pieces[other]);
-                if within_piece.is_some_and(|by| !boxes[one].shrink(by).overlaps(&boxes[other])) {
+                let within_piece = input.motion.within_piece.filter(|_| self.pieces[one] == self.pieces[other]);
+                if within_piece.is_some_and(|by| !aabb.shrink(by).overlaps(&beside)) {
                     continue;
                 }
                 let pair = [one as u32, other as u32];
@@ -275,7 +310,8 @@ impl Culling {
             }
         }
         open.retain(|&[one, other]| !(active[one as usize] && active[other as usize]));
-        (active, open)
+        open.extend((0..active.len()).filter(|&patch| active[patch]).map(|patch| [patch as u32, ALONE]));
+        open
     }
 
     /// Patches whose unions hold two patches.
@@ -292,13 +328,14 @@ impl Culling {
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
         let lists = [&self.firsts, &self.around, &self.contour_firsts, &self.contours, &self.chosen];
-        lists.iter().map(|list| size_of_val(&list[..]) as u64).sum()
+        let lists = lists.into_iter().chain([&self.pieces, &self.order]);
+        lists.map(|list| size_of_val(&list[..]) as u64).sum()
     }
 }
 
-/// The piece of all triangles of a patch; a number of its own if they are of several.
-fn piece(input: &Input, patches: &Patches, patch: usize) -> u32 {
-    let mut pieces = input.mesh.triangles[patches.triangles(patch)].iter().map(|t| input.mesh.pieces[t[0] as usize]);
+/// See [`Culling::pieces`].
+fn piece(mesh: &super::CollisionMesh, patches: &Patches, patch: usize) -> u32 {
+    let mut pieces = mesh.triangles[patches.triangles(patch)].iter().map(|t| mesh.pieces[t[0] as usize]);
     let first = pieces.next().unwrap_or(u32::MAX);
     if pieces.all(|piece| piece == first) { first } else { u32::MAX - patch as u32 }
 }

@@ -123,7 +123,7 @@ impl Patches {
             };
             self.active = (0..count).filter(near).map(|patch| patch as u32).collect();
         } else if input.choice.cull {
-            let culling = match self.culling.take() {
+            let mut culling = match self.culling.take() {
                 Some(culling) => culling,
                 None => Culling::new(input.mesh, self),
             };

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use bytemuck::Pod;
 
-use crate::transport::{Transport, TransportError, share_lists};
+use crate::transport::{Transport, TransportError, share_lists, share_ranges};
 
 /// One rank among others.
 pub struct Split<'a> {
@@ -36,6 +36,20 @@ impl<'a> Split<'a> {
         if self.transport.is_some() { even(self.rank, self.ranks, items) } else { 0..items }
     }
 
+    /// As [`Split::part`], for work that differs from place to place: this rank's turns if ranks take turns.
+    pub(super) fn every(&self, items: usize) -> impl Iterator<Item = usize> + use<> {
+        let (first, stride) = if self.transport.is_some() { (self.rank, self.ranks) } else { (0, 1) };
+        (first..items).step_by(stride)
+    }
+
+    /// The lists of all ranks that do their part, one after the other.
+    pub(super) fn gather<T: Pod>(&mut self, own: Vec<T>) -> Result<Vec<T>, TransportError> {
+        let Some(transport) = &mut self.transport else { return Ok(own) };
+        let mut all = Vec::with_capacity(own.len() * self.ranks);
+        share_lists(*transport, &own, &mut |_, part: &[T]| all.extend_from_slice(part))?;
+        Ok(all)
+    }
+
     /// True if other ranks do their part of what all need.
     pub(super) fn is_together(&self) -> bool {
         self.transport.is_some()
@@ -49,13 +63,7 @@ impl<'a> Split<'a> {
         of: impl Fn(usize) -> Range<usize>,
     ) -> Result<(), TransportError> {
         let Some(transport) = &mut self.transport else { return Ok(()) };
-        let own = all[of(self.rank)].to_vec();
-        let mut next: Vec<usize> = (0..self.ranks).map(|rank| of(rank).start).collect();
-        share_lists(*transport, &own, &mut |source, part: &[T]| {
-            all[next[source]..next[source] + part.len()].copy_from_slice(part);
-            next[source] += part.len();
-        })?;
-        Ok(())
+        share_ranges(*transport, all, of)
     }
 }
 
