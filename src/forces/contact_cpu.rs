@@ -73,7 +73,8 @@ fn one_record(
     let depth = element.thickness_m - element.distance_m;
     let release_s = RELEASE_STEPS * step_s;
     // A depth below zero is a contact that the motion will close.
-    if !(depth - step_s * un > 0.0) {
+    let acts = depth - step_s * un > 0.0;
+    if !acts {
         return [0.0; CONTACT_RECORD_FLOATS];
     }
     let ut = u - n * un;

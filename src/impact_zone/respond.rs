@@ -18,7 +18,7 @@ use crate::math::{DVec3, Vec3};
 /// constraint from there. Saves rounds, in which all ranks meet.
 const PASSES: u32 = 6;
 /// Error of a constraint that ends a descent, in margins: what is left of the margin is free of penetration.
-const TOLERANCE: f64 = 0.1;
+const TOLERANCE: f64 = 0.25;
 
 /// A vertex and its new end position: what ranks exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

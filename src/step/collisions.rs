@@ -303,15 +303,15 @@ impl Collisions {
         clock.lap(&mut stats.seconds.positions);
         let mut zones = ImpactZones::new(ZoneSettings::for_thickness(self.model.thickness_m));
         let mut touched: Option<Vec<bool>> = None;
-        let (mut first, mut last) = (0, usize::MAX);
+        let (mut most, mut last) = (0, usize::MAX);
         loop {
             let impacts = self.impacts(executor, transport, touched.as_deref(), stats, recorder)?;
             clock.lap(&mut stats.seconds.continuous);
             if impacts.is_empty() {
                 break;
             }
-            first = first.max(impacts.len());
-            let ends_soon = impacts.len() <= (last / 2).max(first / 16);
+            most = most.max(impacts.len());
+            let ends_soon = impacts.len() <= (last / 2).max(most / 16);
             let rounds_most = if ends_soon { rounds_most.saturating_mul(2) } else { rounds_most };
             if zones.counts().rounds >= rounds_most {
                 stats.zones.add(&zones.counts());
