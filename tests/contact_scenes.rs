@@ -9,9 +9,12 @@ use contact_support::{Watched, assert_free, ball, contact_scene, floor, plate, r
 use loomtree::gpu::{Executor, test_support};
 use loomtree::math::{DVec3, Vec3};
 use loomtree::mesh::TriangleMesh;
+use loomtree::model::GlobalModel;
 use loomtree::scene::{Pin, PreconditionerKind, Scene};
+use loomtree::solver::ExchangeMode;
+use loomtree::step::StepError;
 use support::physics::DOWN;
-use support::{cpu, sheet};
+use support::{cpu, on_ranks, sheet};
 
 /// The same scene as it is usual, ten times as fast, a tenth as thick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,14 +54,19 @@ fn check(name: &str, scene: &Scene, steps: u32) -> Watched {
     one
 }
 
+/// A sheet of `cells` squared above a ball.
+fn over_a_ball(kind: Kind, cells: usize) -> Scene {
+    let mesh = sheet(cells + 1, cells + 1, [0.3, 0.3], Vec3::new(-0.14, -0.155, 0.003), Vec3::X, Vec3::Y);
+    let mut scene = kind.scene(mesh);
+    scene.velocities.iter_mut().for_each(|v| v.z = -kind.speed_m_s());
+    scene.obstacles = vec![ball(0.08, 6, Vec3::new(0.0, 0.0, -0.08), 0.3)];
+    scene
+}
+
 #[test]
 fn dropped_on_a_ball() {
     for kind in KINDS {
-        let mesh = sheet(21, 21, [0.3, 0.3], Vec3::new(-0.14, -0.155, 0.003), Vec3::X, Vec3::Y);
-        let mut scene = kind.scene(mesh);
-        scene.velocities.iter_mut().for_each(|v| v.z = -kind.speed_m_s());
-        scene.obstacles = vec![ball(0.08, 6, Vec3::new(0.0, 0.0, -0.08), 0.3)];
-        let run = check(&format!("ball, {kind:?}"), &scene, 40);
+        let run = check(&format!("ball, {kind:?}"), &over_a_ball(kind, 20), 40);
         for (step, x) in run.positions.iter().enumerate() {
             // Facets of the ball lie up to 1.5 mm below its radius.
             let nearest = x.iter().map(|x| x.distance(Vec3::Z * -0.08)).fold(f32::MAX, f32::min);
@@ -97,66 +105,101 @@ fn layers_on_a_floor() {
     }
 }
 
-/// A roll of two turns lands on a floor on its side and is pressed flat by its own speed.
+/// A roll of two turns, `cells` long and wide, that lands on a floor on its side and is pressed flat by its own speed.
+fn roll(kind: Kind, cells: [usize; 2]) -> Scene {
+    let mesh = sheet(cells[0] + 1, cells[1] + 1, [0.4, 0.08], Vec3::ZERO, Vec3::X, Vec3::Y);
+    let mut scene = kind.scene(rolled(mesh, 0.025, 0.006, Vec3::Z * 0.045));
+    scene.velocities.iter_mut().for_each(|v| v.z = -kind.speed_m_s());
+    scene.obstacles = vec![floor(1.0, 4, 0.3)];
+    scene
+}
+
 #[test]
 fn a_roll_falls_onto_itself() {
     for kind in KINDS {
-        let mesh = rolled(sheet(41, 9, [0.4, 0.08], Vec3::ZERO, Vec3::X, Vec3::Y), 0.025, 0.006, Vec3::Z * 0.045);
-        let mut scene = kind.scene(mesh);
-        scene.velocities.iter_mut().for_each(|v| v.z = -kind.speed_m_s());
-        scene.obstacles = vec![floor(1.0, 4, 0.3)];
-        let run = check(&format!("roll, {kind:?}"), &scene, 50);
+        let run = check(&format!("roll, {kind:?}"), &roll(kind, [40, 8]), 50);
         let lowest = run.positions.iter().flatten().map(|x| x.z).fold(f32::MAX, f32::min);
         assert!(lowest > 0.0, "{kind:?}: {lowest} m");
     }
 }
 
-/// A strip folded in an S, hung at one end, squeezed between two plates that stop at a gap that it fits in.
+/// A strip of `cells` along and across, folded in an S, hung at one end, squeezed between two plates that stop at a gap that
+/// it fits in.
+fn between_plates(kind: Kind, cells: [usize; 2]) -> Scene {
+    let mut mesh = sheet(cells[0] + 1, cells[1] + 1, [0.4, 0.08], Vec3::ZERO, Vec3::X, Vec3::Y);
+    for x in &mut mesh.positions {
+        // Waves of 10 cm; arc length is kept by shrinking x.
+        let phase = x.x * 60.0;
+        *x = Vec3::new(x.x * 0.7, x.y, 0.012 * phase.sin());
+    }
+    let mut scene = kind.scene(mesh);
+    scene.settings.gravity_m_s2 = Vec3::ZERO;
+    let at_end = (0..=cells[1] as u32).map(|i| i * (cells[0] as u32 + 1));
+    scene.pins = at_end.map(|vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY }).collect();
+    let closing_s = 0.014 / f64::from(kind.speed_m_s() * 0.1);
+    let size = [0.5, 0.2, 0.01];
+    let at = |z: f32| Vec3::new(0.15, 0.04, z);
+    scene.obstacles = vec![
+        plate("upper", size, at(0.025), DVec3::Z * -0.014, 0.0, closing_s),
+        plate("lower", size, at(-0.025), DVec3::Z * 0.014, 0.0, closing_s),
+    ];
+    scene
+}
+
 #[test]
 fn squeezed_between_plates() {
     for kind in KINDS {
-        let mut mesh = sheet(41, 9, [0.4, 0.08], Vec3::ZERO, Vec3::X, Vec3::Y);
-        for x in &mut mesh.positions {
-            // Waves of 4 cm; arc length is kept by shrinking x.
-            let phase = x.x * 60.0;
-            *x = Vec3::new(x.x * 0.7, x.y, 0.012 * phase.sin());
-        }
-        let mut scene = kind.scene(mesh);
-        scene.settings.gravity_m_s2 = Vec3::ZERO;
-        scene.pins = (0..9).map(|i| Pin { vertex: i * 41, motion: None, start_s: 0.0, end_s: f64::INFINITY }).collect();
-        let closing_s = 0.014 / f64::from(kind.speed_m_s() * 0.1);
-        let size = [0.5, 0.2, 0.01];
-        let at = |z: f32| Vec3::new(0.15, 0.04, z);
-        scene.obstacles = vec![
-            plate("upper", size, at(0.025), DVec3::Z * -0.014, 0.0, closing_s),
-            plate("lower", size, at(-0.025), DVec3::Z * 0.014, 0.0, closing_s),
-        ];
-        let run = check(&format!("plates, {kind:?}"), &scene, 40);
+        let run = check(&format!("plates, {kind:?}"), &between_plates(kind, [40, 8]), 40);
         let last = run.positions.last().unwrap();
         // Faces of the plates end 6 mm from the middle.
         assert!(last.iter().all(|x| x.z.abs() < 0.006), "{kind:?}: between the plates");
     }
 }
 
-/// Smaller, on a device: lavapipe where there is no better one.
+/// All of the above, smaller, on a device: lavapipe where there is no better one.
 #[test]
-fn layers_on_a_device() {
+fn every_scene_on_a_device() {
     if test_support::executor().is_none() {
         return;
     }
     let gpu = |rank: usize| Executor::gpu(None, rank).unwrap();
-    for (kind, preconditioner) in [
-        (Kind::Usual, PreconditionerKind::Auto),
-        (Kind::Fast, PreconditionerKind::Auto),
-        (Kind::Fast, PreconditionerKind::Schwarz),
-    ] {
-        let mut scene = layers(kind, 2, 6);
-        scene.settings.preconditioner = preconditioner;
-        let one = watch(&scene, 1, 12, gpu);
-        println!("device, {kind:?}: {}", one.summary());
-        assert!(one.stats.iter().map(|s| s.contacts).sum::<u64>() > 100, "{}", one.summary());
-        assert_free(&scene, &one);
-        assert!(one.positions.iter().flatten().all(|x| x.z > 0.0));
-        assert!(watch(&scene, 2, 12, gpu).bits() == one.bits(), "{kind:?}: two ranks give other bits than one");
+    for kind in KINDS {
+        let scenes = [
+            ("layers", layers(kind, 2, 6), 12),
+            ("ball", over_a_ball(kind, 10), 10),
+            ("roll", roll(kind, [30, 4]), 16),
+            ("plates", between_plates(kind, [30, 4]), 24),
+        ];
+        for (name, mut scene, steps) in scenes {
+            // The small scenes take Jacobi by themselves.
+            if (name, kind) == ("layers", Kind::Fast) {
+                scene.settings.preconditioner = PreconditionerKind::Schwarz;
+            }
+            let start = std::time::Instant::now();
+            let one = watch(&scene, 1, steps, gpu);
+            println!("device, {name}, {kind:?}: {}; {:.2} s", one.summary(), start.elapsed().as_secs_f64());
+            assert!(one.stats.iter().map(|s| s.contacts).sum::<u64>() > 30, "{name}, {kind:?}: {}", one.summary());
+            assert_free(&scene, &one);
+            let four = watch(&scene, 4, steps, gpu);
+            assert!(four.bits() == one.bits(), "{name}, {kind:?}: four ranks give other bits than one");
+        }
+    }
+}
+
+/// A vertex that is about to leave what collisions can be computed for is named, not the failure it would cause.
+#[test]
+fn a_vertex_out_of_range_is_named() {
+    let mut scene = layers(Kind::Usual, 2, 3);
+    scene.velocities[20].x = 1e21;
+    let model = GlobalModel::new(&scene);
+    let errors = on_ranks(&model, 2, ExchangeMode::Halo, cpu, |simulation, transport| {
+        simulation.step(transport, 1, false).map(|_| ()).unwrap_err()
+    });
+    for error in errors {
+        let StepError::NotFinite { step: 1, vertex, quantity: "position", cause, .. } = &error else {
+            panic!("{error}")
+        };
+        assert_eq!(model.original_from_global[*vertex as usize], 20, "{error}");
+        assert!(cause.contains("at the end of the step"), "{cause}");
     }
 }

@@ -7,7 +7,7 @@ use loomtree::assembly::sell::value_index;
 use loomtree::assembly::{
     ContactSystem, LANES, NO_ROW, Numbering, RowTooLong, SellLayout, SellMatrix, SubVectors, SystemMatrix,
 };
-use loomtree::forces::{ContactElement, NO_VERTEX, RELEASE_STEPS};
+use loomtree::forces::{ContactElement, FACET_SLOPE, NO_VERTEX, RELEASE_STEPS};
 use loomtree::gpu::test_support::{self, Seeded};
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::partition::{HaloPlan, RowPartition, halo_plans};
@@ -178,8 +178,11 @@ impl Case {
             let speed = slip.iter().map(|s| s * s).sum::<f64>().sqrt().max(1e-3);
             // The mass that the stiffness was made for; the depth one step ago; the force that stops what was apart then.
             let (release, mass, before) = (f64::from(RELEASE_STEPS) * h, k * h * h / STIFFNESS_RATIO, depth + h * un);
+            // Closing in counts beyond what facets slope.
+            let length = slip.iter().map(|s| s * s).sum::<f64>().sqrt();
+            let parting = un.max(0.0) + (un + f64::from(FACET_SLOPE) * length).min(0.0);
             let pressing = if before > 0.0 {
-                k * (before - release * un).max(0.0)
+                k * (before - release * parting).max(0.0)
             } else {
                 mass * (depth.min(0.0) - h * un) / (h * h)
             };

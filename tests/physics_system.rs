@@ -10,8 +10,8 @@ use loomtree::assembly::{ContactSystem, ElementRows, LANES, NO_ROW, Numbering, S
 use loomtree::forces::bend::Bend;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{
-    ContactElement, HINGE_RECORD_FLOATS, NO_VERTEX, RELEASE_STEPS, STICK_SPEED_M_S, StepParams, TRIANGLE_RECORD_FLOATS,
-    dihedral_angle,
+    ContactElement, FACET_SLOPE, HINGE_RECORD_FLOATS, NO_VERTEX, RELEASE_STEPS, STICK_SPEED_M_S, StepParams,
+    TRIANGLE_RECORD_FLOATS, dihedral_angle,
 };
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::math::{DQuat, DVec3, Vec3};
@@ -360,8 +360,10 @@ fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElem
         // The mass that the stiffness was made for; the depth one step ago.
         let mass = k * STEP_S * STEP_S / STIFFNESS_RATIO;
         let before = depth + STEP_S * n.dot(u);
+        // Closing in counts beyond what facets slope.
+        let parting = n.dot(u).max(0.0) + (n.dot(u) + f64::from(FACET_SLOPE) * slip.length()).min(0.0);
         let pressing = if before > 0.0 {
-            k * (before - release * n.dot(u)).max(0.0)
+            k * (before - release * parting).max(0.0)
         } else {
             mass * (depth.min(0.0) - STEP_S * n.dot(u)) / (STEP_S * STEP_S)
         };

@@ -106,6 +106,8 @@ fn every_field_arrives() {
     assert_eq!((scene.settings.collisions, scene.settings.contact_stiffness), (true, 3.0));
     assert_eq!([0, 8, 9, 17].map(|v| scene.friction_of_vertex(v)), [0.7, 0.7, 0.4, 0.4]);
     assert_eq!((&scene.cloths[1].vertices, &scene.cloths[1].triangles), (&(9..18), &(8..16)));
+    assert_eq!(scene.vertex_name(10), format!("vertex 1 of `{}`", scene.cloths[1].name));
+    assert_eq!(read("").unwrap().vertex_name(5), "vertex 5");
     let obstacles = Obstacles::new(&scene.obstacles);
     assert_eq!([0, 1].map(|i| (obstacles.name(i), obstacles.friction(i))), [("ball", 0.1), ("box 1", 0.4)]);
     assert_eq!(scene.obstacles.iter().map(|o| o.moving()).collect::<Vec<_>>(), [true, false]);

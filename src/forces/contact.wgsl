@@ -20,6 +20,7 @@ struct ContactParams {
 
 const NO_VERTEX: u32 = 0xffffffffu;
 const STICK_SPEED_M_S: f32 = 1e-3;
+const FACET_SLOPE: f32 = 0.1;
 const RELEASE_STEPS: f32 = 10.0;
 const SHARING: f32 = 8.0;
 
@@ -59,11 +60,13 @@ fn contact(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let ut = u - n * un;
     let mass = dt * dt * k / params.stiffness_ratio;
     let before = depth + dt * un;
+    let slip = sqrt(dot(ut, ut));
     var normal_force = mass * ((min(depth, 0.0) - dt * un) / (dt * dt));
     if (before > 0.0) {
-        normal_force = k * max(before - release * un, 0.0);
+        let parting = max(un, 0.0) + min(un + FACET_SLOPE * slip, 0.0);
+        normal_force = k * max(before - release * parting, 0.0);
     }
-    let drag = dt * (element.friction * normal_force / max(sqrt(dot(ut, ut)), STICK_SPEED_M_S));
+    let drag = dt * (element.friction * normal_force / max(slip, STICK_SPEED_M_S));
     let beta = drag * min(SHARING * drag / mass, 1.0);
     let g = n * (dt * k * (select(RELEASE_STEPS, 1.0, depth > 0.0) * depth - release * un)) - ut * drag;
     records[at] = element.weights;

@@ -17,7 +17,7 @@ mod stretch_cpu;
 mod tests;
 
 pub use bend_cpu::{bend_energy, dihedral_angle};
-pub use contact_cpu::{RELEASE_STEPS, STICK_SPEED_M_S, contact_energy};
+pub use contact_cpu::{FACET_SLOPE, RELEASE_STEPS, STICK_SPEED_M_S, contact_energy};
 pub use contact_element::{ContactElement, NO_VERTEX};
 pub use element::{
     CONTACT_RECORD_FLOATS, CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,

@@ -23,7 +23,35 @@ pub(super) fn stencil_kind(candidate: &Candidate) -> StencilKind {
     if candidate.is_vertex_face() { StencilKind::VertexFace } else { StencilKind::EdgeEdge }
 }
 
+/// Margin of a pair that hits again and again, in margins.
+const MARGINS_MOST: usize = 10;
+/// Error of a constraint that counts as not met, in margins.
+const UNMET: f64 = 0.5;
+
+/// The distance in margins that the constraint of a pair asks for which came after `before` others of it: its normals were
+/// not good enough so far. Other pairs keep theirs, since in a pile every wider gap is taken from the layers around it.
+pub(super) fn margins(before: usize) -> f64 {
+    (1 + before).min(MARGINS_MOST) as f64
+}
+
+/// Whether positions `x` meet all constraints of a pair, in their order: one more could help only then. Those for which
+/// `moves` is false do not count.
+pub(super) fn all_met<'a>(
+    of_pair: impl IntoIterator<Item = &'a Constraint>,
+    x: [DVec3; 4],
+    margin_m: f64,
+    moves: impl Fn(&Constraint) -> bool,
+) -> bool {
+    let met = |(before, c): (usize, &Constraint)| !moves(c) || c.gap_m(x) > margin_m * (margins(before) - UNMET);
+    of_pair.into_iter().enumerate().all(met)
+}
+
 impl Constraint {
+    /// Distance of the parts at positions `x`, as the constraint sees it.
+    pub fn gap_m(&self, x: [DVec3; 4]) -> f64 {
+        self.normal.dot((0..4).map(|i| x[i] * self.weights[i]).sum())
+    }
+
     /// The constraint of an impact whose vertices move from `x_t0` to `x_t1`.
     ///
     /// Up to the time of impact the parts are apart, so the offset of their closest points there points to the side they

@@ -2,7 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use super::constraint::{Constraint, stencil_kind};
+use super::constraint::{Constraint, all_met, margins, stencil_kind};
 use super::distribute::distribute;
 use super::problem::{Batch, IMMOVABLE, Row};
 use super::rigid::{self, MovingPoint, RigidMotion};
@@ -18,11 +18,7 @@ use crate::math::{DVec3, Vec3};
 /// constraint from there. Saves rounds, in which all ranks meet.
 const PASSES: u32 = 6;
 /// Error of a constraint that ends a descent, in margins: what is left of the margin is free of penetration.
-const TOLERANCE: f64 = 0.1;
-/// Error of a constraint that was not met, in margins.
-const UNMET: f64 = 0.5;
-/// Margin of a pair that hits again and again, in margins.
-const MARGINS_MOST: u32 = 10;
+const TOLERANCE: f64 = 0.25;
 
 /// A vertex and its new end position: what ranks exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -122,21 +118,22 @@ impl Descent<'_> {
         self.constraints.chunk_by(|(a, _), (b, _)| a.candidate == b.candidate)
     }
 
-    /// Rows of all constraints, in order. A pair that hits again is kept farther apart, as its normal was not good enough;
-    /// it alone, since in a pile every wider gap is taken from the layers around it.
+    /// Rows of all constraints, in order.
     fn rows(&self, step: &StepPositions, margin_m: f64) -> Vec<Row> {
         let zone = self.zone;
-        let row = |c: &Constraint, margins: u32, start: f64| {
+        let row = |before: usize, c: &Constraint, start: f64| {
             let places = c.candidate.vertices.map(|v| zone.place(v));
             let positions = std::array::from_fn(|i| match places[i] {
                 Some(place) => zone.wanted_at(place),
                 None => step.end(c.candidate.vertices[i]),
             });
             let vertices = places.map(|place| place.map_or(IMMOVABLE, |p| p as u32));
-            let margin_m = margin_m * f64::from(margins.min(MARGINS_MOST));
-            Row { start, ..Row::new(c.normal, c.weights, vertices, positions, margin_m) }
+            Row { start, ..Row::new(c.normal, c.weights, vertices, positions, margin_m * margins(before)) }
         };
-        self.of_pairs().flat_map(|pair| (1..).zip(pair).map(|(margins, (c, start))| row(c, margins, *start))).collect()
+        let of_pair = |pair: &[(Constraint, f64)]| -> Vec<Row> {
+            pair.iter().enumerate().map(|(before, (c, start))| row(before, c, *start)).collect()
+        };
+        self.of_pairs().flat_map(of_pair).collect()
     }
 
     fn push_to(&self, batch: &mut Batch, step: &StepPositions, margin_m: f64) {
@@ -183,11 +180,7 @@ impl Descent<'_> {
             let narrow = |x: [DVec3; 4]| x.map(|p| p.as_vec3());
             let Some(toi) = ccd(stencil_kind(&candidate), narrow(x_t0), narrow(x_t1), 0.0).toi else { continue };
             hits = true;
-            let gap_m = |c: &Constraint| c.normal.dot((0..4).map(|i| x_t1[i] * c.weights[i]).sum());
-            let met = |(margins, (c, _)): (u32, &(Constraint, f64))| {
-                !moves(self.zone, c) || gap_m(c) > margin_m * (f64::from(margins.min(MARGINS_MOST)) - UNMET)
-            };
-            if (1..).zip(pair).all(met) {
+            if all_met(pair.iter().map(|(c, _)| c), x_t1, margin_m, |c| moves(self.zone, c)) {
                 more.push((Constraint::of_impact(&Impact { candidate, toi }, x_t0, x_t1), 0.0));
             }
         }
@@ -199,8 +192,8 @@ impl Descent<'_> {
 
 /// Whether a zone can do anything about a constraint.
 fn moves(zone: &Zone, constraint: &Constraint) -> bool {
-    let parts = constraint.candidate.vertices.iter().zip(constraint.weights);
-    parts.into_iter().any(|(&v, w)| w != 0.0 && zone.place(v).is_some())
+    let mut parts = constraint.candidate.vertices.iter().zip(constraint.weights);
+    parts.any(|(&v, w)| w != 0.0 && zone.place(v).is_some())
 }
 
 fn momentum_preserving(zone: &Zone, step: &StepPositions) -> RigidMotion {

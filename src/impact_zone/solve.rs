@@ -80,15 +80,7 @@ pub fn solve(executor: &Executor, batch: &Batch, iterations: u32) -> Vec<ZoneRes
 }
 
 fn native(batch: &Batch, zone: usize, iterations: u32) -> ZoneResult {
-    solve_cpu::solve(
-        &batch.zones[zone],
-        batch.tolerances[zone],
-        &batch.inverse_masses,
-        &batch.gather_offsets,
-        &batch.gather,
-        &batch.rows,
-        iterations,
-    )
+    solve_cpu::solve(&batch.zones[zone], batch.tolerances[zone], &batch.inverse_masses, &batch.rows, iterations)
 }
 
 /// Most loop turns of an invocation per iteration, over the zone's invocations; bounded by what the busiest vertices of

@@ -4,32 +4,27 @@ use super::problem::{IMMOVABLE, Row, ZoneSpan};
 use super::solve::ZoneResult;
 
 /// Descends one zone until no multiplier changes by more than the tolerance, or `iterations` times.
-pub fn solve(
-    zone: &ZoneSpan,
-    tolerance: f64,
-    inverse_masses: &[f64],
-    gather_offsets: &[u32],
-    gather: &[u32],
-    rows: &[Row],
-    iterations: u32,
-) -> ZoneResult {
-    let (first_vertex, first_row) = (zone.first_vertex as usize, zone.first_row as usize);
+pub fn solve(zone: &ZoneSpan, tolerance: f64, inverse_masses: &[f64], rows: &[Row], iterations: u32) -> ZoneResult {
+    let first_vertex = zone.first_vertex as usize;
     let count = zone.rows as usize;
-    let mut held: Vec<f64> = rows[zone.row_range()].iter().map(|row| row.start).collect();
+    let rows = &rows[zone.row_range()];
+    let mut held: Vec<f64> = rows.iter().map(|row| row.start).collect();
     let (mut tried, mut next) = (held.clone(), vec![0.0f64; count]);
     let mut displacements = vec![[0.0f64; 3]; zone.vertices as usize];
+    // Row by row, which adds up in the order of the shader's lists: rows lie in the order they are read.
     let displace = |displacements: &mut [[f64; 3]], multipliers: &[f64]| {
-        for (local, d) in displacements.iter_mut().enumerate() {
-            let v = first_vertex + local;
-            let mut sum = [0.0; 3];
-            for &entry in &gather[gather_offsets[v] as usize..gather_offsets[v + 1] as usize] {
-                let row = &rows[entry as usize / 4];
-                let factor = row.weights[entry as usize % 4] * multipliers[entry as usize / 4 - first_row];
+        displacements.fill([0.0; 3]);
+        for (row, multiplier) in rows.iter().zip(multipliers).filter(|(_, multiplier)| **multiplier != 0.0) {
+            for (&v, w) in row.vertices.iter().zip(row.weights).filter(|(v, _)| **v != IMMOVABLE) {
+                let factor = w * multiplier;
+                let sum = &mut displacements[v as usize - first_vertex];
                 for k in 0..3 {
                     sum[k] += factor * row.normal[k];
                 }
             }
-            *d = sum.map(|s| s * inverse_masses[v]);
+        }
+        for (d, inverse_mass) in displacements.iter_mut().zip(&inverse_masses[zone.vertex_range()]) {
+            *d = d.map(|sum| sum * inverse_mass);
         }
     };
     let mut momentum = 1.0f64;
@@ -37,7 +32,7 @@ pub fn solve(
     while result.iterations < iterations && !result.converged {
         displace(&mut displacements, &tried);
         let (mut change, mut turn) = (0.0f64, 0.0f64);
-        for (i, row) in rows[zone.row_range()].iter().enumerate() {
+        for (i, row) in rows.iter().enumerate() {
             let mut gap = 0.0;
             for (&v, w) in row.vertices.iter().zip(row.weights) {
                 if v != IMMOVABLE {

@@ -7,7 +7,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use super::constraint::Constraint;
+use super::constraint::{Constraint, all_met};
 use super::group::DisjointSets;
 use super::rigid::{self, MovingPoint, RigidMotion};
 use super::{Impossible, StepPositions, ZoneSettings, at};
@@ -58,7 +58,7 @@ impl Zone {
         &self.vertices
     }
 
-    /// Impacts so far, earlier rounds included.
+    /// Constraints from impacts so far, earlier rounds included.
     pub fn impacts(&self) -> usize {
         self.constraints.len()
     }
@@ -95,7 +95,7 @@ pub struct ZoneCounts {
     pub zones: u64,
     /// Vertices of the largest zone.
     pub largest_vertices: u64,
-    /// Impacts of the largest zone.
+    /// Constraints of the largest zone.
     pub largest_impacts: u64,
     /// Times that a zone was to move as a rigid body.
     pub rigid: u64,
@@ -121,6 +121,8 @@ pub struct ImpactZones {
 struct Parts {
     vertices: Vec<(u32, [f32; 3])>,
     constraints: Vec<Constraint>,
+    /// Of this round.
+    fresh: Vec<Constraint>,
     effort: u32,
     rebases: u32,
     olds: u32,
@@ -192,7 +194,7 @@ impl ImpactZones {
             part.failed |= failed;
             let vertices = impact.candidate.vertices;
             let (x_t0, x_t1) = (vertices.map(|v| step.start(v)), vertices.map(|v| step.end(v)));
-            part.constraints.push(Constraint::of_impact(impact, x_t0, x_t1));
+            part.fresh.push(Constraint::of_impact(impact, x_t0, x_t1));
         }
         self.rebuild(step, parts, impacts)
     }
@@ -242,7 +244,7 @@ impl ImpactZones {
         let mut made: Vec<(Zone, bool)> = Vec::with_capacity(parts.len());
         for mut part in parts.into_values() {
             part.vertices.sort_unstable_by_key(|&(vertex, _)| vertex);
-            part.constraints.sort_by_key(|constraint| constraint.candidate);
+            self.take_fresh(step, &mut part);
             let (vertices, wanted) = part.vertices.into_iter().unzip();
             let mut zone =
                 Zone { vertices, wanted, constraints: part.constraints, effort: part.effort, rebases: part.rebases };
@@ -283,6 +285,25 @@ impl ImpactZones {
             self.zones.push(zone);
         }
         Ok(())
+    }
+
+    /// Adds the constraints of this round, but for pairs that do not meet those they have: they need more of the same.
+    fn take_fresh(&self, step: &StepPositions, part: &mut Parts) {
+        let mut all = std::mem::take(&mut part.constraints);
+        all.sort_by_key(|constraint| constraint.candidate);
+        let lacks_one = |new: &Constraint| {
+            let start = all.partition_point(|old| old.candidate < new.candidate);
+            let of_pair = all[start..].iter().take_while(|old| old.candidate == new.candidate);
+            let x = new.candidate.vertices.map(|v| step.end(v));
+            let movable = |v: u32| part.vertices.binary_search_by_key(&v, |&(vertex, _)| vertex).is_ok();
+            let moves =
+                |c: &Constraint| c.candidate.vertices.iter().zip(c.weights).any(|(&v, w)| w != 0.0 && movable(v));
+            all_met(of_pair, x, self.settings.margin_m, moves)
+        };
+        let fresh: Vec<Constraint> = part.fresh.iter().filter(|new| lacks_one(new)).copied().collect();
+        all.extend(fresh);
+        all.sort_by_key(|constraint| constraint.candidate);
+        part.constraints = all;
     }
 
     fn stands(&self, zone: &Zone) -> bool {

@@ -283,7 +283,7 @@ impl Collisions {
     }
 
     /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones until
-    /// nothing penetrates; in at most `rounds_most` rounds, twice as many while every round halves the impacts at least.
+    /// nothing penetrates; in at most `rounds_most` rounds, twice as many while the impacts become few or half as many.
     pub fn resolve(
         &mut self,
         executor: &Executor,
@@ -302,14 +302,16 @@ impl Collisions {
         clock.lap(&mut stats.seconds.positions);
         let mut zones = ImpactZones::new(ZoneSettings::for_thickness(self.model.thickness_m));
         let mut touched: Option<Vec<bool>> = None;
-        let mut last = usize::MAX;
+        let (mut most, mut last) = (0, usize::MAX);
         loop {
             let impacts = self.impacts(executor, transport, touched.as_deref(), stats, recorder)?;
             clock.lap(&mut stats.seconds.continuous);
             if impacts.is_empty() {
                 break;
             }
-            let rounds_most = if impacts.len() <= last / 2 { rounds_most.saturating_mul(2) } else { rounds_most };
+            most = most.max(impacts.len());
+            let ends_soon = impacts.len() <= (last / 2).max(most / 16);
+            let rounds_most = if ends_soon { rounds_most.saturating_mul(2) } else { rounds_most };
             if zones.counts().rounds >= rounds_most {
                 stats.zones.add(&zones.counts());
                 return Ok(Resolved::Slow);
