@@ -154,7 +154,7 @@ impl Simulation {
             })
             .transpose()?;
         let schwarz =
-            Schwarz::wanted(settings.preconditioner, &partition).map_err(SetupError::Preconditioner)?.then(|| {
+            Schwarz::wanted(settings.preconditioner, ex, &partition).map_err(SetupError::Preconditioner)?.then(|| {
                 let (offsets, block_address) = fill_tables.blocks(ex);
                 let columns = fill_tables.local_columns(ex, &matrix, &numbering);
                 let pattern = RankPattern { offsets: &offsets, columns: &columns, block_address: &block_address };

@@ -276,16 +276,16 @@ impl Graph {
 mod tests {
     use super::*;
 
-    /// A grid whose rows are scattered over the file.
-    fn scattered_grid(n: usize) -> BlockSystem {
+    /// A grid whose rows are scattered over the file; `coupling` of points (i, j) and (a, _).
+    fn scattered_grid(n: usize, coupling: impl Fn(usize, usize, usize) -> f32) -> BlockSystem {
         let at = |i: usize, j: usize| (i * n + j) * 7919 % (n * n);
         let mut rows: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n * n];
         for i in 0..n {
             for j in 0..n {
                 rows[at(i, j)].push((at(i, j) as u32, 4.0));
                 for (a, b) in [(i + 1, j), (i, j + 1)].into_iter().filter(|&(a, b)| a < n && b < n) {
-                    rows[at(i, j)].push((at(a, b) as u32, -0.9));
-                    rows[at(a, b)].push((at(i, j) as u32, -0.9));
+                    rows[at(i, j)].push((at(a, b) as u32, -coupling(i, j, a)));
+                    rows[at(a, b)].push((at(i, j) as u32, -coupling(i, j, a)));
                 }
             }
         }
@@ -304,7 +304,7 @@ mod tests {
 
     #[test]
     fn neighbours_come_together_and_every_row_comes_once() {
-        let system = scattered_grid(40);
+        let system = scattered_grid(40, |_, _, _| 0.9);
         let order = locality_order(&system, 100);
         let mut sorted = order.clone();
         sorted.sort_unstable();
@@ -317,16 +317,16 @@ mod tests {
 
     #[test]
     fn changing_places_cuts_less_coupling() {
-        let system = scattered_grid(40);
+        let system = scattered_grid(40, |i, j, a| 0.9 - 0.1 * ((i * 7 + j * 5 + a) % 7) as f32);
         let share = |order: &[u32]| share_between_chunks(&system, order, 50);
         let (merged, refined) = (merged_order(Graph::of(&system)), locality_order(&system, 50));
         println!("{} of the blocks between chunks, before {}", share(&refined), share(&merged));
-        assert!(share(&refined) < 0.95 * share(&merged), "{} {}", share(&refined), share(&merged));
+        assert!(share(&refined) < 0.9 * share(&merged), "{} {}", share(&refined), share(&merged));
     }
 
     #[test]
     fn reordering_moves_every_block_with_its_row_and_column() {
-        let system = scattered_grid(5);
+        let system = scattered_grid(5, |_, _, _| 0.9);
         let order = locality_order(&system, 100);
         let new = system.reordered(&order);
         let entry = |s: &BlockSystem, row: u32, column: u32| {

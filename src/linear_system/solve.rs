@@ -132,7 +132,8 @@ pub fn solve_rank(
     queue: &[QueueNode],
     params: &SolveParams,
 ) -> Result<SolveResult, SolveError> {
-    let schwarz = Schwarz::wanted(params.preconditioner, &system.partition).map_err(SolveError::Preconditioner)?;
+    let schwarz =
+        Schwarz::wanted(params.preconditioner, executor, &system.partition).map_err(SolveError::Preconditioner)?;
     let mut solver = RankSolver::new(executor, system, mode, queue, params, schwarz);
     let mut stats = SolveStats::default();
     let mut seconds = Vec::new();

@@ -56,15 +56,17 @@ pub struct Schwarz {
 }
 
 impl Schwarz {
-    /// True if a solve takes this preconditioner: the same on all ranks.
+    /// True if a solve takes this preconditioner: the same on all ranks, if their executors are of one kind. `auto` leaves devices
+    /// with Jacobi: on software ones barriers cost too much, and hardware has not been measured.
     ///
     /// # Errors
     /// It was asked for and is not to be had; the text says why.
-    pub fn wanted(kind: PreconditionerKind, partition: &RowPartition) -> Result<bool, String> {
+    pub fn wanted(kind: PreconditionerKind, executor: &Executor, partition: &RowPartition) -> Result<bool, String> {
+        let native = matches!(executor, Executor::Cpu(_));
         let fits = partition.chunk_rows() <= CHUNK_ROWS_MAX;
         match kind {
             PreconditionerKind::Jacobi => Ok(false),
-            PreconditionerKind::Auto => Ok(fits && partition.chunk_rows() >= CHUNK_ROWS_WORTH),
+            PreconditionerKind::Auto => Ok(native && fits && partition.chunk_rows() >= CHUNK_ROWS_WORTH),
             PreconditionerKind::Schwarz if !fits => Err(format!(
                 "preconditioner schwarz takes at most {CHUNK_ROWS_MAX} rows per chunk, this system has {}; use auto or jacobi",
                 partition.chunk_rows()
