@@ -31,9 +31,9 @@ use glam::Vec3A;
 
 use super::boxes::Aabb;
 use super::contour::Contour;
+use super::input::Input;
 use super::patches::Patches;
 use super::split::{Split, even};
-use super::table::Input;
 use crate::gpu::CpuExecutor;
 use crate::transport::TransportError;
 
@@ -88,8 +88,9 @@ impl Cone {
         for (normals, longest_squared) in &normals {
             for normal in normals {
                 let area = normal.dot(axis);
-                // Written so that what is no number makes no cone.
-                if !(area > LEAST_AREA * longest_squared) {
+                // What is no number makes no cone.
+                let faces_the_axis = area > LEAST_AREA * longest_squared;
+                if !faces_the_axis {
                     return Cone::zeroed();
                 }
                 cosine = cosine.min(area / normal.length());
@@ -249,7 +250,10 @@ impl Culling {
     fn sweep(&self, input: &Input, patches: &Patches, free: &[u32]) -> (Vec<bool>, Vec<[u32; 2]>) {
         let axis = input.grid.longest();
         let boxes: Vec<Aabb> = patches.states.iter().map(|state| state.aabb()).collect();
-        let pieces: Vec<u32> = (0..boxes.len()).map(|patch| piece(input, patches, patch)).collect();
+        let piece = |patch: usize| {
+            let corner = input.mesh.triangles[patches.triangles(patch).start][0];
+            input.mesh.pieces[corner as usize]
+        };
         let mut order: Vec<usize> = (0..boxes.len()).filter(|&p| !boxes[p].is_empty()).collect();
         order.sort_unstable_by(|&a, &b| boxes[a].lo[axis].total_cmp(&boxes[b].lo[axis]).then(a.cmp(&b)));
         let mut active = vec![false; boxes.len()];
@@ -262,7 +266,7 @@ impl Culling {
                 if known || !boxes[one].overlaps(&boxes[other]) || one.min(other) >= free.len() {
                     continue;
                 }
-                let within_piece = input.motion.within_piece.filter(|_| pieces[one] == pieces[other]);
+                let within_piece = input.motion.within_piece.filter(|_| piece(one) == piece(other));
                 if within_piece.is_some_and(|by| !boxes[one].shrink(by).overlaps(&boxes[other])) {
                     continue;
                 }
@@ -294,13 +298,6 @@ impl Culling {
         let lists = [&self.firsts, &self.around, &self.contour_firsts, &self.contours, &self.chosen];
         lists.iter().map(|list| size_of_val(&list[..]) as u64).sum()
     }
-}
-
-/// The piece of all triangles of a patch; a number of its own if they are of several.
-fn piece(input: &Input, patches: &Patches, patch: usize) -> u32 {
-    let mut pieces = input.mesh.triangles[patches.triangles(patch)].iter().map(|t| input.mesh.pieces[t[0] as usize]);
-    let first = pieces.next().unwrap_or(u32::MAX);
-    if pieces.all(|piece| piece == first) { first } else { u32::MAX - patch as u32 }
 }
 
 /// Moves the first of equal neighbours to the front; how many there are.

@@ -15,6 +15,7 @@ mod device;
 mod features;
 mod fill;
 mod grid;
+mod input;
 mod layers;
 mod mesh;
 mod pairs;
@@ -39,11 +40,14 @@ use crate::gpu::{CpuExecutor, GpuError};
 use crate::transport::TransportError;
 use boxes::Motion;
 use fill::Entries;
+use input::Input;
 use pairs::Tester;
 use patches::Patches;
-use table::{Input, Table};
+use table::Table;
 use workload::{Batch, LayerLoad, Workload, layers_of};
 
+/// Patches from which on ranks do a part each of what all need: below, hearing of each other takes longer.
+const PATCHES_TOGETHER: usize = 256;
 /// Buckets per unit of work of the test pass.
 const GRAIN: usize = 256;
 
@@ -256,6 +260,8 @@ impl Broad {
         }
         let started = Instant::now();
         let input = Input::new(&self.mesh, Motion::new(&self.mesh, query, choice)?, *choice);
+        let mut alone = Split::alone(rank, ranks);
+        let split = if self.patches.count() < PATCHES_TOGETHER { &mut alone } else { split };
         self.patches.look(cpu, &input, split)?;
         let share = count((&mut self.table, &mut self.workload, &self.patches), cpu, &input, split)?;
         let parts = (&self.table, &self.workload, &mut self.entries);
@@ -314,7 +320,9 @@ fn count(
     for layer in guess.clone() {
         loads[layer] = LayerLoad::new(table, layer);
     }
-    split.share(&mut loads, |rank| table.guess(rank, ranks))?;
+    if !patches.active.is_empty() {
+        split.share(&mut loads, |rank| table.guess(rank, ranks))?;
+    }
     workload.add_up(&loads);
     let share = workload.share(rank, ranks);
     let needed = layers_of(&loads, &share);
