@@ -48,6 +48,8 @@ use workload::{Batch, LayerLoad, Workload, layers_of};
 
 /// Patches from which on ranks do a part each of what all need: below, hearing of each other takes longer.
 const PATCHES_TOGETHER: usize = 256;
+/// Entries that are always made at once if the memory limit allows it.
+const ENTRIES_TOGETHER: u64 = 1 << 12;
 /// Buckets per unit of work of the test pass.
 const GRAIN: usize = 256;
 
@@ -265,7 +267,7 @@ impl Broad {
         self.patches.look(cpu, &input, split)?;
         let share = count((&mut self.table, &mut self.workload, &self.patches), cpu, &input, split)?;
         let parts = (&self.table, &self.workload, &mut self.entries);
-        let (batches, fixed) = plan(parts, cpu.threads(), self.patches.bytes(), &share, memory_limit_bytes)?;
+        let (batches, fixed) = plan(parts, cpu.threads(), self.patches.bytes(), (&share, ranks), memory_limit_bytes)?;
         let mut stats = BroadStats {
             tests_total: self.workload.tests,
             cells: self.workload.busy,
@@ -305,7 +307,7 @@ impl Broad {
     }
 }
 
-/// Counts what this rank needs; its share of the tests. Between ranks: 12 bytes per layer.
+/// Counts what this rank needs; its share of the tests. Between ranks: 16 bytes per layer.
 fn count(
     (table, workload, patches): (&mut Table, &mut Workload, &Patches),
     cpu: &CpuExecutor,
@@ -338,7 +340,7 @@ fn plan(
     (table, workload, entries): (&Table, &Workload, &mut Entries),
     threads: usize,
     patches_bytes: u64,
-    share: &Range<u64>,
+    (share, ranks): (&Range<u64>, usize),
     memory_limit_bytes: Option<u64>,
 ) -> Result<(Vec<Batch>, u64), BroadError> {
     let fixed = patches_bytes + table.bytes() + workload.bytes() + threads as u64 * Tester::bytes();
@@ -348,7 +350,10 @@ fn plan(
     }
     let room = memory_limit_bytes.map_or(u64::MAX / 4, |limit| limit.saturating_sub(fixed));
     let (most_entries, most_buckets) = Entries::fit(room);
-    let batches = workload.batches(table, share, most_entries, most_buckets);
+    // Tests are even over ranks, their entries are not: emptier cells need more. Memory shall shrink with the number of ranks.
+    let even = workload.entries.div_ceil(ranks as u64);
+    let together = (even + even / 8).max(ENTRIES_TOGETHER) as usize;
+    let batches = workload.batches(table, share, most_entries.min(together), most_buckets);
     let fullest = batches.iter().map(|b| b.entries).max().unwrap_or(0);
     if let Some(limit_bytes) = memory_limit_bytes.filter(|&limit| fixed > limit || fullest > most_entries) {
         let singles = workload.batches(table, share, 0, 0);
