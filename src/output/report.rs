@@ -197,7 +197,8 @@ pub struct QueryRecord {
     pub pairs: u64,
     /// Contacts or impacts, as found (those found twice counted twice).
     pub found: u64,
-    /// Most batches that a rank needed; more than the number of queries if a memory limit was in the way.
+    /// Most batches that a rank needed; more than the number of queries if a memory limit was in the way, or cells
+    /// emptier than those of other ranks.
     pub batches: u64,
     /// Thread seconds of the broad phase.
     pub broad_s: f64,

@@ -42,7 +42,7 @@ pub struct QueryStats {
     pub candidates: u64,
     /// Contacts or impacts this rank found.
     pub found: u64,
-    /// Batches the queries took (more than one per query: the memory limit).
+    /// Batches the queries took (more than one per query: the memory limit, or cells emptier than those of others).
     pub batches: u64,
     /// Largest number of bytes of tables and buffers.
     pub bytes: u64,

@@ -30,9 +30,9 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3A;
 
 use super::contour::Contour;
+use super::input::Input;
 use super::patches::Patches;
 use super::split::{Split, even};
-use super::table::Input;
 use crate::gpu::CpuExecutor;
 use crate::transport::TransportError;
 
@@ -90,8 +90,9 @@ impl Cone {
         for (normals, longest_squared) in &normals {
             for normal in normals {
                 let area = normal.dot(axis);
-                // Written so that what is no number makes no cone.
-                if !(area > LEAST_AREA * longest_squared) {
+                // What is no number makes no cone.
+                let faces_the_axis = area > LEAST_AREA * longest_squared;
+                if !faces_the_axis {
                     return Cone::zeroed();
                 }
                 cosine = cosine.min(area / normal.length());
@@ -123,8 +124,6 @@ pub(super) struct Culling {
     contours: Vec<u32>,
     /// Patches whose unions together hold every patch together with each one around it, ascending.
     chosen: Vec<u32>,
-    /// The piece of all triangles of a patch (obstacles' patches too); a number of its own if they are of several.
-    pieces: Vec<u32>,
     /// All patches, as the last query had them along its axis: nearly sorted for the next one.
     order: Vec<u32>,
 }
@@ -137,7 +136,6 @@ impl Culling {
             contour_firsts: vec![0],
             contours: vec![],
             chosen: vec![],
-            pieces: (0..patches.count()).map(|patch| piece(mesh, patches, patch)).collect(),
             order: (0..patches.count() as u32).collect(),
         };
         // Which patches have a vertex: at most one per triangle around it.
@@ -277,6 +275,11 @@ impl Culling {
     /// (as `[patch, ALONE]`), and pairs that are open: not proven apart, but within one union.
     fn sweep(&self, input: &Input, patches: &Patches, free: &[u32], split: &Split) -> Vec<[u32; 2]> {
         let (axis, states) = (input.grid.longest(), &patches.states);
+        // A patch has one piece.
+        let piece = |patch: usize| {
+            let corner = input.mesh.triangles[patches.triangles(patch).start][0];
+            input.mesh.pieces[corner as usize]
+        };
         let mut active = vec![false; states.len()];
         let own = split.part(free.len());
         let mut open: Vec<[u32; 2]> =
@@ -297,7 +300,7 @@ impl Culling {
                 if known || one.min(other) >= free.len() || beside.is_empty() || !aabb.overlaps(&beside) {
                     continue;
                 }
-                let within_piece = input.motion.within_piece.filter(|_| self.pieces[one] == self.pieces[other]);
+                let within_piece = input.motion.within_piece.filter(|_| piece(one) == piece(other));
                 if within_piece.is_some_and(|by| !aabb.shrink(by).overlaps(&beside)) {
                     continue;
                 }
@@ -328,16 +331,9 @@ impl Culling {
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
         let lists = [&self.firsts, &self.around, &self.contour_firsts, &self.contours, &self.chosen];
-        let lists = lists.into_iter().chain([&self.pieces, &self.order]);
+        let lists = lists.into_iter().chain([&self.order]);
         lists.map(|list| size_of_val(&list[..]) as u64).sum()
     }
-}
-
-/// See [`Culling::pieces`].
-fn piece(mesh: &super::CollisionMesh, patches: &Patches, patch: usize) -> u32 {
-    let mut pieces = mesh.triangles[patches.triangles(patch)].iter().map(|t| mesh.pieces[t[0] as usize]);
-    let first = pieces.next().unwrap_or(u32::MAX);
-    if pieces.all(|piece| piece == first) { first } else { u32::MAX - patch as u32 }
 }
 
 /// Moves the first of equal neighbours to the front; how many there are.

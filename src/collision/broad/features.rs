@@ -3,8 +3,8 @@
 use glam::Vec4;
 
 use super::boxes::Aabb;
+use super::input::Input;
 use super::mesh::edge_of;
-use super::table::Input;
 
 /// Four boxes, coordinate by coordinate.
 #[derive(Clone, Copy)]

@@ -7,8 +7,9 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use bytemuck::Zeroable;
 
 use super::grid::Entry;
+use super::input::Input;
 use super::patches::Patches;
-use super::table::{Input, Load, Table, bump};
+use super::table::{Load, Table, bump};
 use super::workload::Batch;
 use crate::gpu::CpuExecutor;
 

@@ -59,8 +59,10 @@ impl Grid {
             size *= 4.0;
         }
         let spread = |axis: usize| {
-            let middle = |b: &Aabb| 0.5 * (b.lo[axis] + b.hi[axis]);
-            quantile(&middle, 0.9) - quantile(&middle, 0.1)
+            let mut middles: Vec<f32> = boxes.iter().step_by(8).map(|b| 0.5 * (b.lo[axis] + b.hi[axis])).collect();
+            middles.sort_unstable_by(f32::total_cmp);
+            let at = |part: usize| middles.get(middles.len() * part / 10).copied().unwrap_or(0.0);
+            at(9) - at(1)
         };
         let spread = [spread(0), spread(1), spread(2)];
         let longest = (1..3).fold(0, |longest, axis| if spread[axis] > spread[longest] { axis } else { longest });

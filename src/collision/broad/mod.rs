@@ -15,6 +15,7 @@ mod device;
 mod features;
 mod fill;
 mod grid;
+mod input;
 mod layers;
 mod mesh;
 mod pairs;
@@ -39,11 +40,16 @@ use crate::gpu::{CpuExecutor, GpuError};
 use crate::transport::TransportError;
 use boxes::Motion;
 use fill::Entries;
+use input::Input;
 use pairs::Tester;
 use patches::Patches;
-use table::{Input, Table};
+use table::Table;
 use workload::{Batch, LayerLoad, Workload, layers_of};
 
+/// Patches from which on ranks do a part each of what all need: below, hearing of each other takes longer.
+const PATCHES_TOGETHER: usize = 256;
+/// Entries that are always made at once if the memory limit allows it.
+const ENTRIES_TOGETHER: u64 = 1 << 12;
 /// Buckets per unit of work of the test pass.
 const GRAIN: usize = 256;
 
@@ -256,10 +262,12 @@ impl Broad {
         }
         let started = Instant::now();
         let input = Input::new(&self.mesh, Motion::new(&self.mesh, query, choice)?, *choice);
+        let mut alone = Split::alone(rank, ranks);
+        let split = if self.patches.count() < PATCHES_TOGETHER { &mut alone } else { split };
         self.patches.look(cpu, &input, split)?;
         let share = count((&mut self.table, &mut self.workload, &self.patches), cpu, &input, split)?;
         let parts = (&self.table, &self.workload, &mut self.entries);
-        let (batches, fixed) = plan(parts, cpu.threads(), self.patches.bytes(), &share, memory_limit_bytes)?;
+        let (batches, fixed) = plan(parts, cpu.threads(), self.patches.bytes(), (&share, ranks), memory_limit_bytes)?;
         let mut stats = BroadStats {
             tests_total: self.workload.tests,
             cells: self.workload.busy,
@@ -299,7 +307,7 @@ impl Broad {
     }
 }
 
-/// Counts what this rank needs; its share of the tests. Between ranks: 12 bytes per layer.
+/// Counts what this rank needs; its share of the tests. Between ranks: 16 bytes per layer.
 fn count(
     (table, workload, patches): (&mut Table, &mut Workload, &Patches),
     cpu: &CpuExecutor,
@@ -314,7 +322,9 @@ fn count(
     for layer in guess.clone() {
         loads[layer] = LayerLoad::new(table, layer);
     }
-    split.share(&mut loads, |rank| table.guess(rank, ranks))?;
+    if !patches.active.is_empty() {
+        split.share(&mut loads, |rank| table.guess(rank, ranks))?;
+    }
     workload.add_up(&loads);
     let share = workload.share(rank, ranks);
     let needed = layers_of(&loads, &share);
@@ -330,7 +340,7 @@ fn plan(
     (table, workload, entries): (&Table, &Workload, &mut Entries),
     threads: usize,
     patches_bytes: u64,
-    share: &Range<u64>,
+    (share, ranks): (&Range<u64>, usize),
     memory_limit_bytes: Option<u64>,
 ) -> Result<(Vec<Batch>, u64), BroadError> {
     let fixed = patches_bytes + table.bytes() + workload.bytes() + threads as u64 * Tester::bytes();
@@ -340,7 +350,10 @@ fn plan(
     }
     let room = memory_limit_bytes.map_or(u64::MAX / 4, |limit| limit.saturating_sub(fixed));
     let (most_entries, most_buckets) = Entries::fit(room);
-    let batches = workload.batches(table, share, most_entries, most_buckets);
+    // Tests are even over ranks, their entries are not: emptier cells need more. Memory shall shrink with the number of ranks.
+    let even = workload.entries.div_ceil(ranks as u64);
+    let together = (even + even / 8).max(ENTRIES_TOGETHER) as usize;
+    let batches = workload.batches(table, share, most_entries.min(together), most_buckets);
     let fullest = batches.iter().map(|b| b.entries).max().unwrap_or(0);
     if let Some(limit_bytes) = memory_limit_bytes.filter(|&limit| fixed > limit || fullest > most_entries) {
         let singles = workload.batches(table, share, 0, 0);

@@ -5,7 +5,8 @@ use std::ops::Range;
 use super::features::{Features, Spread, bits};
 use super::fill::{Entries, rows};
 use super::grid::Entry;
-use super::table::{Input, Load, Table};
+use super::input::Input;
+use super::table::{Load, Table};
 use super::workload::Batch;
 use crate::collision::Candidate;
 

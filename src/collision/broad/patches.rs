@@ -9,8 +9,8 @@ use glam::Vec3A;
 use super::CollisionMesh;
 use super::boxes::Aabb;
 use super::cull::{Cone, Culling};
+use super::input::Input;
 use super::split::{Split, even};
-use super::table::Input;
 use crate::gpu::CpuExecutor;
 use crate::transport::TransportError;
 

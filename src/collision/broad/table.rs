@@ -4,11 +4,11 @@
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-use super::boxes::{Aabb, Motion};
-use super::grid::{Buckets, Cells, Grid, LEVELS, WANTED};
+use super::boxes::Aabb;
+use super::grid::{Buckets, Cells, LEVELS};
+use super::input::Input;
 use super::layers::Layers;
 use super::patches::Patches;
-use super::{Choice, CollisionMesh};
 use crate::gpu::CpuExecutor;
 
 /// Patches per unit of work of a pass over triangles.
@@ -32,49 +32,6 @@ struct Level {
     buckets: Buckets,
     /// Holds the boxes of the residents.
     bounds: Aabb,
-}
-
-/// What a query works on.
-pub(super) struct Input<'a> {
-    pub mesh: &'a CollisionMesh,
-    pub motion: Motion<'a>,
-    pub grid: Grid,
-    /// What the query leaves out.
-    pub choice: Choice<'a>,
-    /// Obstacles are cut to these bounds.
-    cloth: Aabb,
-}
-
-impl<'a> Input<'a> {
-    pub fn new(mesh: &'a CollisionMesh, motion: Motion<'a>, choice: Choice<'a>) -> Input<'a> {
-        let grid = Grid::new(mesh, &motion);
-        let cloth = motion.cloth_bounds(mesh);
-        Input { mesh, motion, grid, choice, cloth }
-    }
-
-    /// [`WANTED`], or 0 for a triangle that is of interest only as partner of such a one.
-    #[inline(always)]
-    pub fn tag(&self, triangle: usize) -> u32 {
-        let Some(touched) = self.choice.touched else { return WANTED };
-        let [a, b, c] = self.mesh.triangles[triangle];
-        if touched[a as usize] | touched[b as usize] | touched[c as usize] { WANTED } else { 0 }
-    }
-
-    /// Box of a triangle; that of an obstacle is cut to the cloth's bounds, which changes no intersection with cloth.
-    /// None for an obstacle's triangle that cannot meet cloth.
-    #[inline(always)]
-    pub fn aabb(&self, triangle: usize) -> Option<Aabb> {
-        let aabb = self.motion.triangle(self.mesh.triangles[triangle]);
-        if triangle < self.mesh.cloth_triangles {
-            return Some(aabb);
-        }
-        aabb.overlaps(&self.cloth).then(|| aabb.clip(&self.cloth))
-    }
-
-    #[inline(always)]
-    fn role(&self, triangle: usize) -> usize {
-        usize::from(triangle >= self.mesh.cloth_triangles)
-    }
 }
 
 /// Number of triangles per bucket, by role. Buckets are numbered layer by layer; behind those of the last layer come those of

@@ -10,25 +10,30 @@ use super::table::Table;
 /// Buckets per stored partial sum; sums within are formed again when needed.
 const CHUNK: usize = 1024;
 
-/// Tests and busy buckets of a layer: what ranks tell each other.
+/// Tests, busy buckets and their entries in a layer: what ranks tell each other.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct LayerLoad {
     /// Lower and upper half.
     tests: [u32; 2],
     busy: u32,
+    entries: u32,
 }
 
 impl LayerLoad {
     /// Of a layer that is counted.
     pub fn new(table: &Table, layer: usize) -> LayerLoad {
-        let (mut tests, mut busy) = (0, 0);
+        let (mut tests, mut busy, mut entries) = (0, 0, 0);
         for bucket in table.buckets_of(layer) {
-            let own = table.load(bucket).tests();
+            let load = table.load(bucket);
+            let own = load.tests();
             tests += own;
-            busy += u32::from(own > 0);
+            if own > 0 {
+                busy += 1;
+                entries += load.entries() as u32;
+            }
         }
-        LayerLoad { tests: [tests as u32, (tests >> 32) as u32], busy }
+        LayerLoad { tests: [tests as u32, (tests >> 32) as u32], busy, entries }
     }
 
     fn tests(&self) -> u64 {
@@ -58,6 +63,8 @@ pub(super) struct Workload {
     pub tests: u64,
     /// Buckets with a test.
     pub busy: u64,
+    /// Their entries.
+    pub entries: u64,
 }
 
 /// Consecutive buckets whose entries are in memory together.
@@ -76,6 +83,7 @@ impl Workload {
     pub fn add_up(&mut self, loads: &[LayerLoad]) {
         self.tests = loads.iter().map(LayerLoad::tests).sum();
         self.busy = loads.iter().map(|load| u64::from(load.busy)).sum();
+        self.entries = loads.iter().map(|load| u64::from(load.entries)).sum();
     }
 
     /// The scan pass, over the buckets that are counted.

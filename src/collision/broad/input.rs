@@ -1,0 +1,49 @@
+//! What the passes of a query work on: mesh, motion, grids, and boxes of triangles. Promises the same to every rank.
+
+use super::boxes::{Aabb, Motion};
+use super::grid::{Grid, WANTED};
+use super::{Choice, CollisionMesh};
+
+/// What a query works on.
+pub(super) struct Input<'a> {
+    pub mesh: &'a CollisionMesh,
+    pub motion: Motion<'a>,
+    pub grid: Grid,
+    /// What the query leaves out.
+    pub choice: Choice<'a>,
+    /// Obstacles are cut to these bounds.
+    cloth: Aabb,
+}
+
+impl<'a> Input<'a> {
+    pub fn new(mesh: &'a CollisionMesh, motion: Motion<'a>, choice: Choice<'a>) -> Input<'a> {
+        let grid = Grid::new(mesh, &motion);
+        let cloth = motion.cloth_bounds(mesh);
+        Input { mesh, motion, grid, choice, cloth }
+    }
+
+    /// [`WANTED`], or 0 for a triangle that is of interest only as partner of such a one.
+    #[inline(always)]
+    pub fn tag(&self, triangle: usize) -> u32 {
+        let Some(touched) = self.choice.touched else { return WANTED };
+        let [a, b, c] = self.mesh.triangles[triangle];
+        if touched[a as usize] | touched[b as usize] | touched[c as usize] { WANTED } else { 0 }
+    }
+
+    /// Box of a triangle; that of an obstacle is cut to the cloth's bounds, which changes no intersection with cloth.
+    /// None for an obstacle's triangle that cannot meet cloth.
+    #[inline(always)]
+    pub fn aabb(&self, triangle: usize) -> Option<Aabb> {
+        let aabb = self.motion.triangle(self.mesh.triangles[triangle]);
+        if triangle < self.mesh.cloth_triangles {
+            return Some(aabb);
+        }
+        aabb.overlaps(&self.cloth).then(|| aabb.clip(&self.cloth))
+    }
+
+    /// 0 for cloth, 1 for obstacles.
+    #[inline(always)]
+    pub fn role(&self, triangle: usize) -> usize {
+        usize::from(triangle >= self.mesh.cloth_triangles)
+    }
+}
