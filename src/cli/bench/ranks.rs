@@ -34,15 +34,16 @@ impl ModelState {
         let mut transport = SoloTransport::new(Box::new(|| false));
         let mut simulation = alone(&model, common)?;
         let enough = contacts_per_vertex * model.rows() as f64;
-        let (mut step, mut contacts) = (0, 0);
+        let mut step = 0;
         while step < steps_max {
             step += 1;
-            contacts = simulation.step(&mut transport, step, false).map_err(|error| failed(&error))?.contacts;
+            let contacts = simulation.step(&mut transport, step, false).map_err(|error| failed(&error))?.contacts;
             if contacts > 0 && contacts as f64 >= enough {
                 break;
             }
         }
         (model.positions, model.velocities) = simulation.state();
+        let contacts = simulation.assemble(&mut transport, step + 1).map_err(|error| failed(&error))?;
         model.settings.preconditioner = PreconditionerKind::Jacobi;
         Ok(ModelState { model, step: step + 1, contacts })
     }
