@@ -37,6 +37,9 @@ const ROW_BYTES: f64 = 12.0;
 const BLOCK_BYTES: f64 = 40.0;
 const BLOCK_FLOPS: f64 = 18.0;
 
+/// What the picture shows.
+const CURVES: [&str; 6] = ["gather_first", "gather_first_best", "full_fat_tree", "full_ring", "full_best", "halo_best"];
+
 /// What one product costs on one machine; speed-ups over one GPU.
 struct Speedups {
     one_gpu_ms: f64,
@@ -80,7 +83,7 @@ pub fn run(bench: &InterconnectBench) -> Result<(), CliError> {
                 row.push(found.halo);
                 table.push(row);
             }
-            table.finish(bench.out.as_deref(), Some(("gpus", "halo_best")))?;
+            table.finish_curves(bench.out.as_deref(), Some(("gpus", &CURVES)))?;
         }
     }
     Ok(())
