@@ -15,7 +15,7 @@ use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, Wo
 use crate::step::{ExchangePlan, SetupError, Simulation, StepError};
 use crate::transport::{
     ControlError, ControlWorker, EmulatedTransport, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName,
-    SoloTransport, Transport, TransportError, decode, encode,
+    SoloTransport, Transport, TransportError, decode, encode, share_cores,
 };
 
 /// How long a worker waits for the coordinator when it starts or reports, seconds.
@@ -237,6 +237,9 @@ fn connect(
     setup: &WorkerSetup,
 ) -> Result<Box<dyn Transport>, TransportError> {
     let hook = inbox.clone();
+    if setup.threads == 1 {
+        share_cores(rank, setup.ranks);
+    }
     if setup.ranks == 1 {
         let transport = SoloTransport::new(Box::new(move || hook.should_stop()));
         return Ok(Box::new(transport));

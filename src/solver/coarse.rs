@@ -13,7 +13,7 @@ use crate::transport::{ALL_GATHER_MAX, Transport, TransportError};
 const GROUPS_MAX: usize = 240;
 /// Least rows of a group. Every rank solves the coarse level for itself: with groups of 100 rows that takes a quarter of the
 /// iteration's time where eight ranks share 25,000 rows, and saves an eighth of the iterations.
-const GROUP_ROWS: usize = 200;
+const GROUP_ROWS: usize = 150;
 /// Sums of blocks by group of their column; those of a chunk.
 pub(super) type GroupSums = Vec<(u32, [f64; 9])>;
 /// Values of a sent entry: chunk and group in one number, then the block.

@@ -31,7 +31,7 @@ pub use iceoryx::{
 };
 pub use in_process::InProcessTransport;
 pub use message::{MessageError, decode, encode, items_of};
-pub use process::{ProcessWatch, start_ticks};
+pub use process::{ProcessWatch, share_cores, start_ticks};
 pub use recording::{Action, Record, RecordingTransport};
 pub use run_name::{FoundRun, Member, RunError, RunMember, RunName, SHARED_MEMORY_FOLDER, list_runs};
 pub use shared_memory::{SharedMemoryError, check_shared_memory, required_shared_memory_bytes, shared_memory_space};

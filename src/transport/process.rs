@@ -1,10 +1,12 @@
-//! Is another process of this machine still running? Works for processes that are not children and for zombies, which
-//! count as ended. Linux only; it promises nothing about processes of other pid namespaces.
+//! Processes of this machine: is another one still running, and on which core does this one run? The first works for
+//! processes that are not children and for zombies, which count as ended. Linux only; it promises nothing about processes of
+//! other pid namespaces.
 
 use std::os::fd::OwnedFd;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Watches one process by a descriptor, so that a reused process number is never mistaken for it.
 #[derive(Debug)]
@@ -40,6 +42,25 @@ impl ProcessWatch {
     }
 }
 
+/// Keeps this thread on one core if `ranks` ranks of one thread each share fewer cores evenly: ranks that wait for each other
+/// in every iteration gather on a few cores otherwise. Says nothing if the system does not let it.
+pub fn share_cores(rank: usize, ranks: usize) {
+    let Ok(allowed) = sched_getaffinity(None) else { return };
+    let cores: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|&core| allowed.is_set(core)).collect();
+    if let Some(core) = core_of(rank, ranks, &cores) {
+        let mut one = CpuSet::new();
+        one.set(core);
+        let _ = sched_setaffinity(None, &one);
+    }
+}
+
+/// The core of a rank, if cores are to be shared. Only in equal parts: with 3 ranks on 2 cores, of several runs beside each
+/// other all would crowd the same core.
+fn core_of(rank: usize, ranks: usize, cores: &[usize]) -> Option<usize> {
+    let shared = ranks > cores.len() && !cores.is_empty() && ranks.is_multiple_of(cores.len());
+    shared.then(|| cores[rank % cores.len()])
+}
+
 /// When a process was started, in clock ticks since boot: with the number it names a process for ever. `None` if there
 /// is no such process or it has ended and only waits to be reaped.
 pub fn start_ticks(pid: u32) -> Option<u64> {
@@ -59,6 +80,16 @@ fn parse_stat(line: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ranks_share_cores_only_in_equal_parts() {
+        let cores = [2, 5];
+        let of = |ranks: usize| (0..ranks).map(|rank| core_of(rank, ranks, &cores)).collect::<Vec<_>>();
+        assert_eq!(of(4), [Some(2), Some(5), Some(2), Some(5)]);
+        assert_eq!(of(3), [None; 3]);
+        assert_eq!(of(2), [None; 2]);
+        assert_eq!(core_of(0, 4, &[]), None);
+    }
 
     #[test]
     fn stat_lines() {
