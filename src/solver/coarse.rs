@@ -18,6 +18,8 @@ const GROUP_ROWS: usize = 150;
 pub(super) type GroupSums = Vec<(u32, [f64; 9])>;
 /// Values of a sent entry: chunk and group in one number, then the block.
 const ENTRY: usize = 10;
+/// Sums kept apart in a sum of products.
+const LANES: usize = 8;
 /// A pivot smaller than this part of its diagonal value is rounding.
 const PIVOT_MIN: f64 = 1e-10;
 
@@ -176,7 +178,8 @@ impl Skyline {
             let lowest = blocks[old].iter().map(|(c, _)| place[*c as usize]).fold(new, usize::min);
             for c in 0..3 {
                 let row = new * 3 + c;
-                first[row] = lowest * 3;
+                // Whole groups of lanes before the diagonal, if that many columns there are.
+                first[row] = row.checked_sub((row - lowest * 3).next_multiple_of(LANES)).unwrap_or(lowest * 3);
                 start[row + 1] = start[row] + row + 1 - first[row];
             }
         }
@@ -274,18 +277,19 @@ impl Skyline {
     }
 }
 
-/// Sum of products in eight fixed lanes.
+/// Sum of products in fixed lanes.
 #[inline(always)]
 fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
-    let mut lanes = [0.0; 8];
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    let mut lanes = [0.0; LANES];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     for (a, b) in a.iter().zip(b) {
-        for l in 0..8 {
+        for l in 0..LANES {
             lanes[l] += a[l].into() * b[l];
         }
     }
     a_rest.iter().zip(b_rest).zip(&mut lanes).for_each(|((&a, b), lane)| *lane += a.into() * b);
-    lanes.iter().sum()
+    let four: [f64; 4] = std::array::from_fn(|l| lanes[l] + lanes[l + 4]);
+    (four[0] + four[2]) + (four[1] + four[3])
 }
 
 /// New order of the nodes: breadth first from a node of lowest degree, neighbours by degree, reversed.

@@ -16,8 +16,9 @@ const HOOK_DUE: Duration = Duration::from_millis(20);
 /// Time spent spinning before the first yield where every process has a core. About twice what a wake-up costs (50
 /// microseconds on a virtual machine): two ranks that are that close to each other meet awake.
 const SPIN: Duration = Duration::from_micros(100);
-/// Yields before sleeping: one hand-over between two processes that share a core usually needs no more.
-const YIELDS: u32 = 5;
+/// Yields before sleeping: a few rounds of hand-overs among the processes that share a core, each about a microsecond; to be
+/// put to sleep and woken costs both sides more than all of them.
+const YIELDS: u32 = 50;
 
 /// Why a wait ended without what was waited for.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -16,7 +16,7 @@ pub(super) const LEVELS: usize = 16;
 /// coarser grids take the larger ones.
 const CELL_FACTOR: f32 = 1.5;
 /// Boxes looked at to choose the cell size.
-const SAMPLES: usize = 2048;
+const SAMPLES: usize = 512;
 /// Cells per axis and direction; farther positions share the outermost cell.
 const REACH: f32 = (1 << 20) as f32;
 /// Adding it leaves the nearest integer in the low bits of the sum.
