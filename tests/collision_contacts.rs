@@ -33,7 +33,7 @@ fn stencils(mesh: &CollisionMesh) -> Vec<Candidate> {
     let used: BTreeSet<u32> = mesh.triangles.iter().flatten().copied().collect();
     let mut all = Vec::new();
     for face in &mesh.triangles {
-        let others = used.iter().filter(|v| !face.contains(v) && !(obstacle(**v) && obstacle(face[0])));
+        let others = used.iter().filter(|v| !(face.contains(v) || obstacle(**v) && obstacle(face[0])));
         all.extend(others.map(|&v| Candidate::vertex_face(v, *face)));
     }
     for (i, a) in mesh.edges.iter().enumerate() {

@@ -173,7 +173,8 @@ fn contacts_and_impacts_have_the_bits_of_native_detection() {
                     assert!(4 * stats.broad.candidates < at_rest.broad.candidates * 3, "{stats:?} {at_rest:?}");
                     let stats = detector.impacts(on, x_t0, x_t1, None, rank, ranks, None, &mut impacts);
                     assert!(2 * stats.expect("impacts").broad.candidates < moving.broad.candidates);
-                    (lists.push(out), moving_lists.push(impacts));
+                    lists.push(out);
+                    moving_lists.push(impacts);
                 }
                 let found = merge_contacts(&lists.iter().map(Vec::as_slice).collect::<Vec<_>>());
                 let bits = |list| bytemuck::cast_slice::<_, u8>(list).to_vec();

@@ -219,7 +219,7 @@ impl Rank {
                 executor,
                 transport,
                 &mut self.spmv,
-                &(&*matrix).into(),
+                &matrix.into(),
                 inverse,
                 schwarz,
                 &self.b,
