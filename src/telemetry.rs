@@ -43,7 +43,6 @@ event_names! {
     Elements = "element records",
     IndexFill = "index fill",
     ValueFill = "value fill",
-    RightHandSide = "right-hand side",
     Precondition = "preconditioner",
     Publish = "publish sub-vector",
     Receive = "receive sub-vector",

@@ -1,5 +1,7 @@
 //! The trace file: valid at any time, on a common time axis, with tracks whose slices do not overlap.
 
+mod support;
+
 use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
@@ -9,21 +11,7 @@ use loomtree::telemetry::{Activity, Event, EventName};
 use serde_json::Value;
 
 fn event(name: EventName, activity: Activity, span_ns: (u64, u64), route: (u32, u32, u32)) -> Event {
-    let (stage, source, vector) = route;
-    let (start_ns, end_ns) = span_ns;
-    Event {
-        name: name as u32,
-        activity: activity as u32,
-        step: 1,
-        stage,
-        source,
-        vector,
-        asked_ns: start_ns,
-        start_ns,
-        end_ns,
-        bytes: 64,
-        flops: 7,
-    }
+    Event { bytes: 64, flops: 7, ..support::event(name, activity, span_ns, route) }
 }
 
 fn load(path: &Path) -> Vec<Value> {

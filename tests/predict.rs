@@ -2,6 +2,8 @@
 
 mod process_support;
 
+mod support;
+
 use std::path::{Path, PathBuf};
 
 use loomtree::cli::predict::{PredictArgs, PredictExchange, PredictKernels, write_prediction};
@@ -18,21 +20,8 @@ const PAIR: &str = "name='pair'\nswitches=['s']\ngpus=[{id=0,name='a'},{id=1,nam
     device={name='toy',memory_gb=0.001,bandwidth_gb_s=100,gflops=1e6,launch_us=1}";
 
 fn event(name: EventName, activity: Activity, at_us: u64, route: (u32, u32, u32), bytes: u64) -> Event {
-    let (stage, source, vector) = route;
-    let (start_ns, end_ns) = (at_us * 1000, at_us * 1000 + 500);
-    Event {
-        name: name as u32,
-        activity: activity as u32,
-        step: 1,
-        stage,
-        source,
-        vector,
-        asked_ns: start_ns,
-        start_ns,
-        end_ns,
-        bytes,
-        flops: 10,
-    }
+    let span_ns = (at_us * 1000, at_us * 1000 + 500);
+    Event { bytes, flops: 10, ..support::event(name, activity, span_ns, route) }
 }
 
 /// Elements, one product of halo rows, one reduction, advance: the same on both ranks.

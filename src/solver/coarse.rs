@@ -1,5 +1,5 @@
-//! The coarse level of the Schwarz preconditioner: one displacement per group of chunks, P' A P solved exactly, in f64, by
-//! every rank for itself.
+//! The coarse level of the Schwarz preconditioner: one displacement per group of chunks, P' A P factored in f64 by every
+//! rank for itself and applied from a copy in f32.
 //!
 //! The restricted residual P' r follows its own recurrence from P' w, which travels with the scalars of the iteration's
 //! all-reduce: the coarse level costs no message of its own. Groups are made of chunks, so nothing depends on ranks.

@@ -9,19 +9,21 @@ use std::ops::Range;
 use super::coarse::{Coarse, GroupSums};
 use super::colored_cpu;
 use super::schwarz::RankPattern;
-use super::vector::ChunkSums;
+use super::vector::{CHUNK_THREADS, ChunkSums, LIBRARIES};
 use crate::assembly::SellMatrix;
 use crate::assembly::sell::BLOCK;
 use crate::gpu::{DeviceVec, Executor, GpuExecutor, KernelSource, WINDOW_STEP, gpu_struct};
 use crate::partition::{HaloPlan, RowPartition};
 
 const TEXT: &str = include_str!("colored.wgsl");
-static TAKE: KernelSource = KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "take");
-static ENTRY_SUMS: KernelSource = KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "entry_sums");
-static SWEEP: KernelSource = KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "sweep");
-static PRODUCT_SUMS: KernelSource = KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "product_sums");
-/// CHUNK_THREADS of the shader.
-const CHUNK_THREADS: u64 = 128;
+static TAKE: KernelSource =
+    KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "take").with_libraries(LIBRARIES);
+static ENTRY_SUMS: KernelSource =
+    KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "entry_sums").with_libraries(LIBRARIES);
+static SWEEP: KernelSource =
+    KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "sweep").with_libraries(LIBRARIES);
+static PRODUCT_SUMS: KernelSource =
+    KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "product_sums").with_libraries(LIBRARIES);
 /// Sums of a chunk: r . u, r . r, w . u, w.
 const SUMS: usize = 6;
 /// Source of the blocks that fill a chunk's list up to a multiple of [`WINDOW_STEP`].
@@ -69,20 +71,39 @@ struct Batch {
     entries: Range<usize>,
 }
 
-/// Tables of a rank's chunks and the blocks of its matrix, chunk by chunk: rows by colour, then what couples the chunk with
-/// others, by group.
-pub(super) struct Colored {
+/// Where the blocks are; see [`BlockTables`].
+struct Layout {
     rows: usize,
     chunk_rows: usize,
     own_start: usize,
+    order: DeviceVec<u32>,
+    spans: DeviceVec<[u32; 3]>,
+    block_columns: DeviceVec<u32>,
+}
+
+impl Layout {
+    fn tables(&self) -> BlockTables<'_> {
+        BlockTables {
+            rows: self.rows,
+            chunk_rows: self.chunk_rows,
+            own_start: self.own_start,
+            relaxation: RELAXATION,
+            order: self.order.as_slice(),
+            spans: self.spans.as_slice(),
+            block_columns: self.block_columns.as_slice(),
+        }
+    }
+}
+
+/// Tables of a rank's chunks and the blocks of its matrix, chunk by chunk: rows by colour, then what couples the chunk with
+/// others, by group.
+pub(super) struct Colored {
+    layout: Layout,
     colors: usize,
     batches: Vec<Batch>,
     sources: DeviceVec<u32>,
     block_rows: DeviceVec<u32>,
-    block_columns: DeviceVec<u32>,
     blocks: DeviceVec<f32>,
-    order: DeviceVec<u32>,
-    spans: DeviceVec<[u32; 3]>,
     color_starts: DeviceVec<u32>,
     /// Blocks of each sum, and the group of their columns.
     entry_ends: DeviceVec<[u32; 2]>,
@@ -174,17 +195,19 @@ impl Colored {
             }));
         }
         Colored {
-            rows,
-            chunk_rows,
-            own_start,
+            layout: Layout {
+                rows,
+                chunk_rows,
+                own_start,
+                order: DeviceVec::upload(executor, &lists.order),
+                spans: DeviceVec::upload(executor, &lists.spans),
+                block_columns: DeviceVec::upload(executor, &lists.columns),
+            },
             colors,
             batches: batches(executor, &ends),
             blocks: DeviceVec::zeros(executor, lists.sources.len() * BLOCK),
             sources: DeviceVec::upload(executor, &lists.sources),
             block_rows: DeviceVec::upload(executor, &lists.rows),
-            block_columns: DeviceVec::upload(executor, &lists.columns),
-            order: DeviceVec::upload(executor, &lists.order),
-            spans: DeviceVec::upload(executor, &lists.spans),
             color_starts: DeviceVec::upload(executor, &color_starts),
             entries: DeviceVec::zeros(executor, lists.entry_ends.len() * BLOCK),
             entry_ends: DeviceVec::upload(executor, &lists.entry_ends),
@@ -205,10 +228,10 @@ impl Colored {
                 colored_cpu::entry_sums(
                     blocks,
                     self.block_rows.as_slice(),
-                    self.block_columns.as_slice(),
+                    self.layout.block_columns.as_slice(),
                     self.entry_ends.as_slice(),
                     flags.as_slice(),
-                    self.own_start,
+                    self.layout.own_start,
                     self.entries.as_mut_slice(),
                 );
             }
@@ -245,7 +268,7 @@ impl Colored {
         let bindings = [
             self.blocks.window(first * BLOCK, len * BLOCK),
             self.block_rows.window(first, len),
-            self.block_columns.window(first, len),
+            self.layout.block_columns.window(first, len),
             self.entry_ends.binding(),
             flags.binding(),
             self.entries.binding_mut(),
@@ -266,15 +289,7 @@ impl Colored {
         self.correction.write_range(executor, 0, correction);
         match executor {
             Executor::Cpu(_) => {
-                let tables = BlockTables {
-                    rows: self.rows,
-                    chunk_rows: self.chunk_rows,
-                    own_start: self.own_start,
-                    relaxation: RELAXATION,
-                    order: self.order.as_slice(),
-                    spans: self.spans.as_slice(),
-                    block_columns: self.block_columns.as_slice(),
-                };
+                let tables = self.layout.tables();
                 colored_cpu::sweep(
                     self.blocks.as_slice(),
                     &tables,
@@ -291,10 +306,10 @@ impl Colored {
                     let Batch { chunks, blocks, .. } = &self.batches[batch];
                     let bindings = [
                         self.blocks.window(blocks.start * BLOCK, blocks.len() * BLOCK),
-                        self.block_columns.window(blocks.start, blocks.len()),
+                        self.layout.block_columns.window(blocks.start, blocks.len()),
                         self.color_starts.binding(),
-                        self.order.binding(),
-                        self.spans.binding(),
+                        self.layout.order.binding(),
+                        self.layout.spans.binding(),
                         inverse_diagonal.binding(),
                         self.correction.binding(),
                         r.binding(),
@@ -320,15 +335,7 @@ impl Colored {
     ) {
         match executor {
             Executor::Cpu(_) => {
-                let tables = BlockTables {
-                    rows: self.rows,
-                    chunk_rows: self.chunk_rows,
-                    own_start: self.own_start,
-                    relaxation: RELAXATION,
-                    order: self.order.as_slice(),
-                    spans: self.spans.as_slice(),
-                    block_columns: self.block_columns.as_slice(),
-                };
+                let tables = self.layout.tables();
                 let inverse = inverse_diagonal.as_slice();
                 let sums = self.sums.as_mut_slice();
                 colored_cpu::product_sums(&tables, inverse, w.as_mut_slice(), u.as_slice(), sums);
@@ -354,10 +361,10 @@ impl Colored {
     pub fn bytes(&self) -> u64 {
         self.sources.bytes()
             + self.block_rows.bytes()
-            + self.block_columns.bytes()
+            + self.layout.block_columns.bytes()
             + self.blocks.bytes()
-            + self.order.bytes()
-            + self.spans.bytes()
+            + self.layout.order.bytes()
+            + self.layout.spans.bytes()
             + self.color_starts.bytes()
             + self.entry_ends.bytes()
             + self.entries.bytes()
@@ -367,21 +374,21 @@ impl Colored {
 
     /// Floating-point operations of a sweep.
     pub fn sweep_flops(&self) -> u64 {
-        (self.block_columns.len() * 18 + self.rows * 100) as u64
+        (self.layout.block_columns.len() * 18 + self.layout.rows * 100) as u64
     }
 
     /// Bytes that a sweep moves.
     pub fn sweep_bytes(&self) -> u64 {
-        (self.block_columns.len() * (BLOCK * 4 + 4) + self.rows * 100) as u64
+        (self.layout.block_columns.len() * (BLOCK * 4 + 4) + self.layout.rows * 100) as u64
     }
 
     /// Colour of every own row. Native executor only.
     #[cfg(test)]
     pub fn colors_of_rows(&self) -> Vec<u32> {
         let starts = self.color_starts.as_slice().chunks(self.colors + 1);
-        let mut colors = vec![0; self.rows];
+        let mut colors = vec![0; self.layout.rows];
         for (color, range) in starts.flat_map(|of_chunk| of_chunk.windows(2).enumerate()) {
-            self.order.as_slice()[range[0] as usize..range[1] as usize]
+            self.layout.order.as_slice()[range[0] as usize..range[1] as usize]
                 .iter()
                 .for_each(|&row| colors[row as usize] = color as u32);
         }
@@ -391,9 +398,9 @@ impl Colored {
     fn params(&self, batch: usize) -> ColoredParams {
         let Batch { chunks, blocks, entries } = &self.batches[batch];
         ColoredParams {
-            rows: self.rows as u32,
-            chunk_rows: self.chunk_rows as u32,
-            u_first: self.own_start as u32,
+            rows: self.layout.rows as u32,
+            chunk_rows: self.layout.chunk_rows as u32,
+            u_first: self.layout.own_start as u32,
             colors: self.colors as u32,
             relaxation: RELAXATION,
             first_chunk: chunks.start as u32,

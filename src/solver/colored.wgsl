@@ -1,6 +1,7 @@
 // Sweeps of the Schwarz preconditioner in the order of colours; colored_cpu.rs has the formulas, colored.rs the tables. One
 // workgroup per chunk of rows (per sum in `entry_sums`): rows of one colour are not coupled, so they are done at once, and
 // nothing depends on how many chunks the rank has.
+// needs chunk.wgsl
 
 struct ColoredParams {
     rows: u32,
@@ -22,11 +23,8 @@ struct ColoredParams {
     slots: u32,
 }
 
-const CHUNK_THREADS: u32 = 128u;
 const LANES: u32 = 16u;
 const BLOCK: u32 = 9u;
-// Partial sums of the workgroup that are added last.
-const SUM_GROUPS: u32 = 8u;
 // Sums of a chunk: r.u, r.r, w.u, w.
 const SUMS: u32 = 6u;
 
@@ -56,32 +54,6 @@ struct Packed3u {
     x: u32,
     y: u32,
     z: u32,
-}
-
-var<workgroup> partial: array<vec4<f32>, CHUNK_THREADS>;
-var<workgroup> group_sums: array<vec4<f32>, SUM_GROUPS>;
-
-// Sum over the workgroup, for its first invocation, in a fixed order.
-fn group_sum(local: u32, own: vec4<f32>) -> vec4<f32> {
-    // The arrays may still be read for the sum before.
-    workgroupBarrier();
-    partial[local] = own;
-    workgroupBarrier();
-    var sum = vec4<f32>(0.0);
-    if (local < SUM_GROUPS) {
-        for (var i = local; i < CHUNK_THREADS; i += SUM_GROUPS) {
-            sum += partial[i];
-        }
-        group_sums[local] = sum;
-    }
-    workgroupBarrier();
-    sum = vec4<f32>(0.0);
-    if (local == 0u) {
-        for (var i = 0u; i < SUM_GROUPS; i++) {
-            sum += group_sums[i];
-        }
-    }
-    return sum;
 }
 
 // Copies the blocks of the matrix whose slots are bound.
@@ -127,9 +99,9 @@ fn entry_sums(
             }
         }
     }
-    first = group_sum(local, first);
-    second = group_sum(local, second);
-    last = group_sum(local, last);
+    first = chunk_sum(local, first);
+    second = chunk_sum(local, second);
+    last = chunk_sum(local, last);
     if (local == 0u && at < params.entries) {
         let to = (params.first_entry + at) * BLOCK;
         for (var c = 0u; c < 4u; c++) {
@@ -159,14 +131,9 @@ fn row_product(first: u32, end: u32) -> vec3<f32> {
 // relaxation * inverse_diagonal * v of a row.
 fn relaxed(row: u32, v: vec3<f32>) -> vec3<f32> {
     let at = row * 6u;
-    let xx = inverse_diagonal[at];
-    let xy = inverse_diagonal[at + 1u];
-    let xz = inverse_diagonal[at + 2u];
-    let yy = inverse_diagonal[at + 3u];
-    let yz = inverse_diagonal[at + 4u];
-    let zz = inverse_diagonal[at + 5u];
-    return params.relaxation
-        * vec3<f32>(xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z, xz * v.x + yz * v.y + zz * v.z);
+    let first = vec3<f32>(inverse_diagonal[at], inverse_diagonal[at + 1u], inverse_diagonal[at + 2u]);
+    let rest = vec3<f32>(inverse_diagonal[at + 3u], inverse_diagonal[at + 4u], inverse_diagonal[at + 5u]);
+    return params.relaxation * symmetric_times(first, rest, v);
 }
 
 @compute @workgroup_size(CHUNK_THREADS)
@@ -204,9 +171,8 @@ fn sweep(
     }
     var own = vec4<f32>(0.0);
     if (!idle) {
-        let first = min(chunk * params.chunk_rows, params.rows);
-        let end = min(first + params.chunk_rows, params.rows);
-        for (var row = first + local; row < end; row += CHUNK_THREADS) {
+        let rows = chunk_range(chunk, params.chunk_rows, params.rows);
+        for (var row = rows.x + local; row < rows.y; row += CHUNK_THREADS) {
             let residual = unpacked(r[row]);
             var z = unpacked(u[params.u_first + row]);
             if (inverse_diagonal[row * 6u] != 0.0) {
@@ -216,7 +182,7 @@ fn sweep(
             own += vec4<f32>(dot(residual, z), dot(residual, residual), 0.0, 0.0);
         }
     }
-    let sum = group_sum(local, own);
+    let sum = chunk_sum(local, own);
     if (local == 0u && !idle) {
         sums[chunk * SUMS] = sum.x;
         sums[chunk * SUMS + 1u] = sum.y;
@@ -230,10 +196,9 @@ fn product_sums(
     @builtin(local_invocation_index) local: u32,
 ) {
     let chunk = group_index(group, groups);
-    let first = min(chunk * params.chunk_rows, params.rows);
-    let end = min(first + params.chunk_rows, params.rows);
+    let rows = chunk_range(chunk, params.chunk_rows, params.rows);
     var own = vec4<f32>(0.0);
-    for (var row = first + local; row < end; row += CHUNK_THREADS) {
+    for (var row = rows.x + local; row < rows.y; row += CHUNK_THREADS) {
         var product = unpacked(w[row]);
         if (inverse_diagonal[row * 6u] == 0.0) {
             product = vec3<f32>(0.0);
@@ -241,8 +206,8 @@ fn product_sums(
         }
         own += vec4<f32>(dot(product, unpacked(u_read[params.u_first + row])), product);
     }
-    let sum = group_sum(local, own);
-    if (local == 0u && first < end) {
+    let sum = chunk_sum(local, own);
+    if (local == 0u && rows.x < rows.y) {
         sums[chunk * SUMS + 2u] = sum.x;
         sums[chunk * SUMS + 3u] = sum.y;
         sums[chunk * SUMS + 4u] = sum.z;

@@ -5,11 +5,15 @@ use super::vector_cpu;
 use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
 
 const TEXT: &str = include_str!("vector.wgsl");
-static START: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "start");
-static DOT: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "dot_product");
-static UPDATE: KernelSource = KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "update");
+pub(super) const LIBRARIES: &[&str] = &[include_str!("chunk.wgsl")];
+static START: KernelSource =
+    KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "start").with_libraries(LIBRARIES);
+static DOT: KernelSource =
+    KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "dot_product").with_libraries(LIBRARIES);
+static UPDATE: KernelSource =
+    KernelSource::new::<VectorParams>("solver/vector.wgsl", TEXT, "update").with_libraries(LIBRARIES);
 /// CHUNK_THREADS of the shader.
-const CHUNK_THREADS: u64 = 128;
+pub(super) const CHUNK_THREADS: u64 = 128;
 
 gpu_struct! {
     struct VectorParams { rows: u32, chunk_rows: u32, u_first: u32, alpha: f32, beta: f32 }

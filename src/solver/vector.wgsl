@@ -1,5 +1,6 @@
 // The vector work of a PCG iteration; vector_cpu.rs has the formulas. One workgroup per chunk of rows: its sums do not
 // depend on how many chunks the rank has. Each invocation sums its rows, then the workgroup adds in a fixed order.
+// needs chunk.wgsl
 
 struct VectorParams {
     rows: u32,
@@ -10,9 +11,6 @@ struct VectorParams {
     beta: f32,
 }
 
-const CHUNK_THREADS: u32 = 128u;
-// Partial sums of the workgroup that are added last.
-const SUM_GROUPS: u32 = 8u;
 // Sums of a chunk: r.u, r.r, w.u.
 const SUMS: u32 = 3u;
 
@@ -28,51 +26,15 @@ const SUMS: u32 = 3u;
 @group(0) @binding(9) var<storage, read_write> sums: array<f32>;
 @group(0) @binding(10) var<uniform> params: VectorParams;
 
-var<workgroup> partial: array<vec2<f32>, CHUNK_THREADS>;
-var<workgroup> group_sums: array<vec2<f32>, SUM_GROUPS>;
-
-// Sum over the workgroup, for its first invocation. Two barriers instead of one per level of a binary tree: software
-// drivers switch between all invocations at each.
-fn chunk_sum(local: u32, own: vec2<f32>) -> vec2<f32> {
-    partial[local] = own;
-    workgroupBarrier();
-    var sum = vec2<f32>(0.0);
-    if (local < SUM_GROUPS) {
-        for (var i = local; i < CHUNK_THREADS; i += SUM_GROUPS) {
-            sum += partial[i];
-        }
-        group_sums[local] = sum;
-    }
-    workgroupBarrier();
-    sum = vec2<f32>(0.0);
-    if (local == 0u) {
-        for (var i = 0u; i < SUM_GROUPS; i++) {
-            sum += group_sums[i];
-        }
-    }
-    return sum;
-}
-
 // inverse_diagonal * r for one row; sets r to 0 on a pinned row, which has a zero inverse.
 fn precondition(row: u32, residual: ptr<function, vec3<f32>>) -> vec3<f32> {
     let at = row * 6u;
-    let xx = inverse_diagonal[at];
-    let xy = inverse_diagonal[at + 1u];
-    let xz = inverse_diagonal[at + 2u];
-    let yy = inverse_diagonal[at + 3u];
-    let yz = inverse_diagonal[at + 4u];
-    let zz = inverse_diagonal[at + 5u];
-    if (xx == 0.0) {
+    let first = vec3<f32>(inverse_diagonal[at], inverse_diagonal[at + 1u], inverse_diagonal[at + 2u]);
+    let rest = vec3<f32>(inverse_diagonal[at + 3u], inverse_diagonal[at + 4u], inverse_diagonal[at + 5u]);
+    if (first.x == 0.0) {
         *residual = vec3<f32>(0.0);
     }
-    let v = *residual;
-    return vec3<f32>(xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z, xz * v.x + yz * v.y + zz * v.z);
-}
-
-// Rows of a chunk: first and end.
-fn chunk_range(chunk: u32) -> vec2<u32> {
-    let first = min(chunk * params.chunk_rows, params.rows);
-    return vec2<u32>(first, min(first + params.chunk_rows, params.rows));
+    return symmetric_times(first, rest, *residual);
 }
 
 @compute @workgroup_size(CHUNK_THREADS)
@@ -82,14 +44,14 @@ fn start(
     @builtin(local_invocation_index) local: u32,
 ) {
     let chunk = group_index(group, groups);
-    let rows = chunk_range(chunk);
-    var own = vec2<f32>(0.0);
+    let rows = chunk_range(chunk, params.chunk_rows, params.rows);
+    var own = vec4<f32>(0.0);
     for (var row = rows.x + local; row < rows.y; row += CHUNK_THREADS) {
         var residual = unpacked(b[row]) - unpacked(w[row]);
         let z = precondition(row, &residual);
         r[row] = packed(residual);
         u[params.u_first + row] = packed(z);
-        own += vec2<f32>(dot(residual, z), dot(residual, residual));
+        own += vec4<f32>(dot(residual, z), dot(residual, residual), 0.0, 0.0);
     }
     let sum = chunk_sum(local, own);
     if (local == 0u && rows.x < rows.y) {
@@ -105,8 +67,8 @@ fn dot_product(
     @builtin(local_invocation_index) local: u32,
 ) {
     let chunk = group_index(group, groups);
-    let rows = chunk_range(chunk);
-    var own = vec2<f32>(0.0);
+    let rows = chunk_range(chunk, params.chunk_rows, params.rows);
+    var own = vec4<f32>(0.0);
     for (var row = rows.x + local; row < rows.y; row += CHUNK_THREADS) {
         own.x += dot(unpacked(w[row]), unpacked(u_read[params.u_first + row]));
     }
@@ -123,8 +85,8 @@ fn update(
     @builtin(local_invocation_index) local: u32,
 ) {
     let chunk = group_index(group, groups);
-    let rows = chunk_range(chunk);
-    var own = vec2<f32>(0.0);
+    let rows = chunk_range(chunk, params.chunk_rows, params.rows);
+    var own = vec4<f32>(0.0);
     for (var row = rows.x + local; row < rows.y; row += CHUNK_THREADS) {
         let direction = unpacked(u[params.u_first + row]) + params.beta * unpacked(p[row]);
         let image = unpacked(w[row]) + params.beta * unpacked(s[row]);
@@ -135,7 +97,7 @@ fn update(
         let z = precondition(row, &residual);
         r[row] = packed(residual);
         u[params.u_first + row] = packed(z);
-        own += vec2<f32>(dot(residual, z), dot(residual, residual));
+        own += vec4<f32>(dot(residual, z), dot(residual, residual), 0.0, 0.0);
     }
     let sum = chunk_sum(local, own);
     if (local == 0u && rows.x < rows.y) {

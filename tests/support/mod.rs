@@ -12,7 +12,15 @@ use loomtree::partition::RowPartition;
 use loomtree::scene::{Fabric, Pin, Scene, Settings};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::{ExchangePlan, Simulation, StepStats};
+use loomtree::telemetry::{Activity, Event, EventName};
 use loomtree::transport::InProcessTransport;
+
+/// An event of step 1, done when it was asked for; `route` = (stage, source, vector).
+pub fn event(name: EventName, activity: Activity, span_ns: (u64, u64), route: (u32, u32, u32)) -> Event {
+    let ((stage, source, vector), (start_ns, end_ns)) = (route, span_ns);
+    let (name, activity, step) = (name as u32, activity as u32, 1);
+    Event { name, activity, step, stage, source, vector, asked_ns: start_ns, start_ns, end_ns, bytes: 0, flops: 0 }
+}
 
 /// An isotropic fabric: Young's modulus times thickness (N/m), Poisson's ratio, bending sample (N m).
 pub fn isotropic_fabric(eh: f64, nu: f64, bending: f64, density: f64, damping_s: f64) -> Fabric {
