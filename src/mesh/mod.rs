@@ -23,7 +23,7 @@ pub use crossings::{Group, GroupKind, crossings, first_intersection};
 pub use intersect::edge_crosses_triangle;
 pub use material::{flatten_triangle, flatten_triangles};
 pub use obj::parse_obj;
-pub use order::{locality_order, ordering_coordinates};
+pub use order::{locality_order, middle, vertex_order};
 pub use ply::parse_ply;
 pub use untangle::{Tangle, Untangled};
 pub use validate::{MeshFault, check_obstacle, validate};

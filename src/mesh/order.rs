@@ -1,61 +1,153 @@
-//! Vertex order for locality: recursive bisection. Depends on the coordinates alone, never on a number of ranks, so that
-//! row blocks for any rank count are ranges of one order.
+//! Vertex order for locality: recursive bisection. Depends on the mesh alone, never on a number of ranks, so that row blocks
+//! for any rank count are ranges of one order.
+
+use std::collections::BTreeSet;
+use std::ops::Range;
 
 use crate::math::Vec3;
 
 use super::TriangleMesh;
 
-/// `old_from_new`: recursive bisection at the median of the longest axis, ties broken by the old index. O(n log n).
+/// Blocks of space that hold parts of all pieces which lie together: what ranks share is the boundary of a few of them.
+const BLOCKS: usize = 32;
+/// A part of a piece in a block is at least about one in this many of all vertices, so that it is not lost among the others of
+/// a chunk.
+const PARTS: usize = 120;
+
+/// Where a range of the order is cut in two: between two chunks, below the size of a chunk in the middle. Ranges are those
+/// that the same cuts make of the whole order.
+pub fn middle(range: &Range<usize>, chunk: usize) -> usize {
+    match range.len() {
+        len if len <= chunk => range.start + len / 2,
+        len => range.start + len.div_ceil(chunk).next_power_of_two() / 2 * chunk,
+    }
+}
+
+/// `old_from_new`: recursive bisection at the median along the longest axis, ties broken by the old index. O(n log n).
 pub fn locality_order(coordinates: &[Vec3]) -> Vec<u32> {
-    let mut points: Vec<(Vec3, u32)> = coordinates.iter().copied().zip(0..).collect();
-    let mut ranges = vec![(0, points.len())];
-    while let Some((start, end)) = ranges.pop() {
-        let part = &mut points[start..end];
-        if part.len() < 2 {
-            continue;
+    let mut points: Vec<Point> = coordinates.iter().copied().zip(0..).collect();
+    bisect(&mut points, 0, 0..coordinates.len(), coordinates.len());
+    points.into_iter().map(|p| p.1).collect()
+}
+
+/// `old_from_new` of a mesh's vertices, cut at multiples of `chunk`. Space is cut into blocks, so that pieces which touch are
+/// near each other in the order; in a block each piece is by itself, because a chunk or group of rows that held
+/// parts of several could move them only together.
+pub fn vertex_order(mesh: &TriangleMesh, chunk: usize) -> Vec<u32> {
+    let vertices = mesh.positions.len();
+    let pieces = Pieces::of(mesh, chunk);
+    let mut points: Vec<Point> = mesh.positions.iter().copied().zip(0..).collect();
+    let mut blocks = vec![0..vertices];
+    while let Some(block) = blocks.pop() {
+        let points = &mut points[block.clone()];
+        let cut = middle(&block, chunk);
+        if block.len() * BLOCKS > vertices && block.len() > chunk && !pieces.single(points) {
+            split(points, cut - block.start);
+            let (low, high) = points.split_at(cut - block.start);
+            if block.len() * PARTS / 2 > pieces.common(low, high) * vertices {
+                blocks.extend([block.start..cut, cut..block.end]);
+                continue;
+            }
         }
-        let (low, high) = part.iter().fold((part[0].0, part[0].0), |(low, high), p| (low.min(p.0), high.max(p.0)));
-        let extent = high - low;
-        let axis = (0..3).fold(0, |longest, axis| if extent[axis] > extent[longest] { axis } else { longest });
-        let middle = part.len() / 2;
-        part.select_nth_unstable_by(middle, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
-        ranges.extend([(start, start + middle), (start + middle, end)]);
+        pieces.sort(points);
+        let mut start = block.start;
+        for part in points.chunk_by_mut(|a, b| pieces.of[a.1 as usize] == pieces.of[b.1 as usize]) {
+            part.iter_mut().for_each(|point| point.0 = pieces.coordinates[point.1 as usize]);
+            bisect(part, start, block.clone(), chunk);
+            start += part.len();
+        }
     }
     points.into_iter().map(|p| p.1).collect()
 }
 
-/// Coordinates to order a mesh's vertices by: material coordinates if it is one sheet without seams (a fold in space does
-/// not bring its layers together there), positions otherwise.
-pub fn ordering_coordinates(mesh: &TriangleMesh) -> Vec<Vec3> {
-    const UNSEEN: Vec3 = Vec3::NAN;
-    let mut coordinates = vec![UNSEEN; mesh.positions.len()];
-    for (corners, uv) in mesh.triangles.iter().zip(&mesh.material_uv) {
-        for (&v, uv) in corners.iter().zip(uv) {
-            let slot = &mut coordinates[v as usize];
-            if slot.is_nan() {
-                *slot = uv.extend(0.0);
-            } else if *slot != uv.extend(0.0) {
-                return mesh.positions.clone();
-            }
-        }
+/// Coordinates, and the old index.
+type Point = (Vec3, u32);
+
+/// Orders `points`, which lie at `start` within `range`, by the cuts of `range`.
+fn bisect(points: &mut [Point], start: usize, range: Range<usize>, chunk: usize) {
+    if points.len() < 2 {
+        return;
     }
-    if pieces(mesh) == 1 { coordinates } else { mesh.positions.clone() }
+    let cut = middle(&range, chunk);
+    let low = cut.clamp(start, start + points.len()) - start;
+    if low > 0 && low < points.len() {
+        split(points, low);
+    }
+    let (lower, upper) = points.split_at_mut(low);
+    bisect(lower, start, range.start..cut, chunk);
+    bisect(upper, start + low, cut..range.end, chunk);
 }
 
-/// Number of connected pieces.
-fn pieces(mesh: &TriangleMesh) -> usize {
+/// Moves the `low` lowest points along the longest axis to the front.
+fn split(points: &mut [Point], low: usize) {
+    let (lo, hi) = points.iter().fold((points[0].0, points[0].0), |(lo, hi), p| (lo.min(p.0), hi.max(p.0)));
+    let extent = hi - lo;
+    let axis = (0..3).fold(0, |longest, axis| if extent[axis] > extent[longest] { axis } else { longest });
+    points.select_nth_unstable_by(low, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
+}
+
+/// The pieces of a mesh that are worth an order of their own.
+struct Pieces {
+    /// Per vertex: a vertex of its piece. All pieces of less than a chunk are one.
+    of: Vec<u32>,
+    /// Material coordinates on a piece without seams (a fold in space does not bring its layers together there), positions
+    /// otherwise.
+    coordinates: Vec<Vec3>,
+}
+
+impl Pieces {
+    const SMALL: u32 = u32::MAX;
+
+    fn of(mesh: &TriangleMesh, chunk: usize) -> Pieces {
+        let mut of = pieces(mesh);
+        let mut sizes = vec![0; of.len()];
+        of.iter().for_each(|&piece| sizes[piece as usize] += 1);
+        of.iter_mut().filter(|piece| sizes[**piece as usize] < chunk).for_each(|piece| *piece = Pieces::SMALL);
+        let mut coordinates = vec![Vec3::NAN; of.len()];
+        let mut seam = vec![false; of.len()];
+        for (corners, uv) in mesh.triangles.iter().zip(&mesh.material_uv) {
+            for (&v, uv) in corners.iter().zip(uv) {
+                let slot = &mut coordinates[v as usize];
+                if slot.is_nan() {
+                    *slot = uv.extend(0.0);
+                } else if *slot != uv.extend(0.0) && of[v as usize] != Pieces::SMALL {
+                    seam[of[v as usize] as usize] = true;
+                }
+            }
+        }
+        for ((coordinates, position), &piece) in coordinates.iter_mut().zip(&mesh.positions).zip(&of) {
+            if piece == Pieces::SMALL || seam[piece as usize] || coordinates.is_nan() {
+                *coordinates = *position;
+            }
+        }
+        Pieces { of, coordinates }
+    }
+
+    fn single(&self, points: &[Point]) -> bool {
+        points.iter().all(|point| self.of[point.1 as usize] == self.of[points[0].1 as usize])
+    }
+
+    /// How many pieces have points in both parts.
+    fn common(&self, low: &[Point], high: &[Point]) -> usize {
+        let set = |points: &[Point]| points.iter().map(|p| self.of[p.1 as usize]).collect::<BTreeSet<u32>>();
+        set(low).intersection(&set(high)).count()
+    }
+
+    fn sort(&self, points: &mut [Point]) {
+        points.sort_unstable_by_key(|point| (self.of[point.1 as usize], point.1));
+    }
+}
+
+/// Per vertex: the smallest vertex of its connected piece.
+fn pieces(mesh: &TriangleMesh) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    let mut pieces = parent.len();
     for &[a, b, c] in &mesh.triangles {
         for other in [b, c] {
             let (root, joined) = (find(&mut parent, a), find(&mut parent, other));
-            if root != joined {
-                parent[root.max(joined) as usize] = root.min(joined);
-                pieces -= 1;
-            }
+            parent[root.max(joined) as usize] = root.min(joined);
         }
     }
-    pieces
+    (0..parent.len() as u32).map(|v| find(&mut parent, v)).collect()
 }
 
 fn find(parent: &mut [u32], mut v: u32) -> u32 {
@@ -79,25 +171,101 @@ mod tests {
         assert!(locality_order(&[]).is_empty());
     }
 
-    #[test]
-    fn material_coordinates_serve_one_sheet_only() {
-        let uv = [Vec2::ZERO, Vec2::X, Vec2::ONE];
-        let mut mesh = TriangleMesh {
-            positions: vec![Vec3::splat(7.0), Vec3::splat(8.0), Vec3::new(0.0, 7.0, 8.0), Vec3::splat(9.0)],
-            triangles: vec![[0, 1, 2], [0, 2, 3]],
-            material_uv: vec![uv, [Vec2::ZERO, Vec2::ONE, Vec2::Y]],
-        };
-        assert_eq!(ordering_coordinates(&mesh), [Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y]);
-        mesh.material_uv[1][1] = Vec2::new(2.0, 2.0);
-        assert_eq!(ordering_coordinates(&mesh), mesh.positions);
+    /// Sheets of `side` x `side` vertices one over the other, `gap` apart; sides are 1 long.
+    fn sheets(count: usize, side: usize, gap: f32) -> TriangleMesh {
+        let mut mesh = TriangleMesh::default();
+        let place = |i: usize| i as f32 / (side - 1) as f32;
+        for sheet in 0..count {
+            let first = mesh.positions.len();
+            for (j, i) in (0..side).flat_map(|j| (0..side).map(move |i| (j, i))) {
+                mesh.positions.push(Vec3::new(place(i), place(j), sheet as f32 * gap));
+                if i + 1 < side && j + 1 < side {
+                    let v = (first + j * side + i) as u32;
+                    let corners = [[v, v + 1, v + 1 + side as u32], [v, v + 1 + side as u32, v + side as u32]];
+                    let uv = |v: u32| mesh_uv(v as usize - first, side);
+                    mesh.triangles.extend(corners);
+                    mesh.material_uv.extend(corners.map(|t| t.map(uv)));
+                }
+            }
+        }
+        mesh
+    }
+
+    fn mesh_uv(v: usize, side: usize) -> Vec2 {
+        Vec2::new((v % side) as f32, (v / side) as f32) / (side - 1) as f32
     }
 
     #[test]
-    fn pieces_are_counted() {
-        let mut mesh =
-            TriangleMesh { positions: vec![Vec3::ZERO; 6], triangles: vec![[0, 1, 2], [3, 4, 5]], material_uv: vec![] };
-        assert_eq!(pieces(&mesh), 2);
-        mesh.triangles.push([2, 1, 3]);
-        assert_eq!(pieces(&mesh), 1);
+    fn chunks_hold_neighbours_of_one_piece_and_blocks_hold_all_pieces() {
+        let (count, side, chunk) = (3, 64, 96);
+        let mesh = sheets(count, side, 0.01);
+        let order = vertex_order(&mesh, chunk);
+        let mut sorted = order.clone();
+        sorted.sort_unstable();
+        assert!(sorted.into_iter().eq(0..order.len() as u32));
+        let sheet = |v: u32| v as usize / (side * side);
+        let mixed = order.chunks(chunk).filter(|c| c.iter().any(|&v| sheet(v) != sheet(c[0]))).count();
+        // A block is four chunks here and has three pieces: two borders in its chunks.
+        assert!(mixed <= 2 * BLOCKS, "{mixed} chunks of several sheets");
+        for block in order.chunks(order.len() / 8) {
+            assert!((0..count).all(|s| block.iter().any(|&v| sheet(v) == s)));
+        }
+        let extent = |chunk: &[u32]| {
+            let of = |v: u32| mesh.positions[v as usize];
+            let whole = |s: usize| chunk.iter().filter(move |&&v| sheet(v) == s).map(move |&v| of(v));
+            (0..count)
+                .map(|s| {
+                    let (lo, hi) =
+                        whole(s).fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+                    (hi - lo).max_element()
+                })
+                .fold(0.0, f32::max)
+        };
+        // 96 vertices of one sheet are a square of 0.16.
+        let widest = order.chunks(chunk).map(extent).fold(0.0, f32::max);
+        assert!(widest < 0.5, "a chunk is {widest} wide");
+    }
+
+    #[test]
+    fn a_folded_sheet_is_ordered_by_its_material_and_one_with_a_seam_by_space() {
+        let side = 16;
+        let mut mesh = sheets(1, side, 0.0);
+        for (v, position) in mesh.positions.iter_mut().enumerate() {
+            let uv = mesh_uv(v, side);
+            *position = Vec3::new(uv.x.min(1.0 - uv.x), uv.y * 0.1, 0.0);
+        }
+        let sides = |order: &[u32]| {
+            let half = |v: &u32| mesh_uv(*v as usize, side).x < 0.5;
+            order[..side * side / 2].iter().filter(|v| half(v)).count().abs_diff(side * side / 4)
+        };
+        assert_eq!(sides(&vertex_order(&mesh, 1)), side * side / 4, "halves of the material");
+        mesh.material_uv[0][0] = Vec2::new(7.0, 7.0);
+        assert!(sides(&vertex_order(&mesh, 1)) < side, "both layers of the fold");
+    }
+
+    #[test]
+    fn pieces_of_less_than_a_chunk_are_ordered_together() {
+        // Far apart along x, numbered to and fro.
+        let mut mesh = TriangleMesh::default();
+        for k in 0..64usize {
+            let at = Vec3::X * ((k * 37) % 64) as f32;
+            let v = mesh.positions.len() as u32;
+            mesh.positions.extend([at, at + Vec3::Y * 0.1, at + Vec3::Z * 0.1]);
+            mesh.triangles.push([v, v + 1, v + 2]);
+            mesh.material_uv.push([Vec2::ZERO, Vec2::X, Vec2::Y]);
+        }
+        let order = vertex_order(&mesh, 6);
+        let x: Vec<f32> = order.iter().map(|&v| mesh.positions[v as usize].x).collect();
+        assert!(x.chunks(12).zip(x.chunks(12).skip(1)).all(|(a, b)| {
+            a.iter().copied().fold(f32::MIN, f32::max) <= b.iter().copied().fold(f32::MAX, f32::min)
+        }));
+    }
+
+    #[test]
+    fn cuts_fall_between_chunks() {
+        assert_eq!(middle(&(0..10), 1), 8);
+        assert_eq!(middle(&(0..100), 10), 80);
+        assert_eq!(middle(&(80..100), 10), 90);
+        assert_eq!(middle(&(90..97), 10), 93);
     }
 }

@@ -4,7 +4,8 @@
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
 use crate::integrator::pins::RankPin;
 use crate::math::{Vec2, Vec3};
-use crate::mesh::{hinges, locality_order, ordering_coordinates};
+use crate::mesh::{hinges, vertex_order};
+use crate::partition::chunk_rows;
 use crate::scene::{Motion, Obstacles, Scene, Settings};
 
 /// The cloth in global order.
@@ -39,7 +40,7 @@ impl GlobalModel {
     /// Orders the vertices and builds the elements. The scene has passed its checks.
     pub fn new(scene: &Scene) -> GlobalModel {
         let mesh = &scene.mesh;
-        let original_from_global = locality_order(&ordering_coordinates(mesh));
+        let original_from_global = vertex_order(mesh, chunk_rows(mesh.positions.len()));
         let mut global_from_original = vec![0u32; original_from_global.len()];
         for (global, &original) in original_from_global.iter().enumerate() {
             global_from_original[original as usize] = global as u32;

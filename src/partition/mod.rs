@@ -9,9 +9,16 @@ pub use halo::{HaloPlan, HaloSource, halo_plans};
 
 use std::ops::Range;
 
-/// Upper bound on the number of chunks. Large enough that 16 ranks get equal shares within 4 percent, small enough that
-/// the partial sums of a dot product fit into a few cache lines.
-pub const CHUNKS_MAX: usize = 480;
+/// Least and most chunks of a large system: enough that 16 ranks get equal shares within a few per cent; few enough that the
+/// coarse level of the preconditioner, which has a displacement per chunk, stays small beside the rest of an iteration.
+const CHUNKS: (usize, usize) = (128, 1024);
+
+/// Rows per chunk of a system of `rows` rows; the last chunk may be shorter. The chunks are about as many as a chunk has rows,
+/// which balances the preconditioner's levels, and nearly a power of two, so that halving the order never cuts one.
+pub fn chunk_rows(rows: usize) -> usize {
+    let chunks = (rows.isqrt() * 3 / 4).next_power_of_two().clamp(CHUNKS.0, CHUNKS.1);
+    rows.div_ceil(chunks).max(1)
+}
 
 /// Rows of the global order, cut into chunks; every rank owns a contiguous range of chunks, hence of rows (its row
 /// block [Li et al. 2020, Eq. 4]).
@@ -26,9 +33,9 @@ impl RowPartition {
     /// Splits `rows` rows over `ranks` ranks. Panics unless `1 <= ranks <= rows` (callers check user input first).
     pub fn new(rows: usize, ranks: usize) -> RowPartition {
         assert!(ranks >= 1 && ranks <= rows, "{ranks} ranks cannot share {rows} rows");
-        let chunk_rows = rows.div_ceil(CHUNKS_MAX);
-        // More than CHUNKS_MAX / 2 chunks, or one per row: enough for every rank to own rows.
-        assert!(ranks <= CHUNKS_MAX / 2, "{ranks} ranks are too many");
+        let chunk_rows = chunk_rows(rows);
+        // More than half the least number of chunks, or one per row: enough for every rank to own rows.
+        assert!(ranks <= CHUNKS.0 / 2, "{ranks} ranks are too many");
         RowPartition { rows, chunk_rows, ranks }
     }
 
@@ -87,7 +94,7 @@ mod tests {
 
     #[test]
     fn row_blocks_cover_every_row_once_and_know_their_owner() {
-        for rows in [1, 2, 7, 16, 121, 479, 480, 481, 1000, 5000, 99_856] {
+        for rows in [1, 2, 7, 16, 121, 127, 128, 129, 1000, 5000, 99_856] {
             for ranks in (1..=16).filter(|&n| n <= rows) {
                 let p = RowPartition::new(rows, ranks);
                 let mut next = 0;

@@ -9,8 +9,9 @@ use std::ops::Range;
 use crate::partition::RowPartition;
 use crate::transport::{ALL_GATHER_MAX, Transport, TransportError};
 
-/// Most groups: what a factorization costs if contacts couple all of them stays within a few per cent of a solve.
-const GROUPS_MAX: usize = 240;
+/// Most products of a factorization, per row of the system: beyond, because contacts join many far groups, pairs of groups
+/// become one. A solve takes a few thousand per row, but every rank factors for itself.
+const PRODUCTS_PER_ROW: u64 = 500;
 /// Least rows of a group. Every rank solves the coarse level for itself: with groups of 100 rows that takes a quarter of the
 /// iteration's time where eight ranks share 25,000 rows, and saves an eighth of the iterations.
 const GROUP_ROWS: usize = 150;
@@ -25,21 +26,34 @@ const PIVOT_MIN: f64 = 1e-10;
 
 /// Adds a block to the sum of its group.
 pub(super) fn add_block(entries: &mut GroupSums, group: u32, block: [f32; 9]) {
-    let at = match entries.iter().position(|(other, _)| *other == group) {
-        Some(at) => at,
-        None => {
-            entries.push((group, [0.0; 9]));
-            entries.len() - 1
-        }
-    };
-    entries[at].1.iter_mut().zip(block).for_each(|(sum, v)| *sum += f64::from(v));
+    add_sums(entries, group, block.map(f64::from));
+}
+
+fn add_sums(entries: &mut GroupSums, group: u32, block: [f64; 9]) {
+    match entries.iter_mut().find(|(other, _)| *other == group) {
+        Some((_, sum)) => sum.iter_mut().zip(block).for_each(|(sum, v)| *sum += v),
+        None => entries.push((group, block)),
+    }
+}
+
+/// The sums of pairs of groups.
+fn in_pairs(blocks: &[GroupSums]) -> Vec<GroupSums> {
+    let mut pairs = vec![GroupSums::new(); blocks.len().div_ceil(2)];
+    for (row, sums) in blocks.iter().enumerate() {
+        sums.iter().for_each(|&(column, block)| add_sums(&mut pairs[row / 2], column / 2, block));
+    }
+    pairs
 }
 
 /// Coarse residual, its recurrence and the factor.
 pub(super) struct Coarse {
     chunks: usize,
     own: Range<usize>,
+    /// Chunks of a group of the entries.
     per_group: usize,
+    /// Chunks of a group that is solved for: as many, or more by a power of two.
+    per_unknown: usize,
+    products_max: u64,
     factor: Option<Skyline>,
     residual: Vec<f64>,
     image: Vec<f64>,
@@ -51,12 +65,15 @@ pub(super) struct Coarse {
 impl Coarse {
     pub fn new(partition: &RowPartition, rank: usize) -> Coarse {
         let (chunks, own) = (partition.chunks(), partition.chunks_of(rank));
-        let groups = (partition.rows() / GROUP_ROWS).clamp(1, GROUPS_MAX);
-        let per_group = chunks.div_ceil(groups);
+        let groups = (partition.rows() / GROUP_ROWS).max(1);
+        // The order is halved between chunks: only groups of a power of two of them are compact.
+        let per_group = chunks.div_ceil(groups).next_power_of_two();
         let values = chunks.div_ceil(per_group) * 3;
         Coarse {
             chunks,
             per_group,
+            per_unknown: per_group,
+            products_max: partition.rows() as u64 * PRODUCTS_PER_ROW,
             factor: None,
             residual: vec![0.0; values],
             image: vec![0.0; values],
@@ -66,7 +83,7 @@ impl Coarse {
         }
     }
 
-    /// Group of a chunk.
+    /// Group of a chunk, in the entries.
     pub fn group(&self, chunk: usize) -> usize {
         chunk / self.per_group
     }
@@ -81,18 +98,23 @@ impl Coarse {
             }
         }
         let all = gather(transport, &own)?;
-        let groups = self.residual.len() / 3;
-        let mut blocks: Vec<Vec<(u32, [f64; 9])>> = vec![Vec::new(); groups];
+        let mut blocks: Vec<GroupSums> = vec![Vec::new(); self.chunks.div_ceil(self.per_group)];
         for entry in all.as_chunks::<ENTRY>().0 {
             let (chunk, column) = (entry[0] as usize / self.chunks, entry[0] as usize % self.chunks);
-            let row = &mut blocks[self.group(chunk)];
-            let block: [f64; 9] = std::array::from_fn(|c| entry[1 + c]);
-            match row.iter_mut().find(|(c, _)| *c as usize == column) {
-                Some((_, sum)) => sum.iter_mut().zip(block).for_each(|(sum, v)| *sum += v),
-                None => row.push((column as u32, block)),
-            }
+            add_sums(&mut blocks[chunk / self.per_group], column as u32, std::array::from_fn(|c| entry[1 + c]));
         }
-        self.factor = Skyline::new(&blocks);
+        self.per_unknown = self.per_group;
+        let mut envelope = Envelope::of(&blocks);
+        while envelope.products() > self.products_max && blocks.len() > 1 {
+            blocks = in_pairs(&blocks);
+            self.per_unknown *= 2;
+            envelope = Envelope::of(&blocks);
+        }
+        let values = blocks.len() * 3;
+        for vector in [&mut self.residual, &mut self.image, &mut self.solution] {
+            vector.resize(values, 0.0);
+        }
+        self.factor = Skyline::new(&blocks, envelope);
         Ok(())
     }
 
@@ -117,7 +139,7 @@ impl Coarse {
     fn add_chunks(&mut self, chunk_sums: &[f64], add: impl Fn(&mut Coarse, usize, f64)) {
         for (chunk, sums) in chunk_sums.as_chunks::<3>().0.iter().enumerate() {
             for (c, &sum) in sums.iter().enumerate() {
-                add(self, self.group(chunk) * 3 + c, sum);
+                add(self, chunk / self.per_unknown * 3 + c, sum);
             }
         }
     }
@@ -126,7 +148,7 @@ impl Coarse {
         let Some(factor) = &mut self.factor else { return };
         factor.solve(&self.residual, &mut self.solution);
         for (chunk, correction) in self.own.clone().zip(self.correction.as_chunks_mut::<3>().0) {
-            let at = chunk / self.per_group * 3;
+            let at = chunk / self.per_unknown * 3;
             *correction = std::array::from_fn(|c| self.solution[at + c] as f32);
         }
     }
@@ -152,8 +174,48 @@ fn gather(transport: &mut dyn Transport, own: &[f64]) -> Result<Vec<f64>, Transp
     Ok(all.concat())
 }
 
-/// Cholesky factor within the envelope of a symmetric matrix of 3x3 blocks, in reverse Cuthill-McKee order
-/// [George and Liu 1981].
+/// Where a Cholesky factor can differ from zero: from the first column of each row to the diagonal, with the rows in reverse
+/// Cuthill-McKee order [George and Liu 1981].
+struct Envelope {
+    /// Old row of each new row, in blocks.
+    nodes: Vec<usize>,
+    /// First column of each row of the factor, in scalars.
+    first: Vec<usize>,
+    /// Start of each row's values.
+    start: Vec<usize>,
+}
+
+impl Envelope {
+    fn of(blocks: &[GroupSums]) -> Envelope {
+        let nodes = cuthill_mckee(blocks);
+        let place = inverse(&nodes);
+        let n = nodes.len() * 3;
+        let (mut first, mut start) = (vec![0; n], vec![0; n + 1]);
+        for (new, &old) in nodes.iter().enumerate() {
+            let lowest = blocks[old].iter().map(|(c, _)| place[*c as usize]).fold(new, usize::min);
+            for c in 0..3 {
+                let row = new * 3 + c;
+                // Whole groups of lanes before the diagonal, if that many columns there are.
+                first[row] = row.checked_sub((row - lowest * 3).next_multiple_of(LANES)).unwrap_or(lowest * 3);
+                start[row + 1] = start[row] + row + 1 - first[row];
+            }
+        }
+        Envelope { nodes, first, start }
+    }
+
+    /// Products of a factorization, at most.
+    fn products(&self) -> u64 {
+        self.start.windows(2).map(|row| ((row[1] - row[0]) as u64).pow(2) / 2).sum()
+    }
+}
+
+fn inverse(order: &[usize]) -> Vec<usize> {
+    let mut place = vec![0; order.len()];
+    order.iter().enumerate().for_each(|(new, &old)| place[old] = new);
+    place
+}
+
+/// Cholesky factor of a symmetric matrix of 3x3 blocks.
 struct Skyline {
     /// Old row of each new row, in scalars.
     order: Vec<usize>,
@@ -168,21 +230,10 @@ struct Skyline {
 
 impl Skyline {
     /// None if the matrix is not positive definite.
-    fn new(blocks: &[Vec<(u32, [f64; 9])>]) -> Option<Skyline> {
-        let nodes = cuthill_mckee(blocks);
-        let mut place = vec![0; nodes.len()];
-        nodes.iter().enumerate().for_each(|(new, &old)| place[old] = new);
-        let n = nodes.len() * 3;
-        let (mut first, mut start) = (vec![0; n], vec![0; n + 1]);
-        for (new, &old) in nodes.iter().enumerate() {
-            let lowest = blocks[old].iter().map(|(c, _)| place[*c as usize]).fold(new, usize::min);
-            for c in 0..3 {
-                let row = new * 3 + c;
-                // Whole groups of lanes before the diagonal, if that many columns there are.
-                first[row] = row.checked_sub((row - lowest * 3).next_multiple_of(LANES)).unwrap_or(lowest * 3);
-                start[row + 1] = start[row] + row + 1 - first[row];
-            }
-        }
+    fn new(blocks: &[GroupSums], envelope: Envelope) -> Option<Skyline> {
+        let Envelope { nodes, first, start } = envelope;
+        let place = inverse(&nodes);
+        let n = first.len();
         let mut values = vec![0.0; start[n]];
         for (new, &old) in nodes.iter().enumerate() {
             for (column, block) in &blocks[old] {
@@ -293,7 +344,7 @@ fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
 }
 
 /// New order of the nodes: breadth first from a node of lowest degree, neighbours by degree, reversed.
-fn cuthill_mckee(blocks: &[Vec<(u32, [f64; 9])>]) -> Vec<usize> {
+fn cuthill_mckee(blocks: &[GroupSums]) -> Vec<usize> {
     let degree = |node: usize| (blocks[node].len(), node);
     let mut seen = vec![false; blocks.len()];
     let mut order = Vec::with_capacity(blocks.len());

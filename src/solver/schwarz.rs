@@ -23,7 +23,7 @@ use crate::transport::{Transport, TransportError};
 /// Rows of a chunk that its columns can name.
 const CHUNK_ROWS_MAX: usize = 1 << 16;
 /// Rows per chunk from which `auto` takes it: below, Jacobi needs so few iterations that the dearer ones do not pay.
-const CHUNK_ROWS_WORTH: usize = 40;
+const CHUNK_ROWS_WORTH: usize = 16;
 
 /// Pattern of a rank's rows, as the matrix was laid out.
 #[derive(Clone, Copy)]

@@ -17,6 +17,8 @@ pub const RELAXATION: f32 = 1.5;
 pub const SCALE: f32 = 1.0;
 /// Rows per sum in f32.
 const TILE: usize = 64;
+/// Values of a cache line.
+const LINE: usize = 16;
 
 /// The blocks inside chunks, in the order of the own rows.
 #[derive(Clone, Copy)]
@@ -44,14 +46,58 @@ impl<'a> Blocks<'a> {
     }
 }
 
+/// The chunk after the present one. The way back through a chunk finds its blocks in the cache; while it computes, memory
+/// brings what the next chunk reads first.
+struct Ahead {
+    rows: Range<usize>,
+    vectors: [Shared; 6],
+}
+
+impl Ahead {
+    /// Asks for what row number `i` of the chunk reads.
+    #[inline(always)]
+    fn fetch(&self, blocks: &Blocks, i: usize) {
+        let row = self.rows.start + i;
+        if row >= self.rows.end {
+            return;
+        }
+        let (_, values) = blocks.above(row);
+        values.chunks(LINE).for_each(|line| fetch(line.as_ptr()));
+        fetch(blocks.upper_columns[blocks.upper_offsets[row] as usize..].as_ptr());
+        fetch(blocks.diagonal[row * 6..].as_ptr());
+        fetch(blocks.inverse_diagonal[row * 6..].as_ptr());
+        if i.is_multiple_of(LINE / 3) {
+            self.vectors.iter().for_each(|vector| fetch(vector.at(row * 3)));
+        }
+    }
+}
+
+/// Brings the cache line of `at` nearer; has no effect on what is computed.
+#[inline(always)]
+fn fetch<T>(at: *const T) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a prefetch of any address is allowed.
+    unsafe {
+        std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T1 }>(at.cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = at;
+}
+
 /// Working vectors of a chunk.
-#[derive(Default)]
 struct Scratch {
+    ahead: Ahead,
     /// Residual, then (D' + L)^-1 r.
     y: Vec<[f32; 4]>,
     /// v and u of each row, each padded with a zero.
     vu: Vec<[f32; 8]>,
     w: Vec<[f32; 4]>,
+}
+
+impl Scratch {
+    fn new(vectors: [Shared; 6]) -> Scratch {
+        Scratch { ahead: Ahead { rows: 0..0, vectors }, y: Vec::new(), vu: Vec::new(), w: Vec::new() }
+    }
 }
 
 /// `update` = (alpha, beta): first p = u + beta p, s = w + beta s, x += alpha p, r -= alpha s (0 on pinned rows). Then u and w
@@ -75,10 +121,13 @@ pub fn sweep(
     assert!(blocks.upper_offsets.len() == rows + 1 && coarse.len() == sums.len() * 3);
     assert!(blocks.diagonal.len() == rows * 6 && blocks.inverse_diagonal.len() == rows * 6);
     let vectors = [w, u, p, s, x, r].map(|v| Shared(v.as_mut_ptr()));
+    let rows_of = |chunk: usize| (chunk * blocks.chunk_rows).min(rows)..((chunk + 1) * blocks.chunk_rows).min(rows);
     cpu.for_ranges_mut(sums, 1, 1, |range, sums| {
-        let mut scratch = Scratch::default();
-        for (chunk, sum) in range.zip(sums) {
-            let rows = chunk * blocks.chunk_rows..((chunk + 1) * blocks.chunk_rows).min(rows);
+        let mut scratch = Scratch::new(vectors);
+        for (chunk, sum) in range.clone().zip(sums) {
+            let rows = rows_of(chunk);
+            let next = if chunk + 1 < range.end { rows_of(chunk + 1) } else { 0..0 };
+            scratch.ahead = Ahead { rows: next, vectors };
             // SAFETY: chunks are disjoint and within the vectors.
             let parts = vectors.map(|v| unsafe { v.part(rows.start * 3, rows.len() * 3) });
             let correction = [coarse[chunk * 3], coarse[chunk * 3 + 1], coarse[chunk * 3 + 2]];
@@ -269,8 +318,10 @@ fn backward<K: RowKernel>(
     correction: [f32; 3],
     scratch: &mut Scratch,
 ) {
-    let Scratch { y, vu, w } = scratch;
+    let Scratch { ahead, y, vu, w } = scratch;
+    let last = rows.len().saturating_sub(1);
     for (i, row) in rows.enumerate().rev() {
+        ahead.fetch(blocks, last - i);
         let (columns, values) = blocks.above(row);
         let sums = K::gather(columns, values, vu);
         let change = relaxed(&inverses[i], &[sums[0], sums[1], sums[2], 0.0]);

@@ -51,6 +51,11 @@ impl Shared {
         // SAFETY: contract.
         unsafe { std::slice::from_raw_parts_mut(self.0.add(start), len) }
     }
+
+    /// Where value `i` is; not to be read through.
+    pub(super) fn at(self, i: usize) -> *const f32 {
+        self.0.wrapping_add(i)
+    }
 }
 
 /// sums[chunk] = (w . u) over the chunk's rows.

@@ -58,7 +58,7 @@ pub enum TransportError {
 }
 
 /// Most values that one rank may contribute to [`Transport::all_gather`].
-pub const ALL_GATHER_MAX: usize = 1024;
+pub const ALL_GATHER_MAX: usize = 2048;
 
 /// Most ranks of a run.
 pub const RANKS_MAX: usize = 64;

@@ -4,6 +4,7 @@
 use thiserror::Error;
 
 use super::patches::cut;
+use crate::partition::chunk_rows;
 
 /// Why triangles do not make a [`CollisionMesh`].
 #[derive(Debug, Error, PartialEq)]
@@ -119,8 +120,8 @@ impl CollisionMesh {
         let pieces = pieces(vertices, &triangles);
         let mut patches = vec![0];
         // A part knows its triangles by their smallest vertices, which must still be sorted when it is cut.
-        cut(&mut triangles, &pieces, 0..cloth_vertices, &mut patches);
-        cut(&mut triangles, &pieces, cloth_vertices..vertices, &mut patches);
+        cut(&mut triangles, &pieces, 0..cloth_vertices, chunk_rows(cloth_vertices), &mut patches);
+        cut(&mut triangles, &pieces, cloth_vertices..vertices, vertices, &mut patches);
         let mut mesh = CollisionMesh {
             vertices,
             cloth_vertices,

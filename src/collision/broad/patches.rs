@@ -12,21 +12,28 @@ use super::cull::{Cone, Culling};
 use super::input::Input;
 use super::split::{Split, even};
 use crate::gpu::CpuExecutor;
+use crate::mesh::middle;
 use crate::transport::TransportError;
 
-/// Most vertices whose triangles make a patch. In the locality order of vertices ([`crate::mesh::locality_order`]) that many
+/// Most vertices whose triangles make a patch. In the locality order of vertices ([`crate::mesh::vertex_order`]) that many
 /// consecutive ones, from one of its own cuts to the next, are neighbours.
 const VERTICES: usize = 32;
 /// Most boxes that stand for the triangles with touched vertices.
 const REACHES: usize = 64;
 
 /// Orders triangles, which are sorted by their smallest vertices, such that each patch is consecutive: the triangles of one
-/// piece whose smallest vertex is in one of the parts into which `vertices` are cut. Adds the end of each to `ends`.
-pub(super) fn cut(triangles: &mut [[u32; 3]], pieces: &[u32], vertices: Range<usize>, ends: &mut Vec<u32>) {
+/// piece whose smallest vertex is in one of the parts into which `vertices` are cut as in their order. Adds the end of each to `ends`.
+pub(super) fn cut(
+    triangles: &mut [[u32; 3]],
+    pieces: &[u32],
+    vertices: Range<usize>,
+    chunk: usize,
+    ends: &mut Vec<u32>,
+) {
     if vertices.len() > VERTICES {
-        let middle = vertices.start + vertices.len() / 2;
-        cut(triangles, pieces, vertices.start..middle, ends);
-        cut(triangles, pieces, middle..vertices.end, ends);
+        let middle = middle(&vertices, chunk);
+        cut(triangles, pieces, vertices.start..middle, chunk, ends);
+        cut(triangles, pieces, middle..vertices.end, chunk, ends);
         return;
     }
     let smallest = |t: &[u32; 3]| t[0].min(t[1]).min(t[2]) as usize;
