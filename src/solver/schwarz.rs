@@ -223,7 +223,7 @@ impl Schwarz {
     ) {
         match &mut self.smoother {
             Smoother::Chain(sweeps) => {
-                sweeps.sums(native(executor), inverse_diagonal, w, u, u_start, scalars, restricted);
+                sweeps.sums(native(executor), w, u, u_start, scalars, restricted);
             }
             Smoother::Colors(colored) => colored.sums(executor, inverse_diagonal, w, u, scalars, restricted),
         }

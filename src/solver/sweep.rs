@@ -34,6 +34,8 @@ pub(super) struct Sweeps {
     outer_offsets: Vec<usize>,
     /// Group of each own chunk.
     groups: Vec<u32>,
+    /// Own rows that are pinned, ascending.
+    pinned: Vec<u32>,
     residual_sums: Vec<[f64; 2]>,
     product_sums: Vec<[f64; 4]>,
 }
@@ -111,12 +113,15 @@ impl Sweeps {
             outer_offsets,
             groups: (first_chunk..first_chunk + chunks).map(|chunk| coarse.group(chunk) as u32).collect(),
             residual_sums: vec![[0.0; 2]; chunks],
+            pinned: Vec::new(),
             product_sums: vec![[0.0; 4]; chunks],
         }
     }
 
     /// Copies the values and adds them up by chunk and group.
     pub fn take_over(&mut self, cpu: &CpuExecutor, values: &[f32], flags: &[f32]) -> Vec<GroupSums> {
+        self.pinned.clear();
+        self.pinned.extend((0..self.rows as u32).filter(|&row| flags[(self.own_start + row as usize) * 3] == 0.0));
         let mut entries: Vec<GroupSums> = vec![Vec::new(); self.residual_sums.len()];
         let (upper, diagonal) = (Shared(self.upper.as_mut_ptr()), Shared(self.diagonal.as_mut_ptr()));
         let outer = Shared(self.outer.values.as_mut_slice().as_mut_ptr());
@@ -235,7 +240,6 @@ impl Sweeps {
     pub fn sums(
         &mut self,
         cpu: &CpuExecutor,
-        inverse_diagonal: &DeviceVec<f32>,
         w: &mut DeviceVec<f32>,
         u: &DeviceVec<f32>,
         u_start: usize,
@@ -243,15 +247,8 @@ impl Sweeps {
         restricted: &mut Vec<f64>,
     ) {
         let own = u_start..u_start + w.len();
-        let inverse = inverse_diagonal.as_slice();
-        sweep_cpu::product_sums(
-            cpu,
-            self.chunk_rows,
-            inverse,
-            w.as_mut_slice(),
-            &u.as_slice()[own],
-            &mut self.product_sums,
-        );
+        let (w, u) = (w.as_mut_slice(), &u.as_slice()[own]);
+        sweep_cpu::product_sums(cpu, self.chunk_rows, &self.pinned, w, u, &mut self.product_sums);
         scalars.clear();
         scalars.extend(self.residual_sums.iter().zip(&self.product_sums).map(|(r, w)| [r[0], r[1], w[0]]));
         restricted.clear();

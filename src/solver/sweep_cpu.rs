@@ -354,11 +354,12 @@ fn times(block: &[f32; 6], v: &[f32; 4]) -> [f32; 3] {
     [xx * v[0] + xy * v[1] + xz * v[2], xy * v[0] + yy * v[1] + yz * v[2], xz * v[0] + yz * v[1] + zz * v[2]]
 }
 
-/// After w has the products with R: w = 0 on pinned rows, sums[chunk] = (w . u, sums of x, y, z of w).
+/// After w has the products with R: w = 0 on the `pinned` rows (ascending), sums[chunk] = (w . u, sums of x, y, z of w).
+/// Bytes per row: 24.
 pub fn product_sums(
     cpu: &CpuExecutor,
     chunk_rows: usize,
-    inverse_diagonal: &[f32],
+    pinned: &[u32],
     w: &mut [f32],
     u: &[f32],
     sums: &mut [[f64; 4]],
@@ -370,16 +371,14 @@ pub fn product_sums(
             let rows = chunk * chunk_rows..((chunk + 1) * chunk_rows).min(rows);
             // SAFETY: chunks are disjoint and within the vector.
             let w = unsafe { shared.part(rows.start * 3, rows.len() * 3) };
-            let inverses = &inverse_diagonal.as_chunks::<6>().0[rows.clone()];
+            let from = pinned.partition_point(|&row| (row as usize) < rows.start);
+            for &row in pinned[from..].iter().take_while(|&&row| (row as usize) < rows.end) {
+                w[(row as usize - rows.start) * 3..][..3].fill(0.0);
+            }
             *sum = [0.0; 4];
-            for ((w, u), inverses) in
-                w.chunks_mut(TILE * 3).zip(u[rows.start * 3..rows.end * 3].chunks(TILE * 3)).zip(inverses.chunks(TILE))
-            {
+            for (w, u) in w.chunks(TILE * 3).zip(u[rows.start * 3..rows.end * 3].chunks(TILE * 3)) {
                 let mut of_tile = [0.0f32; 3];
-                for (w, inverse) in w.as_chunks_mut::<3>().0.iter_mut().zip(inverses) {
-                    if inverse[0] == 0.0 {
-                        *w = [0.0; 3];
-                    }
+                for w in w.as_chunks::<3>().0 {
                     for c in 0..3 {
                         of_tile[c] += w[c];
                     }
