@@ -1,7 +1,10 @@
 //! Every kernel against its native twin, on seeded triangles of odd numbers and very different sizes.
 
-use super::hash::{CHUNK, Entries, HashParams, Shapes, Table, buckets};
+use super::batches::Chunk;
+use super::count::face;
+use super::hash::{Entries, HashParams, Shapes, Table};
 use super::pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
+use super::space::Space;
 use super::*;
 use crate::gpu::test_support::{self, Seeded};
 
@@ -41,24 +44,36 @@ struct Made {
     candidates: [Vec<Candidate>; 3],
 }
 
+/// Of all layers, or of the part number `part` of 4 and all its chunks but for the first.
 fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
     let (mesh, x_t0, x_t1) = mesh(triangles, 5);
     let query = Query { x_t0: &x_t0, x_t1: &x_t1, radius_m: 0.01 };
     let choice = Choice { piece_radius_m: Some(0.002), ..Choice::default() };
-    let motion = Motion::new(&mesh, &query, &choice).expect("positions");
-    let params = HashParams::new(&mesh, &motion);
+    let input = Input::new(&mesh, Motion::new(&mesh, &query, &choice).expect("positions"), choice);
+    let (nested, mut patches) = (Nested::new(&input.grid), Patches::new(&mesh));
+    let split = &mut Split::alone(0, 1);
+    patches.look(&CpuExecutor::new(1), &input, |aabb| nested.may_be_large(aabb), split).expect("one rank");
+    let space = Space::new(&input, &patches);
+    let layers = if part == 0 { 0..space.layers() } else { space.guess(part, 4) };
+    let members = space.members(&input, &patches, &layers);
+    assert!(part == 0 || (!members.is_empty() && members.len() < triangles));
+    let window = space.window(&input, layers, &members);
+    let pieces = numbered_pieces(&mesh);
+    let faces: Vec<_> = members.iter().map(|&t| face(&mesh, &pieces, t)).collect();
     let shapes = Shapes {
         x_t0: DeviceVec::upload(executor, &x_t0),
         x_t1: Some(DeviceVec::upload(executor, &x_t1)),
-        faces: DeviceVec::upload(executor, &faces(&mesh)),
+        faces: DeviceVec::upload(executor, &faces),
     };
-    let mut table = Table::new(executor, triangles);
-    let loads = table.count(executor, &params, &shapes);
-    // All chunks but the first `part`.
-    let size: u32 = loads[part..].iter().map(|load| load[2]).sum();
-    let tests: u64 = loads[part..].iter().map(|load| tests_of(*load)).sum();
-    let first = part * CHUNK;
-    let params = HashParams { first_bucket: first as u32, buckets: (buckets(triangles) - first) as u32, ..params };
+    let mut table = Table::new(executor);
+    let loads = table.count(executor, &window, &shapes);
+    let chunks: Vec<Chunk> = window.chunks.iter().zip(&loads).map(|(&of, &load)| Chunk::new(of, load)).collect();
+    let chunks = &chunks[part.min(1)..];
+    let size: u64 = chunks.iter().map(|chunk| chunk.entries).sum();
+    let tests: u64 = chunks.iter().map(|chunk| chunk.tests).sum();
+    let first = chunks.first().expect("chunks").buckets[0] as usize;
+    let buckets = window.params.buckets - first as u32;
+    let params = HashParams { first_bucket: first as u32, buckets, ..window.params };
     let mut entries = Entries::new(executor);
     table.fill(executor, &params, size as usize, &mut entries);
     let starts = entries.starts.read(executor);
@@ -78,7 +93,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
         buckets: params.buckets,
         first_test: (tests / 9) as u32,
         end_test: tests as u32,
-        ..pair_params(&motion, &Filter::Boxes)
+        ..pair_params(&input.motion, &Filter::Boxes)
     };
     // Without room pairs are counted all the same.
     let count = found.box_tests(executor, &pass, &table, &entries);
@@ -149,9 +164,15 @@ fn tests_beyond_32_bits_are_counted() {
     let load = [200_000, 3, 70_000, 9];
     let expected = 200_000u64 * 199_999 / 2 + 200_000 * (3 + 70_000 + 9) + 3 * 70_000;
     for executor in std::iter::once(Executor::cpu(1)).chain(test_support::executor()) {
-        let mut table = Table::new(&executor, 1);
+        let mut table = Table::new(&executor);
+        table.counts.resize(&executor, 40);
+        table.counts.fill_zero(&executor);
         table.counts.write_range(&executor, 5, &[load]);
-        let loads = table.loads(&executor, &HashParams { buckets: buckets(1) as u32, ..HashParams::zeroed() });
-        assert_eq!((tests_of(loads[0]), loads[0][2], loads[0][3]), (expected, 270_012, 1), "{}", executor.name());
+        let params = HashParams { chunks: 2, ..HashParams::zeroed() };
+        let spans = [[0, 7], [7, 40]];
+        let loads = table.loads(&executor, &params, &spans);
+        let [full, empty] = [0, 1].map(|at| Chunk::new(spans[at], loads[at]));
+        assert_eq!((full.tests, full.entries, full.busy), (expected, 270_012, 1), "{}", executor.name());
+        assert!(full.is_too_much() && !empty.is_too_much() && empty.tests == 0);
     }
 }
