@@ -137,7 +137,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
 #[test]
 fn kernels_equal_their_twins() {
     let Some(device) = test_support::executor() else { return };
-    for (triangles, part) in [(1, 0), (129, 0), (1001, 1), (2500, 3)] {
+    for (triangles, part) in [(1, 0), (129, 0), (1001, 0), (1001, 1), (2500, 2)] {
         let (found, expected) = (made(&device, triangles, part), made(&Executor::cpu(1), triangles, part));
         assert!(found.boxes == expected.boxes, "boxes of {triangles}");
         assert!(found.counts == expected.counts && found.loads == expected.loads, "loads of {triangles}");
@@ -145,7 +145,8 @@ fn kernels_equal_their_twins() {
         assert!(found.entries == expected.entries, "entries of {triangles}");
         assert!(found.pairs == expected.pairs, "pairs of {triangles}");
         assert!(found.candidates[0] == expected.candidates[0], "candidates of {triangles}");
-        assert!(triangles < 1000 || expected.counts.iter().any(|load| load[2] > 0 && load[3] > 0), "visitors");
+        let visited = expected.counts.iter().any(|load| load[2] > 0 && load[3] > 0);
+        assert!(triangles < 1000 || visited, "visitors of {triangles}");
         // Rounding may differ where a pair is just proven apart; what a filter leaves is a part of what it was given.
         for kind in [1, 2] {
             let (ours, twins) = (&found.candidates[kind], &expected.candidates[kind]);
