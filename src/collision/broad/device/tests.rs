@@ -4,7 +4,7 @@ use super::batches::Chunk;
 use super::count::face;
 use super::hash::{Entries, HashParams, Shapes, Table};
 use super::pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
-use super::space::Space;
+use super::space::{Space, Window};
 use super::*;
 use crate::gpu::test_support::{self, Seeded};
 
@@ -44,29 +44,52 @@ struct Made {
     candidates: [Vec<Candidate>; 3],
 }
 
+/// A query without culling.
+struct Case<'a> {
+    mesh: &'a CollisionMesh,
+    query: &'a Query<'a>,
+    input: Input<'a>,
+    patches: Patches,
+    space: Space,
+}
+
+impl<'a> Case<'a> {
+    fn new(mesh: &'a CollisionMesh, query: &'a Query<'a>) -> Case<'a> {
+        let choice = Choice { piece_radius_m: Some(0.002), ..Choice::default() };
+        let input = Input::new(mesh, Motion::new(mesh, query, &choice).expect("positions"), choice);
+        let (nested, mut patches) = (Nested::new(&input.grid), Patches::new(mesh));
+        let split = &mut Split::alone(0, 1);
+        patches.look(&CpuExecutor::new(1), &input, |aabb| nested.may_be_large(aabb), split).expect("one rank");
+        let space = Space::new(&input, &patches);
+        Case { mesh, query, input, patches, space }
+    }
+
+    /// Counts some layers.
+    fn count(&self, executor: &Executor, layers: Range<usize>) -> (Window, Shapes, Table, Vec<[u32; 4]>) {
+        let members = self.space.members(&self.input, &self.patches, &layers);
+        let window = self.space.window(&self.input, layers, &members);
+        let pieces = numbered_pieces(self.mesh);
+        let faces: Vec<_> = members.iter().map(|&t| face(self.mesh, &pieces, t)).collect();
+        let shapes = Shapes {
+            x_t0: DeviceVec::upload(executor, self.query.x_t0),
+            x_t1: Some(DeviceVec::upload(executor, self.query.x_t1)),
+            faces: DeviceVec::upload(executor, &faces),
+        };
+        let mut table = Table::new(executor);
+        let loads = table.count(executor, &window, &shapes);
+        (window, shapes, table, loads)
+    }
+}
+
 /// Of all layers, or of the part number `part` of 4 and all its chunks but for the first.
 fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
     let (mesh, x_t0, x_t1) = mesh(triangles, 5);
     let query = Query { x_t0: &x_t0, x_t1: &x_t1, radius_m: 0.01 };
-    let choice = Choice { piece_radius_m: Some(0.002), ..Choice::default() };
-    let input = Input::new(&mesh, Motion::new(&mesh, &query, &choice).expect("positions"), choice);
-    let (nested, mut patches) = (Nested::new(&input.grid), Patches::new(&mesh));
-    let split = &mut Split::alone(0, 1);
-    patches.look(&CpuExecutor::new(1), &input, |aabb| nested.may_be_large(aabb), split).expect("one rank");
-    let space = Space::new(&input, &patches);
-    let layers = if part == 0 { 0..space.layers() } else { space.guess(part, 4) };
-    let members = space.members(&input, &patches, &layers);
-    assert!(part == 0 || (!members.is_empty() && members.len() < triangles));
-    let window = space.window(&input, layers, &members);
-    let pieces = numbered_pieces(&mesh);
-    let faces: Vec<_> = members.iter().map(|&t| face(&mesh, &pieces, t)).collect();
-    let shapes = Shapes {
-        x_t0: DeviceVec::upload(executor, &x_t0),
-        x_t1: Some(DeviceVec::upload(executor, &x_t1)),
-        faces: DeviceVec::upload(executor, &faces),
-    };
-    let mut table = Table::new(executor);
-    let loads = table.count(executor, &window, &shapes);
+    let case = Case::new(&mesh, &query);
+    let layers = if part == 0 { 0..case.space.layers() } else { case.space.guess(part, 4) };
+    let (window, shapes, mut table, loads) = case.count(executor, layers);
+    let members = window.params.triangles as usize;
+    assert!(part == 0 || (members > 0 && members < triangles));
     let chunks: Vec<Chunk> = window.chunks.iter().zip(&loads).map(|(&of, &load)| Chunk::new(of, load)).collect();
     let chunks = &chunks[part.min(1)..];
     let size: u64 = chunks.iter().map(|chunk| chunk.entries).sum();
@@ -93,7 +116,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
         buckets: params.buckets,
         first_test: (tests / 9) as u32,
         end_test: tests as u32,
-        ..pair_params(&input.motion, &Filter::Boxes)
+        ..pair_params(&case.input.motion, &Filter::Boxes)
     };
     // Without room pairs are counted all the same.
     let count = found.box_tests(executor, &pass, &table, &entries);
@@ -155,6 +178,32 @@ fn kernels_equal_their_twins() {
             assert!(1000 * differ <= twins.len(), "filter {kind} of {triangles}: {differ} of {}", twins.len());
             assert!(ours.iter().all(|c| found.candidates[0].binary_search(c).is_ok()));
             assert!(triangles < 100 || (!ours.is_empty() && ours.len() < found.candidates[0].len()));
+        }
+    }
+}
+
+#[test]
+fn parts_of_space_are_counted_in_full() {
+    // Near the origin of all coordinates, and so far from it that positions are rounded to parts of a cell.
+    for (triangles, away) in [(700, 0.0), (2500, 0.0), (2500, 3000.0), (2500, 40_000.0)] {
+        let (mesh, mut x_t0, mut x_t1) = mesh(triangles, 6);
+        // A third of it stays where it is.
+        let moved = 3 * (mesh.vertices / 3);
+        x_t0[moved..].iter_mut().chain(&mut x_t1[moved..]).for_each(|x| *x += away);
+        let query = Query { x_t0: &x_t0, x_t1: &x_t1, radius_m: 0.01 };
+        let case = Case::new(&mesh, &query);
+        for executor in std::iter::once(Executor::cpu(1)).chain(test_support::executor()) {
+            let whole = case.count(&executor, 0..case.space.layers()).2.counts.read(&executor);
+            assert_eq!(whole.len(), case.space.buckets());
+            assert!(whole.iter().map(|load| load[0] + load[1]).sum::<u32>() as usize > triangles / 2);
+            for ranks in [2, 5, 16] {
+                let count = |rank| {
+                    let layers = case.space.guess(rank, ranks);
+                    if layers.is_empty() { vec![] } else { case.count(&executor, layers).2.counts.read(&executor) }
+                };
+                let parts: Vec<[u32; 4]> = (0..ranks).flat_map(count).collect();
+                assert!(parts == whole, "{triangles} triangles {away} m away on {ranks} ranks, {}", executor.name());
+            }
         }
     }
 }
