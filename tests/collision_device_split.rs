@@ -124,7 +124,7 @@ fn any_number_of_ranks_finds_what_native_searches_find() {
                     assert!(expected == brute_force(&model.mesh(), &query).expect("brute force"));
                 }
                 assert!(expected.len() > 1000, "{} candidates", expected.len());
-                for ranks in [1, 2, 3, 4, 8] {
+                for ranks in [1, 2, 3, 4, 8].into_iter().filter(|ranks| n < 40 || ranks % 4 == 0) {
                     let found = together(kind, &model, radius_m, &choice, ranks, None);
                     let found: Vec<_> = found.into_iter().map(|rank| rank.expect("a search")).collect();
                     let all = sorted(&found);

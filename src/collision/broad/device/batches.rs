@@ -9,10 +9,11 @@ use crate::gpu::Executor;
 
 /// Most tests of a batch: twice as many are still a number of 32 bits.
 const TESTS_MOST: u64 = (1 << 31) - 1;
-/// Pairs of triangles that the buffer holds at first, per triangle and rank; candidates are fewer. And what both hold at
-/// least.
+/// Pairs of triangles that the buffer holds at first, and at most, per triangle and rank: more come in turns, so that memory
+/// shrinks with the number of ranks even where pairs crowd. Candidates are fewer. And what both hold at least.
 const PAIRS_PER_TRIANGLE: usize = 8;
-pub(super) const ROOM_LEAST: usize = 4096;
+const PAIRS_PER_TRIANGLE_MOST: usize = 16;
+const ROOM_LEAST: usize = 4096;
 /// Entries that are always made at once if the memory limit allows it.
 const ENTRIES_TOGETHER: u64 = 1 << 12;
 /// Bytes of an array that every adapter can bind.
@@ -58,8 +59,9 @@ pub(super) struct Room {
     entries: u64,
     pub pairs: usize,
     pub candidates: usize,
-    /// Pairs to make room for at first.
+    /// Pairs and candidates to make room for at first.
     pub first_pairs: usize,
+    pub first_candidates: usize,
 }
 
 /// What room is for.
@@ -84,12 +86,16 @@ impl Room {
         // Tests are even over ranks, their entries are not: emptier cells need more. Memory shall shrink with the number of
         // ranks.
         let together = (wanted.entries + wanted.entries / 8).max(ENTRIES_TOGETHER);
+        let pairs = |per_triangle: usize| (per_triangle * wanted.triangles).max(ROOM_LEAST).min(binds(item));
+        let candidates = |pairs: usize, part: usize| (pairs / part).max(ROOM_LEAST).min(binds(candidate));
+        let (first_pairs, most_pairs) = (pairs(PAIRS_PER_TRIANGLE), pairs(PAIRS_PER_TRIANGLE_MOST));
         let mut room = Room {
             buckets: binds(16) as u64,
             entries: (binds(item) as u64).min(together).max(fullest),
-            pairs: binds(item),
-            candidates: binds(candidate),
-            first_pairs: (PAIRS_PER_TRIANGLE * wanted.triangles).max(ROOM_LEAST).min(binds(item)),
+            pairs: most_pairs,
+            candidates: candidates(most_pairs, 4),
+            first_pairs,
+            first_candidates: candidates(first_pairs, 8),
         };
         let Some(limit_bytes) = limit_bytes else { return Ok(room) };
         // Arrays may be an eighth larger than asked for.
@@ -105,8 +111,14 @@ impl Room {
         room.pairs = room.pairs.min((free / 4) as usize / item);
         room.candidates = room.candidates.min((free / 4) as usize / candidate);
         room.first_pairs = room.first_pairs.min(room.pairs);
+        room.first_candidates = room.first_candidates.min(room.candidates);
         Ok(room)
     }
+}
+
+/// How many of `items` to try next if all of them found `found` things and there is room for `room`.
+pub(super) fn fewer(items: u64, found: usize, room: usize) -> u64 {
+    (u128::from(items) * room as u128 * 7 / 8 / found as u128).max(1) as u64
 }
 
 /// The chunks that hold the tests `share`, numbered from the first of the window, as few batches as fit.

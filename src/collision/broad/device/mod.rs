@@ -33,7 +33,7 @@ use super::split::Split;
 use super::{BroadError, BroadStats, Choice, CollisionMesh, Query, nanoseconds};
 use crate::collision::Candidate;
 use crate::gpu::{CpuExecutor, DeviceVec, Executor};
-use batches::{BINDING_BYTES, Batch, ROOM_LEAST, Room, Wanted, batches};
+use batches::{BINDING_BYTES, Batch, Room, Wanted, batches, fewer};
 use hash::{Entries, HashParams, Shapes, Table};
 use pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
 use space::Nested;
@@ -260,7 +260,7 @@ impl DeviceBroad {
         let (mut reported, mut first, mut step) = (0, own.start, TESTS_PER_PASS);
         if self.found.pairs.is_empty() {
             self.found.pairs.resize(executor, room.first_pairs);
-            self.found.candidates.resize(executor, (room.first_pairs / 8).max(ROOM_LEAST).min(room.candidates));
+            self.found.candidates.resize(executor, room.first_candidates);
         }
         while first < own.end {
             let end = own.end.min(first + step);
@@ -271,7 +271,7 @@ impl DeviceBroad {
                     self.found.pairs.resize(executor, pairs.min(room.pairs));
                 }
                 if pairs > room.pairs {
-                    step = (step / 2).max(1);
+                    step = fewer(end - first, pairs, room.pairs);
                 }
                 continue;
             }
@@ -304,7 +304,7 @@ impl DeviceBroad {
                     self.found.candidates.resize(executor, count.min(room.candidates));
                 }
                 if count > room.candidates {
-                    step = (step / 2).max(1);
+                    step = fewer((end - first) as u64, count, room.candidates) as usize;
                 }
                 continue;
             }
