@@ -4,13 +4,12 @@ mod collision_support;
 
 use std::collections::HashSet;
 
-use collision_support::{Model, Random, folded, sphere};
+use collision_support::{Model, Random, folded, ordered, sphere};
 use loomtree::collision::Candidate;
 use loomtree::collision::broad::{Broad, BroadStats, Choice, Query, Sink, Split, brute_force};
 use loomtree::collision::elementary::{StencilKind, closest_points};
 use loomtree::gpu::CpuExecutor;
 use loomtree::math::Vec3;
-use loomtree::mesh::locality_order;
 use loomtree::transport::InProcessTransport;
 
 struct Found(Vec<Candidate>);
@@ -32,17 +31,6 @@ fn search(broad: &mut Broad, query: &Query, choice: &Choice, split: &mut Split) 
 }
 
 const CULL: Choice = Choice { touched: None, piece_radius_m: None, cull: true };
-
-/// Vertices in the order that scenes have: patches are made for it.
-fn ordered(model: &Model, rest: impl Fn(usize) -> Vec3) -> Model {
-    let places: Vec<Vec3> = (0..model.x0.len()).map(rest).collect();
-    let order = locality_order(&places);
-    let mut new = vec![0; order.len()];
-    order.iter().zip(0..).for_each(|(&old, at)| new[old as usize] = at);
-    let pick = |x: &[Vec3]| order.iter().map(|&old| x[old as usize]).collect();
-    let triangles = model.triangles.iter().map(|t| t.map(|v| new[v as usize])).collect();
-    Model { x0: pick(&model.x0), x1: pick(&model.x1), triangles, cloth: model.cloth }
-}
 
 /// A sheet of n x m vertices, in order.
 fn sheet(n: usize, m: usize, place: impl Fn(f32, f32) -> Vec3, motion: impl FnMut(Vec3) -> Vec3) -> Model {

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use collision_support::{Model, Random, flat, folded, sphere};
-use loomtree::collision::broad::{BroadError, BroadStats, DeviceBroad, Filter, Query, Split, brute_force};
+use loomtree::collision::broad::{BroadError, BroadStats, Choice, DeviceBroad, Filter, Query, Split, brute_force};
 use loomtree::collision::{
     Candidate, ContactParams, Detector, RunsOn, merge_contacts, merge_impacts, smallest_altitudes,
 };
@@ -58,8 +58,9 @@ fn candidates(
         let mut broad = DeviceBroad::new(executor, mesh.clone());
         let before = all.len();
         let emit = &mut |found: &[Candidate]| all.extend_from_slice(found);
-        let own = broad.search(executor, query, None, filter, (rank, ranks), limit, emit).expect("a search");
-        let own = own.expect("few tests");
+        let (host, split) = (CpuExecutor::new(1), &mut Split::alone(rank, ranks));
+        let own = broad.search((executor, &host), query, &Choice::default(), filter, split, limit, emit);
+        let own = own.expect("a search").expect("few tests");
         assert_eq!(own.candidates, (all.len() - before) as u64);
         stats.push(own);
     }
@@ -117,11 +118,11 @@ fn a_memory_limit_makes_batches_and_changes_nothing() {
         let (expected, free) = candidates(&executor, &model, &query, &Filter::Boxes, 1, None);
         assert_eq!(free[0].batches, 1);
         let refused = DeviceBroad::new(&executor, Arc::new(model.mesh())).search(
-            &executor,
+            (&executor, &CpuExecutor::new(1)),
             &query,
-            None,
+            &Choice::default(),
             &Filter::Boxes,
-            (0, 1),
+            &mut Split::alone(0, 1),
             Some(1000),
             &mut |_| (),
         );
@@ -258,8 +259,15 @@ fn nothing_at_all_and_bad_positions() {
         let mut model = scene(5, 1);
         model.x1[3].y = f32::NAN;
         let mut broad = DeviceBroad::new(&executor, Arc::new(model.mesh()));
-        let refused =
-            broad.search(&executor, &model.query(0.1), None, &Filter::Boxes, (0, 1), None, &mut |_| panic!("none"));
+        let refused = broad.search(
+            (&executor, &CpuExecutor::new(1)),
+            &model.query(0.1),
+            &Choice::default(),
+            &Filter::Boxes,
+            &mut Split::alone(0, 1),
+            None,
+            &mut |_| panic!("none"),
+        );
         assert!(matches!(refused, Err(BroadError::Position { which: "end", vertex: 3, .. })), "{refused:?}");
     }
 }

@@ -384,7 +384,7 @@ impl Detector {
             smallest_gap_m: all.smallest_gap_m,
             narrow_ns: all.ns,
             bytes: broad.bytes + size_of_val(&all.items[..]) as u64,
-            replicated_bytes: self.searches.native.mesh_bytes() + self.around.bytes() + self.rules.bytes(),
+            replicated_bytes: self.searches.mesh_bytes() + self.around.bytes() + self.rules.bytes(),
         }
     }
 }

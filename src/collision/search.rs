@@ -45,6 +45,11 @@ impl Searches {
         Searches { native, device: None }
     }
 
+    /// Bytes of what follows from the mesh alone.
+    pub fn mesh_bytes(&self) -> u64 {
+        self.native.mesh_bytes() + self.device.as_ref().map_or(0, DeviceBroad::mesh_bytes)
+    }
+
     /// As [`Broad::search`]; what `filter` drops may be missing. A search among touched vertices is native: it costs a look at
     /// every triangle and the work near a few vertices, less than asking a device. So is one that does not fit a device,
     /// which is the same decision on all ranks.
@@ -72,11 +77,8 @@ impl Searches {
                     }
                 });
             };
-            let piece_radius_m = choice.piece_radius_m;
-            let place = split.place();
-            if let Some(stats) =
-                device.search(executor, query, piece_radius_m, filter, place, memory_limit_bytes, emit)?
-            {
+            let on = (executor, on.host);
+            if let Some(stats) = device.search(on, query, choice, filter, split, memory_limit_bytes, emit)? {
                 return Ok(stats);
             }
         }

@@ -4,6 +4,7 @@
 
 use loomtree::collision::broad::{CollisionMesh, Query};
 use loomtree::math::Vec3;
+use loomtree::mesh::locality_order;
 
 /// Random numbers with a seed (splitmix64).
 pub struct Random(pub u64);
@@ -98,4 +99,15 @@ pub fn sphere(center: Vec3, radius: f32) -> impl Fn(f32, f32) -> Vec3 {
         let (a, b) = (u * std::f32::consts::TAU, (v * 0.96 + 0.02) * std::f32::consts::PI);
         center + radius * Vec3::new(a.cos() * b.sin(), a.sin() * b.sin(), b.cos())
     }
+}
+
+/// Vertices in the order that scenes have: patches are made for it.
+pub fn ordered(model: &Model, rest: impl Fn(usize) -> Vec3) -> Model {
+    let places: Vec<Vec3> = (0..model.x0.len()).map(rest).collect();
+    let order = locality_order(&places);
+    let mut new = vec![0; order.len()];
+    order.iter().zip(0..).for_each(|(&old, at)| new[old as usize] = at);
+    let pick = |x: &[Vec3]| order.iter().map(|&old| x[old as usize]).collect();
+    let triangles = model.triangles.iter().map(|t| t.map(|v| new[v as usize])).collect();
+    Model { x0: pick(&model.x0), x1: pick(&model.x1), triangles, cloth: model.cloth }
 }

@@ -139,6 +139,11 @@ impl Buckets {
         self.base as usize
     }
 
+    /// log2 of the number of blocks of 8 buckets.
+    pub fn bits(&self) -> u32 {
+        self.bits
+    }
+
     pub fn end(&self) -> usize {
         self.base as usize + (8usize << self.bits)
     }

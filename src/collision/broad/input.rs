@@ -41,6 +41,11 @@ impl<'a> Input<'a> {
         aabb.overlaps(&self.cloth).then(|| aabb.clip(&self.cloth))
     }
 
+    /// Bounds of the cloth.
+    pub fn cloth_bounds(&self) -> Aabb {
+        self.cloth
+    }
+
     /// 0 for cloth, 1 for obstacles.
     #[inline(always)]
     pub fn role(&self, triangle: usize) -> usize {

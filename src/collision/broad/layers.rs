@@ -21,7 +21,8 @@ pub(super) struct Layers {
     triangles: Vec<u64>,
 }
 
-fn block(cell: u32) -> u32 {
+/// The block of a cell.
+pub(super) fn block(cell: u32) -> u32 {
     cell >> 1
 }
 
@@ -34,16 +35,18 @@ impl Layers {
             let cells = grid.cells(0, of);
             [block(cells.lo[axis]), block(cells.hi[axis])]
         };
-        let (low, high) = boxes.clone().fold((u32::MAX, 0), |(low, high), (of, _)| {
-            let [lo, hi] = blocks(of);
-            (low.min(lo), high.max(hi))
-        });
+        Layers::of_blocks(axis, middle, boxes.map(|(of, triangles)| (blocks(of), triangles)))
+    }
+
+    /// Layers around the block `middle` for lowest and highest block and triangles of every box.
+    pub fn of_blocks(axis: usize, middle: u32, boxes: impl Iterator<Item = ([u32; 2], usize)> + Clone) -> Layers {
+        let (low, high) = boxes.clone().fold((u32::MAX, 0), |(low, high), ([lo, hi], _)| (low.min(lo), high.max(hi)));
         let low = low.clamp(middle - MOST / 2, middle);
         let high = high.clamp(middle, middle + MOST / 2 - 1);
         let mut layers = Layers { axis, first: low, buckets: Vec::new(), triangles: Vec::new() };
         layers.triangles.resize((high - low) as usize + 1, 0);
-        for (of, triangles) in boxes {
-            let [lo, hi] = blocks(of).map(|block| layers.layer(block));
+        for (blocks, triangles) in boxes {
+            let [lo, hi] = blocks.map(|block| layers.layer(block));
             let each = triangles.div_ceil(hi - lo + 1) as u64;
             layers.triangles[lo..=hi].iter_mut().for_each(|count| *count += each);
         }
@@ -56,9 +59,20 @@ impl Layers {
         layers
     }
 
-    fn layer(&self, block: u32) -> usize {
+    /// The layer of a block.
+    pub fn layer(&self, block: u32) -> usize {
         let last = self.triangles.len().saturating_sub(1);
         (block.saturating_sub(self.first) as usize).min(last)
+    }
+
+    /// Block of the first layer.
+    pub fn first(&self) -> u32 {
+        self.first
+    }
+
+    /// Triangles that each layer may have, roughly.
+    pub fn triangles(&self) -> &[u64] {
+        &self.triangles
     }
 
     /// How many there are.
@@ -104,8 +118,7 @@ impl Layers {
         });
     }
 
-    /// Consecutive layers with about as many triangles for each of `ranks`; the last rank also gets what is behind the last
-    /// layer.
+    /// Consecutive layers with about as many triangles for each of `ranks`.
     pub fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
         let total = self.triangles.iter().sum::<u64>().max(1);
         let cut = |rank: usize| {
@@ -119,7 +132,7 @@ impl Layers {
                 })
                 .count()
         };
-        let end = if rank + 1 == ranks { self.count() + 1 } else { cut(rank + 1) };
+        let end = if rank + 1 == ranks { self.count() } else { cut(rank + 1) };
         (if rank == 0 { 0 } else { cut(rank) })..end
     }
 

@@ -141,7 +141,7 @@ pub struct BroadStats {
     pub entries: u64,
     /// Pairs of features that this rank reported.
     pub candidates: u64,
-    /// Patches of triangles that took part, and those of the mesh, over all ranks; 0 on a device.
+    /// Patches of triangles that took part, and those of the mesh, over all ranks.
     pub patches: [u64; 2],
     /// Largest number of bytes held at once: patches, counters, sums, entries, buffers. Not the mesh, not the positions.
     pub bytes: u64,
@@ -264,7 +264,7 @@ impl Broad {
         let input = Input::new(&self.mesh, Motion::new(&self.mesh, query, choice)?, *choice);
         let mut alone = Split::alone(rank, ranks);
         let split = if self.patches.count() < PATCHES_TOGETHER { &mut alone } else { split };
-        self.patches.look(cpu, &input, split)?;
+        self.patches.look(cpu, &input, |aabb| input.grid.finest(aabb).is_none(), split)?;
         let share = count((&mut self.table, &mut self.workload, &self.patches), cpu, &input, split)?;
         let parts = (&self.table, &self.workload, &mut self.entries);
         let (batches, fixed) = plan(parts, cpu.threads(), self.patches.bytes(), (&share, ranks), memory_limit_bytes)?;

@@ -55,7 +55,7 @@ pub(super) struct PatchState {
     lo: [f32; 3],
     hi: [f32; 3],
     pub cone: Cone,
-    /// 1 if a triangle does not reside in the finest grid.
+    /// 1 if a triangle may not reside in the finest grid.
     large: u32,
 }
 
@@ -108,14 +108,20 @@ impl Patches {
         self.firsts[patch] as usize..self.firsts[patch + 1] as usize
     }
 
-    /// Finds boxes, and which patches are active. Between ranks: 48 bytes per patch, and
-    /// at most 4 for what is proven of it.
-    pub fn look(&mut self, cpu: &CpuExecutor, input: &Input, split: &mut Split) -> Result<(), TransportError> {
+    /// Finds boxes, and which patches are active. `large` says of a box that it may not reside in the finest grid. Between
+    /// ranks: 48 bytes per patch, and at most 4 for what is proven of it.
+    pub fn look(
+        &mut self,
+        cpu: &CpuExecutor,
+        input: &Input,
+        large: impl Fn(&Aabb) -> bool + Sync,
+        split: &mut Split,
+    ) -> Result<(), TransportError> {
         let (count, own) = (self.count(), split.part(self.count()));
         let mut states = std::mem::take(&mut self.states);
         cpu.for_ranges_mut(&mut states[own.clone()], 1, 4, |range, out| {
             for (patch, state) in (own.start + range.start..).zip(out) {
-                *state = self.state(input, patch);
+                *state = self.state(input, &large, patch);
             }
         });
         let (_, ranks) = split.place();
@@ -144,12 +150,12 @@ impl Patches {
         Ok(())
     }
 
-    fn state(&self, input: &Input, patch: usize) -> PatchState {
+    fn state(&self, input: &Input, is_large: &impl Fn(&Aabb) -> bool, patch: usize) -> PatchState {
         let (mut all, mut large) = (Aabb::EMPTY, false);
         for triangle in self.triangles(patch) {
             if let Some(aabb) = input.aabb(triangle) {
                 all = all.join(aabb);
-                large |= input.grid.finest(&aabb).is_none();
+                large |= is_large(&aabb);
             }
         }
         let culls = input.choice.cull && input.choice.touched.is_none() && patch < self.cloth;

@@ -176,9 +176,10 @@ impl Table {
         self.layers.count() + 1
     }
 
-    /// Layers that may hold about an even share of the tests.
+    /// Layers that may hold about an even share of the tests; the one of the coarser grids is the last rank's.
     pub fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
-        self.layers.guess(rank, ranks)
+        let guess = self.layers.guess(rank, ranks);
+        guess.start..if rank + 1 == ranks { self.layers() } else { guess.end }
     }
 
     /// Layers that are counted.

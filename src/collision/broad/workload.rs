@@ -33,10 +33,16 @@ impl LayerLoad {
                 entries += load.entries() as u32;
             }
         }
+        LayerLoad::of(tests, busy, entries)
+    }
+
+    /// Of a layer with so many tests, busy buckets and entries of these.
+    pub fn of(tests: u64, busy: u32, entries: u32) -> LayerLoad {
         LayerLoad { tests: [tests as u32, (tests >> 32) as u32], busy, entries }
     }
 
-    fn tests(&self) -> u64 {
+    /// Tests of the layer.
+    pub fn tests(&self) -> u64 {
         u64::from(self.tests[0]) | u64::from(self.tests[1]) << 32
     }
 }

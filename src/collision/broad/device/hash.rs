@@ -1,18 +1,17 @@
-//! Triangle hash table on the device. Passes: residents per bucket, visitors per bucket, loads of chunks of buckets (which the
-//! host reads), and per batch of chunks loads of buckets, scans, entries.
+//! Triangle hash table on the device: the layers that a rank counts, of the triangles that it needs for them. Passes: residents
+//! per bucket, visitors per bucket, loads of chunks of buckets (which the host reads), and per batch of chunks loads of
+//! buckets, scans, entries. Arrays hold what those layers and triangles take, so they shrink with the number of ranks.
 //!
 //! The grids are nested: cells are whole numbers of the finest grid, computed once per triangle, and coarser ones are shifts
 //! of them, so every pass sees the same cells however a driver compiles it. A triangle *resides* in the finest grid where
-//! it covers at most two cells per axis and *visits* the coarser ones that have residents near it. The finest grid has
-//! buckets of its own, the coarser ones share the rest.
+//! it covers at most two cells per axis and *visits* the coarser ones that have residents near it. In every layer the finest
+//! grid has buckets of its own, the coarser ones share the rest.
 //!
 //! Entries of a bucket are in order of their class (resident cloth, resident obstacles, visiting cloth, visiting obstacles)
 //! and in no order within; counts are the same every time.
 
 use super::hash_cpu;
-use crate::collision::broad::CollisionMesh;
-use crate::collision::broad::boxes::Motion;
-use crate::collision::broad::grid::Grid;
+use super::space::Window;
 use crate::gpu::primitives::exclusive_scan;
 use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
 
@@ -30,11 +29,9 @@ static FILL: KernelSource = kernel("fill");
 /// Grids; in the last one everything covers at most two cells per axis.
 pub(super) const LEVELS: usize = 11;
 /// Values per grid: see the shader.
-pub(super) const LEVEL: usize = 8;
-/// Buckets per chunk.
+const LEVEL: usize = 8;
+/// Most buckets per chunk.
 pub(super) const CHUNK: usize = 256;
-/// Most cells per metre: with the largest coordinate still a finite number.
-const PER_M_MOST: f32 = 1e18;
 
 gpu_struct! {
     pub(super) struct HashParams {
@@ -43,8 +40,12 @@ gpu_struct! {
         pub cloth_hi: [f32; 4],
         pub triangles: u32,
         pub cloth_triangles: u32,
-        pub fine_bits: u32,
-        pub coarse_bits: u32,
+        pub axis: u32,
+        pub first_block: u32,
+        pub last_layer: u32,
+        pub first_layer: u32,
+        pub layers: u32,
+        pub chunks: u32,
         pub first_bucket: u32,
         pub buckets: u32,
         pub padding0: u32,
@@ -52,41 +53,8 @@ gpu_struct! {
     }
 }
 
-/// log2 of the numbers of blocks of 8 buckets: finest grid, coarser grids.
-fn block_bits(triangles: usize) -> [u32; 2] {
-    [triangles / 12, triangles / 48].map(|blocks| blocks.next_power_of_two().trailing_zeros())
-}
-
-/// Buckets of all grids.
-pub(super) fn buckets(triangles: usize) -> usize {
-    let [fine, coarse] = block_bits(triangles);
-    (8 << fine) + (8 << coarse)
-}
-
-impl HashParams {
-    /// Parameters of a query.
-    pub fn new(mesh: &CollisionMesh, motion: &Motion) -> HashParams {
-        let grid = Grid::new(mesh, motion);
-        let cloth = motion.cloth_bounds(mesh);
-        let with = |v: glam::Vec3A, w: f32| [v.x, v.y, v.z, w];
-        let [fine_bits, coarse_bits] = block_bits(mesh.triangles.len());
-        HashParams {
-            origin: with(grid.origin(), grid.finest_per_m().min(PER_M_MOST)),
-            cloth_lo: with(cloth.lo, motion.pad_m()),
-            cloth_hi: with(cloth.hi, 0.0),
-            triangles: mesh.triangles.len() as u32,
-            cloth_triangles: mesh.cloth_triangles as u32,
-            fine_bits,
-            coarse_bits,
-            first_bucket: 0,
-            buckets: buckets(mesh.triangles.len()) as u32,
-            padding0: 0,
-            padding1: 0,
-        }
-    }
-}
-
-/// What passes over triangles read: positions at both ends of the step, and corners, owned features and piece per triangle.
+/// What passes over triangles read: positions of all vertices at both ends of the step, and corners, owned features and piece
+/// per triangle that takes part. Kernels number triangles by their places in that list, which is in the order of the mesh.
 pub(super) struct Shapes {
     pub x_t0: DeviceVec<f32>,
     /// None: nothing moves, the end is the start.
@@ -100,7 +68,7 @@ impl Shapes {
     }
 }
 
-/// The table of a query.
+/// The table of a window of layers.
 pub(super) struct Table {
     /// Per triangle lower and upper corner, bits; behind them owned features and piece, grid + 1 (0: takes no part).
     pub boxes: DeviceVec<[u32; 4]>,
@@ -108,7 +76,10 @@ pub(super) struct Table {
     cells: DeviceVec<[u32; 4]>,
     /// Per bucket resident cloth, resident obstacles, visiting cloth, visiting obstacles.
     pub counts: DeviceVec<[u32; 4]>,
-    levels: DeviceVec<u32>,
+    layers: DeviceVec<[u32; 2]>,
+    levels: DeviceVec<[u32; LEVEL]>,
+    /// Buckets of every chunk.
+    spans: DeviceVec<[u32; 2]>,
     chunks: DeviceVec<[u32; 4]>,
 }
 
@@ -126,39 +97,40 @@ pub(super) struct Entries {
 }
 
 impl Table {
-    pub fn new(executor: &Executor, triangles: usize) -> Table {
-        let buckets = buckets(triangles);
+    pub fn new(executor: &Executor) -> Table {
         Table {
-            boxes: DeviceVec::zeros(executor, 2 * triangles),
-            cells: DeviceVec::zeros(executor, triangles),
-            counts: DeviceVec::zeros(executor, buckets),
-            levels: DeviceVec::zeros(executor, LEVEL * LEVELS),
-            chunks: DeviceVec::zeros(executor, buckets.div_ceil(CHUNK)),
+            boxes: DeviceVec::zeros(executor, 0),
+            cells: DeviceVec::zeros(executor, 0),
+            counts: DeviceVec::zeros(executor, 0),
+            layers: DeviceVec::zeros(executor, 0),
+            levels: DeviceVec::zeros(executor, 0),
+            spans: DeviceVec::zeros(executor, 0),
+            chunks: DeviceVec::zeros(executor, 0),
         }
     }
 
-    /// Counts who is in which bucket; loads of all chunks: tests (low, high word), entries and buckets with tests.
-    pub fn count(&mut self, executor: &Executor, params: &HashParams, shapes: &Shapes) -> Vec<[u32; 4]> {
+    /// Counts who is in which bucket of a window; `shapes` has the faces of its members. Loads of its chunks: tests (low,
+    /// high word), entries and buckets with tests.
+    pub fn count(&mut self, executor: &Executor, window: &Window, shapes: &Shapes) -> Vec<[u32; 4]> {
+        let params = &window.params;
+        self.boxes.resize(executor, 2 * params.triangles as usize);
+        self.cells.resize(executor, params.triangles as usize);
+        self.counts.resize(executor, params.buckets as usize);
         self.counts.fill_zero(executor);
-        self.levels.fill_zero(executor);
+        self.layers.assign(executor, &window.table);
+        self.levels.assign(executor, &window.levels);
         match executor {
-            Executor::Cpu(_) => {
-                let (x_t0, x_t1) = (shapes.x_t0.as_slice(), shapes.end().as_slice());
-                hash_cpu::count_residents(
-                    params,
-                    x_t0,
-                    x_t1,
-                    shapes.faces.as_slice(),
-                    self.boxes.as_mut_slice(),
-                    self.cells.as_mut_slice(),
-                    self.counts.as_mut_slice(),
-                    self.levels.as_mut_slice(),
-                );
-                let (boxes, cells) = (self.boxes.as_slice(), self.cells.as_slice());
-                hash_cpu::count_visitors(params, boxes, cells, self.counts.as_mut_slice(), self.levels.as_slice());
-            }
+            Executor::Cpu(_) => hash_cpu::count_residents(
+                params,
+                shapes.x_t0.as_slice(),
+                shapes.end().as_slice(),
+                shapes.faces.as_slice(),
+                self.boxes.as_mut_slice(),
+                self.cells.as_mut_slice(),
+                self.counts.as_mut_slice(),
+                self.layers.as_slice(),
+            ),
             Executor::Gpu(gpu) => {
-                let triangles = u64::from(params.triangles);
                 let bindings = [
                     shapes.x_t0.binding(),
                     shapes.end().binding(),
@@ -166,34 +138,58 @@ impl Table {
                     self.boxes.binding_mut(),
                     self.cells.binding_mut(),
                     self.counts.binding_mut(),
-                    self.levels.binding_mut(),
+                    self.layers.binding(),
                 ];
-                gpu.run(&COUNT_RESIDENTS, &bindings, params, triangles);
+                gpu.run(&COUNT_RESIDENTS, &bindings, params, u64::from(params.triangles));
+            }
+        }
+        if window.levels.iter().any(|level| level[6] != 0) {
+            self.count_visitors(executor, params);
+        }
+        self.loads(executor, params, &window.chunks)
+    }
+
+    fn count_visitors(&mut self, executor: &Executor, params: &HashParams) {
+        match executor {
+            Executor::Cpu(_) => hash_cpu::count_visitors(
+                params,
+                self.boxes.as_slice(),
+                self.cells.as_slice(),
+                self.counts.as_mut_slice(),
+                self.layers.as_slice(),
+                self.levels.as_slice(),
+            ),
+            Executor::Gpu(gpu) => {
                 let bindings = [
                     self.boxes.binding_mut(),
                     self.cells.binding_mut(),
                     self.counts.binding_mut(),
-                    self.levels.binding_mut(),
+                    self.layers.binding(),
+                    self.levels.binding(),
                 ];
-                gpu.run(&COUNT_VISITORS, &bindings, params, triangles);
+                gpu.run(&COUNT_VISITORS, &bindings, params, u64::from(params.triangles));
             }
         }
-        self.loads(executor, params)
     }
 
-    /// Loads of all chunks.
-    pub fn loads(&mut self, executor: &Executor, params: &HashParams) -> Vec<[u32; 4]> {
+    /// Loads of chunks.
+    pub fn loads(&mut self, executor: &Executor, params: &HashParams, spans: &[[u32; 2]]) -> Vec<[u32; 4]> {
+        self.spans.assign(executor, spans);
+        self.chunks.resize(executor, spans.len());
         match executor {
-            Executor::Cpu(_) => hash_cpu::chunk_loads(params, self.counts.as_slice(), self.chunks.as_mut_slice()),
+            Executor::Cpu(_) => {
+                let (counts, spans) = (self.counts.as_slice(), self.spans.as_slice());
+                hash_cpu::chunk_loads(params, counts, spans, self.chunks.as_mut_slice());
+            }
             Executor::Gpu(gpu) => {
-                let chunks = self.chunks.len() as u64;
-                gpu.run(&CHUNK_LOADS, &[self.counts.binding_mut(), self.chunks.binding_mut()], params, chunks);
+                let bindings = [self.counts.binding_mut(), self.spans.binding(), self.chunks.binding_mut()];
+                gpu.run(&CHUNK_LOADS, &bindings, params, u64::from(params.chunks));
             }
         }
         self.chunks.read(executor)
     }
 
-    /// Makes the entries of `params.buckets` buckets from `params.first_bucket` on; there are `size` of them.
+    /// Makes the entries of `params.buckets` buckets of the window from `params.first_bucket` on; there are `size` of them.
     pub fn fill(&mut self, executor: &Executor, params: &HashParams, size: usize, out: &mut Entries) {
         let buckets = params.buckets as usize;
         out.tests.resize(executor, buckets);
@@ -221,6 +217,7 @@ impl Table {
                 self.boxes.as_slice(),
                 self.cells.as_slice(),
                 self.counts.as_slice(),
+                self.layers.as_slice(),
                 self.levels.as_slice(),
                 out.starts.as_slice(),
                 out.cursors.as_mut_slice(),
@@ -231,7 +228,8 @@ impl Table {
                     self.boxes.binding_mut(),
                     self.cells.binding_mut(),
                     self.counts.binding_mut(),
-                    self.levels.binding_mut(),
+                    self.layers.binding(),
+                    self.levels.binding(),
                     out.starts.binding(),
                     out.cursors.binding_mut(),
                     out.entries.binding_mut(),
@@ -244,7 +242,8 @@ impl Table {
     /// Bytes held now.
     pub fn bytes(&self) -> u64 {
         let of_triangles = self.boxes.held_bytes() + self.cells.held_bytes();
-        of_triangles + self.counts.held_bytes() + self.levels.held_bytes() + self.chunks.held_bytes()
+        let of_layers = self.layers.held_bytes() + self.levels.held_bytes();
+        of_triangles + of_layers + self.counts.held_bytes() + self.spans.held_bytes() + self.chunks.held_bytes()
     }
 }
 
@@ -282,7 +281,7 @@ mod tests {
             // Every adapter binds eight arrays.
             assert!(kernel.check().unwrap().arrays.len() <= 8);
         }
-        for (name, value) in [("LEVELS", LEVELS), ("LEVEL", LEVEL), ("CHUNK", CHUNK)] {
+        for (name, value) in [("LEVELS", LEVELS), ("LEVEL", LEVEL)] {
             assert!(TEXT.contains(&format!("const {name}: u32 = {value}u;")), "{name}");
         }
     }

@@ -9,10 +9,15 @@ struct HashParams {
     cloth_hi: vec4<f32>,
     triangles: u32,
     cloth_triangles: u32,
-    // log2 of the numbers of blocks of 8 buckets: finest grid, all coarser grids together.
-    fine_bits: u32,
-    coarse_bits: u32,
-    // Buckets that this dispatch is about.
+    // Axis that layers lie along, block of cells of the first layer, number of the last one.
+    axis: u32,
+    first_block: u32,
+    last_layer: u32,
+    // Layers that are counted, and chunks of their buckets.
+    first_layer: u32,
+    layers: u32,
+    chunks: u32,
+    // Buckets that this dispatch is about, counted from the first of these layers.
     first_bucket: u32,
     buckets: u32,
     padding0: u32,
@@ -21,9 +26,10 @@ struct HashParams {
 
 const REACH: f32 = 1048576.0;
 const LEVELS: u32 = 11u;
-// Values per grid: complement of the lowest cell, highest cell, residents, nothing.
+// Values per grid: lowest cell and highest cell that may hold a resident, 1 if there may be some, nothing.
 const LEVEL: u32 = 8u;
-const CHUNK: u32 = 256u;
+// Bucket of a cell in a layer that is not counted.
+const NOWHERE: u32 = 0xffffffffu;
 
 @group(0) @binding(0) var<storage, read> x_t0: array<Packed3>;
 @group(0) @binding(1) var<storage, read> x_t1: array<Packed3>;
@@ -31,14 +37,16 @@ const CHUNK: u32 = 256u;
 @group(0) @binding(3) var<storage, read_write> boxes: array<vec4<u32>>;
 @group(0) @binding(4) var<storage, read_write> cells: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>;
-@group(0) @binding(6) var<storage, read_write> levels: array<atomic<u32>>;
-@group(0) @binding(7) var<storage, read_write> chunks: array<vec4<u32>>;
-@group(0) @binding(8) var<storage, read_write> tests: array<u32>;
-@group(0) @binding(9) var<storage, read_write> sizes: array<u32>;
-@group(0) @binding(10) var<storage, read> starts: array<u32>;
-@group(0) @binding(11) var<storage, read_write> cursors: array<atomic<u32>>;
-@group(0) @binding(12) var<storage, read_write> entries: array<vec2<u32>>;
-@group(0) @binding(13) var<uniform> params: HashParams;
+@group(0) @binding(6) var<storage, read> layers: array<vec2<u32>>;
+@group(0) @binding(7) var<storage, read> levels: array<u32>;
+@group(0) @binding(8) var<storage, read> spans: array<vec2<u32>>;
+@group(0) @binding(9) var<storage, read_write> chunks: array<vec4<u32>>;
+@group(0) @binding(10) var<storage, read_write> tests: array<u32>;
+@group(0) @binding(11) var<storage, read_write> sizes: array<u32>;
+@group(0) @binding(12) var<storage, read> starts: array<u32>;
+@group(0) @binding(13) var<storage, read_write> cursors: array<atomic<u32>>;
+@group(0) @binding(14) var<storage, read_write> entries: array<vec2<u32>>;
+@group(0) @binding(15) var<uniform> params: HashParams;
 
 // Cell of the finest grid, 21 bits per axis; far positions share the outermost one. Monotone whatever is rounded.
 fn cell_of(x: vec3<f32>) -> vec3<u32> {
@@ -70,14 +78,22 @@ fn home_of(lo: vec3<u32>, hi: vec3<u32>) -> u32 {
     return LEVELS - 1u;
 }
 
-// Bucket of a cell: blocks of 2 x 2 x 2 cells are hashed, the place in the block is kept, so the cells of one triangle
-// never share a bucket.
+// Bucket of a cell, counted from the first of the window: blocks of 2 x 2 x 2 cells are hashed into the buckets of their
+// layer, the place in the block is kept, so the cells of one triangle never share a bucket. A coarser cell belongs to the
+// layer of its lowest finest one.
 fn bucket_of(cell: vec3<u32>, level: u32) -> u32 {
+    let lowest_block = (cell[params.axis] << (2u * level)) >> 1u;
+    let layer = min(max(lowest_block, params.first_block) - params.first_block, params.last_layer);
+    if (layer < params.first_layer || layer - params.first_layer >= params.layers) {
+        return NOWHERE;
+    }
+    let of_layer = layers[layer - params.first_layer];
     let block = cell >> vec3<u32>(1u);
     var hash = (block.x * 0x9E3779B1u) ^ (block.y * 0x85EBCA77u) ^ (block.z * 0xC2B2AE3Du) ^ (level * 0x27D4EB2Fu);
     hash = (hash ^ (hash >> 15u)) * 0x2C1B3C6Du;
-    let bits = select(params.coarse_bits, params.fine_bits, level == 0u);
-    let base = select(8u << params.fine_bits, 0u, level == 0u);
+    let fine_bits = of_layer.y & 0xffu;
+    let bits = select(of_layer.y >> 8u, fine_bits, level == 0u);
+    let base = of_layer.x + select(8u << fine_bits, 0u, level == 0u);
     let place = (cell.x & 1u) | ((cell.y & 1u) << 1u) | ((cell.z & 1u) << 2u);
     return base + ((hash >> 1u) >> (31u - bits)) * 8u + place;
 }
@@ -95,19 +111,19 @@ fn tag_of(cell: vec3<u32>, offset: vec3<u32>, level: u32) -> u32 {
         | (level << 6u);
 }
 
-// Whether a grid has residents, and cells lo..hi of the finest grid overlap their bounds.
+// Whether a grid may have residents, and cells lo..hi of the finest grid overlap their bounds.
 fn may_visit(level: u32, lo: vec3<u32>, hi: vec3<u32>) -> bool {
     let at = level * LEVEL;
-    if (atomicLoad(&levels[at + 6u]) == 0u) {
-        return false;
-    }
-    let all_lo = ~vec3<u32>(atomicLoad(&levels[at]), atomicLoad(&levels[at + 1u]), atomicLoad(&levels[at + 2u]));
-    let all_hi = vec3<u32>(atomicLoad(&levels[at + 3u]), atomicLoad(&levels[at + 4u]), atomicLoad(&levels[at + 5u]));
-    return all(lo <= all_hi) && all(all_lo <= hi);
+    let all_lo = vec3<u32>(levels[at], levels[at + 1u], levels[at + 2u]);
+    let all_hi = vec3<u32>(levels[at + 3u], levels[at + 4u], levels[at + 5u]);
+    return levels[at + 6u] != 0u && all(lo <= all_hi) && all(all_lo <= hi);
 }
 
 // Whether a bucket has a resident that a visitor (of cloth: role 0) is to be tested with.
 fn has_partner(bucket: u32, role: u32) -> bool {
+    if (bucket == NOWHERE) {
+        return false;
+    }
     return atomicLoad(&counts[4u * bucket]) > 0u || (role == 0u && atomicLoad(&counts[4u * bucket + 1u]) > 0u);
 }
 
@@ -144,16 +160,10 @@ fn count_residents(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wo
     let extent = coarser(hi, level) - first;
     for (var k = 0u; k < 8u; k++) {
         let offset = offset_of(k);
-        if (all(offset <= extent)) {
-            atomicAdd(&counts[4u * bucket_of(first + offset, level) + role], 1u);
+        let bucket = bucket_of(first + offset, level);
+        if (all(offset <= extent) && bucket != NOWHERE) {
+            atomicAdd(&counts[4u * bucket + role], 1u);
         }
-    }
-    if (level > 0u) {
-        for (var axis = 0u; axis < 3u; axis++) {
-            atomicMax(&levels[level * LEVEL + axis], ~lo[axis]);
-            atomicMax(&levels[level * LEVEL + 3u + axis], hi[axis]);
-        }
-        atomicAdd(&levels[level * LEVEL + 6u], 1u);
     }
 }
 
@@ -212,17 +222,17 @@ fn tests_of(load: vec4<u32>) -> vec2<u32> {
     return wide_sum(wide_sum(own, wide_product(load.x, load.y + load.z + load.w)), wide_product(load.y, load.z));
 }
 
-// Tests (two words), entries and busy buckets of every CHUNK buckets.
+// Tests (two words), entries and busy buckets of every chunk of buckets.
 @compute @workgroup_size(WORKGROUP)
 fn chunk_loads(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let chunk = global_index(id, groups);
-    if (chunk * CHUNK >= params.buckets) {
+    if (chunk >= params.chunks) {
         return;
     }
     var sum = vec2<u32>(0u);
     var size = 0u;
     var busy = 0u;
-    for (var bucket = chunk * CHUNK; bucket < min((chunk + 1u) * CHUNK, params.buckets); bucket++) {
+    for (var bucket = spans[chunk].x; bucket < spans[chunk].y; bucket++) {
         let load = load_of(bucket);
         let own = tests_of(load);
         if (any(own != vec2<u32>(0u))) {
@@ -249,7 +259,10 @@ fn bucket_loads(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
 // Writes an entry into a bucket of the batch, behind those of lower classes.
 fn put(bucket: u32, kind: u32, entry: vec2<u32>) {
     let i = bucket - params.first_bucket;
-    if (i >= params.buckets || starts[i] == starts[i + 1u]) {
+    if (bucket == NOWHERE || i >= params.buckets) {
+        return;
+    }
+    if (starts[i] == starts[i + 1u]) {
         return;
     }
     let load = load_of(bucket);

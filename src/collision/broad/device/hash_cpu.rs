@@ -2,7 +2,8 @@
 
 use glam::{UVec3, Vec3A};
 
-use super::hash::{CHUNK, HashParams, LEVEL, LEVELS};
+use super::hash::{HashParams, LEVELS};
+use super::space::{coarser, home_of};
 use crate::collision::broad::boxes::Aabb;
 
 const REACH: f32 = (1 << 20) as f32;
@@ -27,25 +28,21 @@ fn unpacked_cell([a, b]: [u32; 2]) -> UVec3 {
     UVec3::new(a & 0x1f_ffff, b & 0x1f_ffff, a >> 21 | (b >> 21) << 10)
 }
 
-fn coarser(cell: UVec3, level: usize) -> UVec3 {
-    cell >> (2 * level as u32)
-}
-
-fn home_of(lo: UVec3, hi: UVec3) -> usize {
-    let fits = |level: &usize| (coarser(hi, *level) - coarser(lo, *level)).cmple(UVec3::ONE).all();
-    (0..LEVELS - 1).find(fits).unwrap_or(LEVELS - 1)
-}
-
-fn bucket_of(params: &HashParams, cell: UVec3, level: usize) -> usize {
+/// None in a layer that is not counted.
+fn bucket_of(params: &HashParams, layers: &[[u32; 2]], cell: UVec3, level: usize) -> Option<usize> {
+    let lowest_block = (cell[params.axis as usize] << (2 * level as u32)) >> 1;
+    let layer = lowest_block.saturating_sub(params.first_block).min(params.last_layer);
+    let [base, bits] = *layers.get(layer.checked_sub(params.first_layer)? as usize)?;
     let block = cell >> 1u32;
     let mut hash = block.x.wrapping_mul(0x9E37_79B1)
         ^ block.y.wrapping_mul(0x85EB_CA77)
         ^ block.z.wrapping_mul(0xC2B2_AE3D)
         ^ (level as u32).wrapping_mul(0x27D4_EB2F);
     hash = (hash ^ (hash >> 15)).wrapping_mul(0x2C1B_3C6D);
-    let (bits, base) = if level == 0 { (params.fine_bits, 0) } else { (params.coarse_bits, 8 << params.fine_bits) };
+    let fine_bits = bits & 0xff;
+    let (bits, base) = if level == 0 { (fine_bits, base) } else { (bits >> 8, base + (8 << fine_bits)) };
     let place = (cell.x & 1) | (cell.y & 1) << 1 | (cell.z & 1) << 2;
-    (base + ((hash >> 1) >> (31 - bits)) * 8 + place) as usize
+    Some((base + ((hash >> 1) >> (31 - bits)) * 8 + place) as usize)
 }
 
 fn offset_of(k: u32) -> UVec3 {
@@ -57,20 +54,27 @@ fn tag_of(cell: UVec3, offset: UVec3, level: usize) -> u32 {
     lowest.x | lowest.y << 1 | lowest.z << 2 | second.x << 3 | second.y << 4 | second.z << 5 | (level as u32) << 6
 }
 
-/// Calls `visit(bucket, tag)` for each cell of a triangle in a grid.
-fn for_each_cell(params: &HashParams, lo: UVec3, hi: UVec3, level: usize, mut visit: impl FnMut(usize, u32)) {
+/// Calls `visit(bucket, tag)` for each cell of a triangle in a grid that is in a layer that is counted.
+fn for_each_cell(
+    params: &HashParams,
+    layers: &[[u32; 2]],
+    (lo, hi): (UVec3, UVec3),
+    level: usize,
+    mut visit: impl FnMut(usize, u32),
+) {
     let first = coarser(lo, level);
     let extent = coarser(hi, level) - first;
     for offset in (0..8).map(offset_of).filter(|offset| offset.cmple(extent).all()) {
         let cell = first + offset;
-        visit(bucket_of(params, cell, level), tag_of(cell, offset, level));
+        if let Some(bucket) = bucket_of(params, layers, cell, level) {
+            visit(bucket, tag_of(cell, offset, level));
+        }
     }
 }
 
-fn may_visit(levels: &[u32], level: usize, lo: UVec3, hi: UVec3) -> bool {
-    let own = &levels[level * LEVEL..];
-    let (all_lo, all_hi) = (UVec3::new(!own[0], !own[1], !own[2]), UVec3::new(own[3], own[4], own[5]));
-    own[6] > 0 && lo.cmple(all_hi).all() && all_lo.cmple(hi).all()
+fn may_visit(levels: &[[u32; 8]], level: usize, lo: UVec3, hi: UVec3) -> bool {
+    let [a, b, c, d, e, f, may_have_residents, _] = levels[level];
+    may_have_residents != 0 && lo.cmple(UVec3::new(d, e, f)).all() && UVec3::new(a, b, c).cmple(hi).all()
 }
 
 fn has_partner(counts: &[[u32; 4]], bucket: usize, role: usize) -> bool {
@@ -90,11 +94,11 @@ pub(super) fn count_residents(
     boxes: &mut [[u32; 4]],
     cells: &mut [[u32; 4]],
     counts: &mut [[u32; 4]],
-    levels: &mut [u32],
+    layers: &[[u32; 2]],
 ) {
     let vector = |[a, b, c, _]: [f32; 4]| Vec3A::new(a, b, c);
     let cloth = Aabb { lo: vector(params.cloth_lo), hi: vector(params.cloth_hi) };
-    for (t, &[a, b, c, owned]) in faces.iter().enumerate() {
+    for (t, &[a, b, c, owned]) in faces[..params.triangles as usize].iter().enumerate() {
         let path = [a, b, c].map(|v| path_box(x_t0, x_t1, v));
         let mut own = path[0].join(path[1]).join(path[2]).inflated(Vec3A::splat(params.cloth_lo[3]));
         let role = usize::from(t >= params.cloth_triangles as usize);
@@ -111,26 +115,18 @@ pub(super) fn count_residents(
         boxes[2 * t + 1] = bits(own.hi.to_array(), level as u32 + 1);
         let ([a, b], [c, d]) = (packed_cell(lo), packed_cell(hi));
         cells[t] = [a, b, c, d];
-        for_each_cell(params, lo, hi, level, |bucket, _| counts[bucket][role] += 1);
-        if level > 0 {
-            let of_level = &mut levels[level * LEVEL..];
-            for axis in 0..3 {
-                of_level[axis] = of_level[axis].max(!lo[axis]);
-                of_level[3 + axis] = of_level[3 + axis].max(hi[axis]);
-            }
-            of_level[6] += 1;
-        }
+        for_each_cell(params, layers, (lo, hi), level, |bucket, _| counts[bucket][role] += 1);
     }
 }
 
-/// Calls `visit(level, lo, hi, role)` for the home of a triangle and the grids that it visits.
+/// Calls `visit(level, cells, role)` for the home of a triangle and the grids that it visits.
 fn for_each_level(
     params: &HashParams,
     boxes: &[[u32; 4]],
     cells: &[[u32; 4]],
-    levels: &[u32],
+    levels: &[[u32; 8]],
     t: usize,
-    mut visit: impl FnMut(usize, UVec3, UVec3, usize),
+    mut visit: impl FnMut(usize, (UVec3, UVec3), usize),
 ) {
     let home = boxes[2 * t + 1][3] as usize;
     if home == 0 {
@@ -141,7 +137,7 @@ fn for_each_level(
     let role = usize::from(t >= params.cloth_triangles as usize);
     for level in home - 1..LEVELS {
         if level == home - 1 || may_visit(levels, level, lo, hi) {
-            visit(level, lo, hi, role);
+            visit(level, (lo, hi), role);
         }
     }
 }
@@ -152,13 +148,14 @@ pub(super) fn count_visitors(
     boxes: &[[u32; 4]],
     cells: &[[u32; 4]],
     counts: &mut [[u32; 4]],
-    levels: &[u32],
+    layers: &[[u32; 2]],
+    levels: &[[u32; 8]],
 ) {
     for t in 0..params.triangles as usize {
         let home = boxes[2 * t + 1][3] as usize;
-        for_each_level(params, boxes, cells, levels, t, |level, lo, hi, role| {
+        for_each_level(params, boxes, cells, levels, t, |level, cells, role| {
             if level >= home {
-                for_each_cell(params, lo, hi, level, |bucket, _| {
+                for_each_cell(params, layers, cells, level, |bucket, _| {
                     if has_partner(counts, bucket, role) {
                         counts[bucket][2 + role] += 1;
                     }
@@ -179,8 +176,9 @@ fn size_of(load: [u32; 4]) -> u32 {
 }
 
 /// Tests (two words), entries and busy buckets of every chunk.
-pub(super) fn chunk_loads(params: &HashParams, counts: &[[u32; 4]], chunks: &mut [[u32; 4]]) {
-    for (chunk, loads) in chunks.iter_mut().zip(counts[..params.buckets as usize].chunks(CHUNK)) {
+pub(super) fn chunk_loads(params: &HashParams, counts: &[[u32; 4]], spans: &[[u32; 2]], chunks: &mut [[u32; 4]]) {
+    for (chunk, &[start, end]) in chunks.iter_mut().zip(&spans[..params.chunks as usize]) {
+        let loads = &counts[start as usize..end as usize];
         let busy = || loads.iter().filter(|load| tests_of(**load) > 0);
         let tests: u64 = busy().map(|load| tests_of(*load)).sum();
         let size = busy().map(|load| size_of(*load)).sum();
@@ -202,7 +200,8 @@ pub(super) fn fill(
     boxes: &[[u32; 4]],
     cells: &[[u32; 4]],
     counts: &[[u32; 4]],
-    levels: &[u32],
+    layers: &[[u32; 2]],
+    levels: &[[u32; 8]],
     starts: &[u32],
     cursors: &mut [[u32; 4]],
     entries: &mut [[u32; 2]],
@@ -218,8 +217,8 @@ pub(super) fn fill(
     };
     for t in 0..params.triangles as usize {
         let home = boxes[2 * t + 1][3] as usize;
-        for_each_level(params, boxes, cells, levels, t, |level, lo, hi, role| {
-            for_each_cell(params, lo, hi, level, |bucket, tag| {
+        for_each_level(params, boxes, cells, levels, t, |level, cells, role| {
+            for_each_cell(params, layers, cells, level, |bucket, tag| {
                 if level < home {
                     put(bucket, role, [t as u32, tag]);
                 } else if has_partner(counts, bucket, role) {

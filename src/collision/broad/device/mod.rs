@@ -1,18 +1,22 @@
 //! Broad phase on a device [Li et al. 2020, Sec. 4.2 and 4.4], with the first part of the narrow phase: what comes back is what
 //! a separating-axis test in f32 with error bounds could not prove apart.
 //!
-//! Finds what the native search finds, less what is proven apart, each pair once over all ranks: passes of `hash` (the
-//! table), the host's split of the tests over ranks and batches from loads of chunks of buckets, then passes of `pairs`
-//! into bounded buffers, which are read back. A buffer that is too small makes the pass be done again with a larger one or
-//! for fewer tests; nothing is left out.
+//! Finds what the native search finds, less what is proven apart, each pair once over all ranks. The host looks at patches of
+//! triangles as in a native search, which leaves out what culling proves free and says which layers of space a rank counts
+//! (`space`); then come passes of `hash` (the table of these layers), the host's split of the tests over ranks and batches
+//! from loads of chunks of buckets, and passes of `pairs` into bounded buffers, which are read back. A buffer that is too
+//! small makes the pass be done again with a larger one or for fewer tests; nothing is left out.
 //!
 //! Entries of a bucket are in no order, so ranks number its tests differently. Only a bucket that a rank shares with
 //! another one, at most two per rank, must have an order: the host sorts its entries.
 
+mod batches;
+mod count;
 mod hash;
 mod hash_cpu;
 mod pairs;
 mod pairs_cpu;
+mod space;
 #[cfg(test)]
 mod tests;
 
@@ -23,25 +27,21 @@ use std::time::Instant;
 use bytemuck::Zeroable;
 
 use super::boxes::Motion;
+use super::input::Input;
+use super::patches::Patches;
+use super::split::Split;
 use super::{BroadError, BroadStats, Choice, CollisionMesh, Query, nanoseconds};
 use crate::collision::Candidate;
-use crate::gpu::{DeviceVec, Executor};
-use hash::{CHUNK, Entries, HashParams, Shapes, Table};
+use crate::gpu::{CpuExecutor, DeviceVec, Executor};
+use batches::{BINDING_BYTES, Batch, Room, Wanted, batches, fewer};
+use hash::{Entries, HashParams, Shapes, Table};
 use pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
+use space::Nested;
 
-/// Most tests of a batch: twice as many are still a number of 32 bits.
-const TESTS_MOST: u64 = (1 << 31) - 1;
 /// Most tests of a dispatch: displays and drivers lose patience with long ones.
 const TESTS_PER_PASS: u64 = 1 << 26;
 /// Bits for the number of a piece.
 const PIECE_BITS: u32 = 26;
-/// Pairs of triangles that the buffer holds at first, per triangle and rank; candidates are fewer. And what both hold at
-/// least.
-const PAIRS_PER_TRIANGLE: usize = 8;
-const ROOM_LEAST: usize = 4096;
-/// Bytes of an array that every adapter can bind.
-const BINDING_BYTES: usize = 128 << 20;
-
 /// What may be dropped besides pairs whose boxes are apart.
 #[derive(Clone, Copy, Debug)]
 pub enum Filter<'a> {
@@ -65,24 +65,20 @@ pub enum Filter<'a> {
 /// The broad phase of one mesh on one executor. Keeps its arrays from query to query.
 pub struct DeviceBroad {
     mesh: Arc<CollisionMesh>,
+    /// Per vertex the number of its piece.
+    pieces: Vec<u32>,
+    patches: Patches,
     shapes: Shapes,
+    /// The triangles whose faces are on the device.
+    members: Vec<u32>,
     reach_m: DeviceVec<f32>,
     table: Table,
     entries: Entries,
     found: Found,
 }
 
-/// The part of a rank's share of the tests that is done together.
-struct Batch {
-    chunks: Range<usize>,
-    entries: u64,
-    /// Tests of these chunks, and those of them that are the rank's, numbered within the batch.
-    tests: u64,
-    own: Range<u64>,
-}
-
-/// Corners, owned features and number of the piece per triangle.
-fn faces(mesh: &CollisionMesh) -> Vec<[u32; 4]> {
+/// Pieces numbered from 0.
+fn numbered_pieces(mesh: &CollisionMesh) -> Vec<u32> {
     let mut numbers = vec![0u32; mesh.vertices];
     let mut next = 0;
     // The smallest vertex of a piece comes before its others.
@@ -90,91 +86,106 @@ fn faces(mesh: &CollisionMesh) -> Vec<[u32; 4]> {
         numbers[v] = if piece as usize == v { next } else { numbers[piece as usize] };
         next += u32::from(piece as usize == v);
     }
-    let face = |(&[a, b, c], &owned): (&[u32; 3], &u8)| [a, b, c, u32::from(owned) | numbers[a as usize] << 6];
-    mesh.triangles.iter().zip(&mesh.owned).map(face).collect()
+    numbers
 }
 
 impl DeviceBroad {
     /// Whether a mesh fits what every adapter binds. Not what this one binds: all ranks must have the same answer.
     pub fn fits(mesh: &CollisionMesh) -> bool {
         let binds = |items: usize, bytes: usize| items <= BINDING_BYTES / bytes;
-        let triangles = mesh.triangles.len();
-        let lists = binds(triangles, 32) && binds(hash::buckets(triangles), 16) && binds(mesh.vertices, 12);
-        lists && mesh.vertices < 1 << PIECE_BITS
+        binds(mesh.triangles.len(), 32) && binds(mesh.vertices, 12) && mesh.vertices < 1 << PIECE_BITS
     }
 
     /// A broad phase over `mesh`, which fits.
     pub fn new(executor: &Executor, mesh: Arc<CollisionMesh>) -> DeviceBroad {
         DeviceBroad {
-            shapes: Shapes {
-                x_t0: DeviceVec::zeros(executor, 0),
-                x_t1: None,
-                faces: DeviceVec::upload(executor, &faces(&mesh)),
-            },
+            pieces: numbered_pieces(&mesh),
+            patches: Patches::new(&mesh),
+            shapes: Shapes { x_t0: DeviceVec::zeros(executor, 0), x_t1: None, faces: DeviceVec::zeros(executor, 0) },
+            members: Vec::new(),
             reach_m: DeviceVec::zeros(executor, 0),
-            table: Table::new(executor, mesh.triangles.len()),
+            table: Table::new(executor),
             entries: Entries::new(executor),
             found: Found::new(executor),
             mesh,
         }
     }
 
+    /// Bytes of what follows from the mesh alone; every rank holds all of it.
+    pub fn mesh_bytes(&self) -> u64 {
+        self.patches.mesh_bytes() + size_of_val(&self.pieces[..]) as u64 + self.reach_m.held_bytes()
+    }
+
     /// Hands the candidates of this rank's share of the tests to `emit`, in no promised order. All ranks must pass the same
-    /// mesh, positions, radii and filter, on executors of one kind; then all ranks together report each candidate once.
+    /// mesh, positions, choice and filter, on executors of one kind; then all ranks together report each candidate once, less
+    /// what `choice` leaves out. Its touched vertices are not looked at. `host` looks at patches.
     ///
     /// None if some cells have too many entries or tests for one dispatch: no rank has reported anything then, and all have
     /// the same answer.
     ///
     /// # Errors
-    /// As [`super::Broad::candidates`]; a fault of the device.
+    /// As [`super::Broad::search`]; a fault of the device.
     pub fn search(
         &mut self,
-        executor: &Executor,
+        (executor, host): (&Executor, &CpuExecutor),
         query: &Query,
-        piece_radius_m: Option<f32>,
+        choice: &Choice,
         filter: &Filter,
-        (rank, ranks): (usize, usize),
+        split: &mut Split,
         memory_limit_bytes: Option<u64>,
         emit: &mut dyn FnMut(&[Candidate]),
     ) -> Result<Option<BroadStats>, BroadError> {
+        let (rank, ranks) = split.place();
         if rank >= ranks {
             return Err(BroadError::Rank { rank, ranks });
         }
         let started = Instant::now();
         let mesh = self.mesh.clone();
-        let motion = Motion::new(&mesh, query, &Choice { piece_radius_m, ..Choice::default() })?;
-        let params = HashParams::new(&mesh, &motion);
-        self.upload(executor, query, filter);
-        let loads = self.table.count(executor, &params, &self.shapes);
-        let tests_total: u64 = loads.iter().map(|load| tests_of(*load)).sum();
-        let most_entries = (BINDING_BYTES / size_of::<[u32; 2]>()) as u32;
-        if loads.iter().any(|load| tests_of(*load) > TESTS_MOST || load[2] > most_entries) {
-            return Ok(None);
-        }
-        let fixed = self.table.bytes() + self.shapes_bytes();
-        let room = Room::new(executor, mesh.triangles.len() / ranks, fixed, memory_limit_bytes, &loads)?;
-        let cut = |rank: usize| (u128::from(tests_total) * rank as u128 / ranks as u128) as u64;
-        let batches = batches(&loads, &(cut(rank)..cut(rank + 1)), &room);
+        let choice = Choice { touched: None, ..*choice };
+        let input = Input::new(&mesh, Motion::new(&mesh, query, &choice)?, choice);
+        let nested = Nested::new(&input.grid);
+        self.patches.look(host, &input, |aabb| nested.may_be_large(aabb), split)?;
         let mut stats = BroadStats {
-            tests_total,
-            tests: cut(rank + 1) - cut(rank),
-            cells: loads.iter().map(|load| u64::from(load[3])).sum(),
+            patches: [self.patches.active.len() as u64, self.patches.count() as u64],
+            bytes: self.patches.bytes(),
+            ..BroadStats::default()
+        };
+        if self.patches.active.is_empty() {
+            stats.count_ns = nanoseconds(started);
+            return Ok(Some(stats));
+        }
+        if memory_limit_bytes.is_some() {
+            // What an earlier query left must not count against this one.
+            self.drop_arrays(executor);
+        }
+        self.upload(executor, query, filter);
+        let Some(counted) = self.count(executor, &input, split)? else { return Ok(None) };
+        let fixed = self.patches.bytes() + self.shapes.faces.held_bytes() + self.table.bytes() + counted.host_bytes;
+        let active = self.patches.active.iter().map(|&patch| self.patches.triangles(patch as usize).len());
+        let wanted = Wanted {
+            chunks: &counted.chunks,
+            triangles: active.sum::<usize>() / ranks,
+            entries: counted.workload.entries.div_ceil(ranks as u64),
+            fixed,
+        };
+        let room = Room::new(executor, &wanted, memory_limit_bytes)?;
+        let batches = batches(&counted.chunks, &counted.share, &room);
+        stats = BroadStats {
+            tests_total: counted.workload.tests,
+            tests: counted.share.end - counted.share.start,
+            cells: counted.workload.busy,
             bytes: fixed,
             batches: batches.len() as u64,
             count_ns: nanoseconds(started),
-            ..BroadStats::default()
+            ..stats
         };
-        if memory_limit_bytes.is_some() {
-            // What an earlier, unlimited query left must not count against this one.
-            (self.entries, self.found) = (Entries::new(executor), Found::new(executor));
-        }
-        let pair_params = pair_params(&motion, filter);
+        let pair_params = pair_params(&input.motion, filter);
         for batch in &batches {
             let started = Instant::now();
-            let buckets = batch.chunks.start * CHUNK..(batch.chunks.end * CHUNK).min(params.buckets as usize);
-            let of_batch = HashParams { first_bucket: buckets.start as u32, buckets: buckets.len() as u32, ..params };
+            let [first, end] = batch.buckets;
+            let of_batch = HashParams { first_bucket: first, buckets: end - first, ..counted.params };
             self.table.fill(executor, &of_batch, batch.entries as usize, &mut self.entries);
-            self.order_shared(executor, batch, &of_batch);
+            self.order_shared(executor, batch);
             stats.fill_ns += nanoseconds(started);
             stats.entries += batch.entries;
             let started = Instant::now();
@@ -184,6 +195,14 @@ impl DeviceBroad {
             stats.bytes = stats.bytes.max(fixed + self.entries.bytes() + self.found.bytes());
         }
         executor.take_fault().map_or(Ok(Some(stats)), |fault| Err(BroadError::Device(fault)))
+    }
+
+    /// Gives back what queries leave for the next one.
+    fn drop_arrays(&mut self, executor: &Executor) {
+        self.members = Vec::new();
+        self.shapes.faces = DeviceVec::zeros(executor, 0);
+        self.table = Table::new(executor);
+        (self.entries, self.found) = (Entries::new(executor), Found::new(executor));
     }
 
     fn upload(&mut self, executor: &Executor, query: &Query, filter: &Filter) {
@@ -199,19 +218,14 @@ impl DeviceBroad {
         }
     }
 
-    fn shapes_bytes(&self) -> u64 {
-        self.shapes.faces.held_bytes() + self.reach_m.held_bytes()
-    }
-
     /// Sorts the entries of the buckets that the rank's share begins or ends in.
-    fn order_shared(&mut self, executor: &Executor, batch: &Batch, params: &HashParams) {
-        let last = batch.chunks.len() - 1;
-        for (chunk, cut) in [(0, batch.own.start), (last, batch.own.end)] {
+    fn order_shared(&mut self, executor: &Executor, batch: &Batch) {
+        for ([start, end], cut) in [(batch.ends[0], batch.own.start), (batch.ends[1], batch.own.end)] {
             if cut == 0 || cut == batch.tests {
                 continue;
             }
-            let first = chunk * CHUNK;
-            let mut starts = vec![0; CHUNK.min(params.buckets as usize - first) + 1];
+            let first = (start - batch.buckets[0]) as usize;
+            let mut starts = vec![0; (end - start) as usize + 1];
             self.entries.test_starts.read_range(executor, first, &mut starts);
             let place = starts.partition_point(|&start| u64::from(start) <= cut);
             if place == 0 || place == starts.len() || u64::from(starts[place - 1]) == cut {
@@ -219,7 +233,7 @@ impl DeviceBroad {
             }
             let bucket = first + place - 1;
             let (mut load, mut start) = ([[0; 4]], [0]);
-            self.table.counts.read_range(executor, params.first_bucket as usize + bucket, &mut load);
+            self.table.counts.read_range(executor, batch.buckets[0] as usize + bucket, &mut load);
             self.entries.starts.read_range(executor, bucket, &mut start);
             let load = load[0].map(|count| count as usize);
             let mut entries = vec![[0; 2]; load.iter().sum()];
@@ -246,7 +260,7 @@ impl DeviceBroad {
         let (mut reported, mut first, mut step) = (0, own.start, TESTS_PER_PASS);
         if self.found.pairs.is_empty() {
             self.found.pairs.resize(executor, room.first_pairs);
-            self.found.candidates.resize(executor, (room.first_pairs / 8).max(ROOM_LEAST).min(room.candidates));
+            self.found.candidates.resize(executor, room.first_candidates);
         }
         while first < own.end {
             let end = own.end.min(first + step);
@@ -257,7 +271,7 @@ impl DeviceBroad {
                     self.found.pairs.resize(executor, pairs.min(room.pairs));
                 }
                 if pairs > room.pairs {
-                    step = (step / 2).max(1);
+                    step = fewer(end - first, pairs, room.pairs);
                 }
                 continue;
             }
@@ -290,7 +304,7 @@ impl DeviceBroad {
                     self.found.candidates.resize(executor, count.min(room.candidates));
                 }
                 if count > room.candidates {
-                    step = (step / 2).max(1);
+                    step = fewer((end - first) as u64, count, room.candidates) as usize;
                 }
                 continue;
             }
@@ -302,10 +316,6 @@ impl DeviceBroad {
         }
         reported
     }
-}
-
-fn tests_of([low, high, ..]: [u32; 4]) -> u64 {
-    u64::from(low) | u64::from(high) << 32
 }
 
 fn pair_params(motion: &Motion, filter: &Filter) -> PairParams {
@@ -321,87 +331,4 @@ fn pair_params(motion: &Motion, filter: &Filter) -> PairParams {
         shrink_m: motion.within_piece.map_or(0.0, |by| by.x),
         ..PairParams::zeroed()
     }
-}
-
-/// How much fits at once.
-struct Room {
-    buckets: u64,
-    entries: u64,
-    pairs: usize,
-    candidates: usize,
-    /// Pairs to make room for at first.
-    first_pairs: usize,
-}
-
-impl Room {
-    /// Half of what `fixed` leaves of the limit is for entries, a quarter each for pairs and candidates.
-    fn new(
-        executor: &Executor,
-        triangles: usize,
-        fixed: u64,
-        limit_bytes: Option<u64>,
-        loads: &[[u32; 4]],
-    ) -> Result<Room, BroadError> {
-        let binds = |bytes: usize| match executor {
-            Executor::Cpu(_) => u32::MAX as usize,
-            Executor::Gpu(gpu) => gpu.window_items(bytes),
-        };
-        let (item, candidate) = (size_of::<[u32; 2]>(), size_of::<Candidate>());
-        let wanted = (PAIRS_PER_TRIANGLE * triangles).max(ROOM_LEAST);
-        let mut room = Room {
-            buckets: binds(16) as u64,
-            entries: binds(item) as u64,
-            pairs: binds(item),
-            candidates: binds(candidate),
-            first_pairs: wanted.min(binds(item)),
-        };
-        let Some(limit_bytes) = limit_bytes else { return Ok(room) };
-        // Arrays may be an eighth larger than asked for.
-        let free = limit_bytes.saturating_sub(fixed) / 9 * 8;
-        let fullest = loads.iter().map(|load| u64::from(load[2])).max().unwrap_or(0);
-        let least = Entries::bytes_for(CHUNK as u64, fullest);
-        let least = least.max((ROOM_LEAST * candidate) as u64) * 4;
-        if free < least {
-            return Err(BroadError::MemoryLimit { needs_bytes: fixed + least / 8 * 9 + 9, limit_bytes });
-        }
-        // An eighth for what belongs to buckets, three eighths for entries.
-        room.buckets = room.buckets.min(free / 8 / Entries::bytes_for(1, 0)).max(CHUNK as u64);
-        room.entries = room.entries.min(free * 3 / 8 / item as u64).max(fullest);
-        room.pairs = room.pairs.min((free / 4) as usize / item);
-        room.candidates = room.candidates.min((free / 4) as usize / candidate);
-        room.first_pairs = room.first_pairs.min(room.pairs);
-        Ok(room)
-    }
-}
-
-/// The chunks that hold the tests `share`, as few batches as fit.
-fn batches(loads: &[[u32; 4]], share: &Range<u64>, room: &Room) -> Vec<Batch> {
-    let mut batches: Vec<Batch> = Vec::new();
-    let mut before = 0;
-    for (chunk, load) in loads.iter().enumerate() {
-        let (first, entries) = (before, u64::from(load[2]));
-        before += tests_of(*load);
-        let own = share.start.max(first)..share.end.min(before);
-        if own.is_empty() {
-            continue;
-        }
-        let own = own.start - first..own.end - first;
-        let tests = before - first;
-        let buckets = |start: usize| ((chunk + 1 - start) * CHUNK) as u64;
-        match batches.last_mut() {
-            Some(last)
-                // Chunks in between have no tests, so no entries either.
-                if last.entries + entries <= room.entries
-                    && last.tests + tests <= TESTS_MOST
-                    && buckets(last.chunks.start) <= room.buckets =>
-            {
-                last.own.end = last.tests + own.end;
-                last.entries += entries;
-                last.tests += tests;
-                last.chunks.end = chunk + 1;
-            }
-            _ => batches.push(Batch { chunks: chunk..chunk + 1, entries, tests, own }),
-        }
-    }
-    batches
 }

@@ -1,7 +1,10 @@
 //! Every kernel against its native twin, on seeded triangles of odd numbers and very different sizes.
 
-use super::hash::{CHUNK, Entries, HashParams, Shapes, Table, buckets};
+use super::batches::Chunk;
+use super::count::face;
+use super::hash::{Entries, HashParams, Shapes, Table};
 use super::pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
+use super::space::{Space, Window};
 use super::*;
 use crate::gpu::test_support::{self, Seeded};
 
@@ -41,24 +44,59 @@ struct Made {
     candidates: [Vec<Candidate>; 3],
 }
 
+/// A query without culling.
+struct Case<'a> {
+    mesh: &'a CollisionMesh,
+    query: &'a Query<'a>,
+    input: Input<'a>,
+    patches: Patches,
+    space: Space,
+}
+
+impl<'a> Case<'a> {
+    fn new(mesh: &'a CollisionMesh, query: &'a Query<'a>) -> Case<'a> {
+        let choice = Choice { piece_radius_m: Some(0.002), ..Choice::default() };
+        let input = Input::new(mesh, Motion::new(mesh, query, &choice).expect("positions"), choice);
+        let (nested, mut patches) = (Nested::new(&input.grid), Patches::new(mesh));
+        let split = &mut Split::alone(0, 1);
+        patches.look(&CpuExecutor::new(1), &input, |aabb| nested.may_be_large(aabb), split).expect("one rank");
+        let space = Space::new(&input, &patches);
+        Case { mesh, query, input, patches, space }
+    }
+
+    /// Counts some layers.
+    fn count(&self, executor: &Executor, layers: Range<usize>) -> (Window, Shapes, Table, Vec<[u32; 4]>) {
+        let members = self.space.members(&self.input, &self.patches, &layers);
+        let window = self.space.window(&self.input, layers, &members);
+        let pieces = numbered_pieces(self.mesh);
+        let faces: Vec<_> = members.iter().map(|&t| face(self.mesh, &pieces, t)).collect();
+        let shapes = Shapes {
+            x_t0: DeviceVec::upload(executor, self.query.x_t0),
+            x_t1: Some(DeviceVec::upload(executor, self.query.x_t1)),
+            faces: DeviceVec::upload(executor, &faces),
+        };
+        let mut table = Table::new(executor);
+        let loads = table.count(executor, &window, &shapes);
+        (window, shapes, table, loads)
+    }
+}
+
+/// Of all layers, or of the part number `part` of 4 and all its chunks but for the first.
 fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
     let (mesh, x_t0, x_t1) = mesh(triangles, 5);
     let query = Query { x_t0: &x_t0, x_t1: &x_t1, radius_m: 0.01 };
-    let choice = Choice { piece_radius_m: Some(0.002), ..Choice::default() };
-    let motion = Motion::new(&mesh, &query, &choice).expect("positions");
-    let params = HashParams::new(&mesh, &motion);
-    let shapes = Shapes {
-        x_t0: DeviceVec::upload(executor, &x_t0),
-        x_t1: Some(DeviceVec::upload(executor, &x_t1)),
-        faces: DeviceVec::upload(executor, &faces(&mesh)),
-    };
-    let mut table = Table::new(executor, triangles);
-    let loads = table.count(executor, &params, &shapes);
-    // All chunks but the first `part`.
-    let size: u32 = loads[part..].iter().map(|load| load[2]).sum();
-    let tests: u64 = loads[part..].iter().map(|load| tests_of(*load)).sum();
-    let first = part * CHUNK;
-    let params = HashParams { first_bucket: first as u32, buckets: (buckets(triangles) - first) as u32, ..params };
+    let case = Case::new(&mesh, &query);
+    let layers = if part == 0 { 0..case.space.layers() } else { case.space.guess(part, 4) };
+    let (window, shapes, mut table, loads) = case.count(executor, layers);
+    let members = window.params.triangles as usize;
+    assert!(part == 0 || (members > 0 && members < triangles));
+    let chunks: Vec<Chunk> = window.chunks.iter().zip(&loads).map(|(&of, &load)| Chunk::new(of, load)).collect();
+    let chunks = &chunks[part.min(1)..];
+    let size: u64 = chunks.iter().map(|chunk| chunk.entries).sum();
+    let tests: u64 = chunks.iter().map(|chunk| chunk.tests).sum();
+    let first = chunks.first().expect("chunks").buckets[0] as usize;
+    let buckets = window.params.buckets - first as u32;
+    let params = HashParams { first_bucket: first as u32, buckets, ..window.params };
     let mut entries = Entries::new(executor);
     table.fill(executor, &params, size as usize, &mut entries);
     let starts = entries.starts.read(executor);
@@ -78,7 +116,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
         buckets: params.buckets,
         first_test: (tests / 9) as u32,
         end_test: tests as u32,
-        ..pair_params(&motion, &Filter::Boxes)
+        ..pair_params(&case.input.motion, &Filter::Boxes)
     };
     // Without room pairs are counted all the same.
     let count = found.box_tests(executor, &pass, &table, &entries);
@@ -122,7 +160,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
 #[test]
 fn kernels_equal_their_twins() {
     let Some(device) = test_support::executor() else { return };
-    for (triangles, part) in [(1, 0), (129, 0), (1001, 1), (2500, 3)] {
+    for (triangles, part) in [(1, 0), (129, 0), (1001, 0), (1001, 1), (2500, 2)] {
         let (found, expected) = (made(&device, triangles, part), made(&Executor::cpu(1), triangles, part));
         assert!(found.boxes == expected.boxes, "boxes of {triangles}");
         assert!(found.counts == expected.counts && found.loads == expected.loads, "loads of {triangles}");
@@ -130,7 +168,8 @@ fn kernels_equal_their_twins() {
         assert!(found.entries == expected.entries, "entries of {triangles}");
         assert!(found.pairs == expected.pairs, "pairs of {triangles}");
         assert!(found.candidates[0] == expected.candidates[0], "candidates of {triangles}");
-        assert!(triangles < 1000 || expected.counts.iter().any(|load| load[2] > 0 && load[3] > 0), "visitors");
+        let visited = expected.counts.iter().any(|load| load[2] > 0 && load[3] > 0);
+        assert!(triangles < 1000 || visited, "visitors of {triangles}");
         // Rounding may differ where a pair is just proven apart; what a filter leaves is a part of what it was given.
         for kind in [1, 2] {
             let (ours, twins) = (&found.candidates[kind], &expected.candidates[kind]);
@@ -144,14 +183,46 @@ fn kernels_equal_their_twins() {
 }
 
 #[test]
+fn parts_of_space_are_counted_in_full() {
+    // Near the origin of all coordinates, and so far from it that positions are rounded to parts of a cell.
+    for (triangles, away) in [(700, 0.0), (2500, 0.0), (2500, 3000.0), (2500, 40_000.0)] {
+        let (mesh, mut x_t0, mut x_t1) = mesh(triangles, 6);
+        // A third of it stays where it is.
+        let moved = 3 * (mesh.vertices / 3);
+        x_t0[moved..].iter_mut().chain(&mut x_t1[moved..]).for_each(|x| *x += away);
+        let query = Query { x_t0: &x_t0, x_t1: &x_t1, radius_m: 0.01 };
+        let case = Case::new(&mesh, &query);
+        for executor in std::iter::once(Executor::cpu(1)).chain(test_support::executor()) {
+            let whole = case.count(&executor, 0..case.space.layers()).2.counts.read(&executor);
+            assert_eq!(whole.len(), case.space.buckets());
+            assert!(whole.iter().map(|load| load[0] + load[1]).sum::<u32>() as usize > triangles / 2);
+            for ranks in [2, 5, 16] {
+                let count = |rank| {
+                    let layers = case.space.guess(rank, ranks);
+                    if layers.is_empty() { vec![] } else { case.count(&executor, layers).2.counts.read(&executor) }
+                };
+                let parts: Vec<[u32; 4]> = (0..ranks).flat_map(count).collect();
+                assert!(parts == whole, "{triangles} triangles {away} m away on {ranks} ranks, {}", executor.name());
+            }
+        }
+    }
+}
+
+#[test]
 fn tests_beyond_32_bits_are_counted() {
     // A bucket of 200,000 residents of cloth and 70,000 visitors.
     let load = [200_000, 3, 70_000, 9];
     let expected = 200_000u64 * 199_999 / 2 + 200_000 * (3 + 70_000 + 9) + 3 * 70_000;
     for executor in std::iter::once(Executor::cpu(1)).chain(test_support::executor()) {
-        let mut table = Table::new(&executor, 1);
+        let mut table = Table::new(&executor);
+        table.counts.resize(&executor, 40);
+        table.counts.fill_zero(&executor);
         table.counts.write_range(&executor, 5, &[load]);
-        let loads = table.loads(&executor, &HashParams { buckets: buckets(1) as u32, ..HashParams::zeroed() });
-        assert_eq!((tests_of(loads[0]), loads[0][2], loads[0][3]), (expected, 270_012, 1), "{}", executor.name());
+        let params = HashParams { chunks: 2, ..HashParams::zeroed() };
+        let spans = [[0, 7], [7, 40]];
+        let loads = table.loads(&executor, &params, &spans);
+        let [full, empty] = [0, 1].map(|at| Chunk::new(spans[at], loads[at]));
+        assert_eq!((full.tests, full.entries, full.busy), (expected, 270_012, 1), "{}", executor.name());
+        assert!(full.is_too_much() && !empty.is_too_much() && empty.tests == 0);
     }
 }

@@ -1,0 +1,107 @@
+//! What ranks count: each the layers that its share of the tests lies in. They then split the tests evenly, as in a native
+//! search. Host code around the passes of `hash`.
+
+use std::ops::Range;
+
+use super::DeviceBroad;
+use super::batches::{BINDING_BYTES, Chunk};
+use super::hash::HashParams;
+use super::space::{Space, Window};
+use crate::collision::broad::input::Input;
+use crate::collision::broad::split::Split;
+use crate::collision::broad::workload::{LayerLoad, Workload, layers_of};
+use crate::collision::broad::{BroadError, CollisionMesh};
+use crate::gpu::Executor;
+
+/// Tests of a layer with a chunk that no dispatch takes, as ranks tell each other.
+const TOO_MANY: u64 = u64::MAX;
+
+/// What a rank knows when all is counted.
+pub(super) struct Counted {
+    pub params: HashParams,
+    pub chunks: Vec<Chunk>,
+    pub workload: Workload,
+    /// The rank's tests, numbered from the first of the window.
+    pub share: Range<u64>,
+    /// Bytes of lists on the host.
+    pub host_bytes: u64,
+}
+
+/// Corners, owned features and number of the piece of a triangle.
+pub(super) fn face(mesh: &CollisionMesh, pieces: &[u32], triangle: u32) -> [u32; 4] {
+    let [a, b, c] = mesh.triangles[triangle as usize];
+    [a, b, c, u32::from(mesh.owned[triangle as usize]) | pieces[a as usize] << 6]
+}
+
+/// Of the chunks of a layer.
+fn layer_load(chunks: &[Chunk]) -> LayerLoad {
+    if chunks.iter().any(Chunk::is_too_much) {
+        return LayerLoad::of(TOO_MANY, 0, 0);
+    }
+    let busy = chunks.iter().map(|chunk| chunk.busy).sum();
+    let entries = chunks.iter().map(|chunk| chunk.entries as u32).sum();
+    LayerLoad::of(chunks.iter().map(|chunk| chunk.tests).sum(), busy, entries)
+}
+
+impl DeviceBroad {
+    /// Counts the layers that hold this rank's share of the tests: those that it is likely to need, then, if they do not,
+    /// those that do. None if all ranks leave the search to native code. Between ranks: 16 bytes per layer.
+    pub(super) fn count(
+        &mut self,
+        executor: &Executor,
+        input: &Input,
+        split: &mut Split,
+    ) -> Result<Option<Counted>, BroadError> {
+        let (rank, ranks) = split.place();
+        let space = Space::new(input, &self.patches);
+        if space.buckets() > BINDING_BYTES / size_of::<[u32; 4]>() {
+            return Ok(None);
+        }
+        let guess = if split.is_together() { space.guess(rank, ranks) } else { 0..space.layers() };
+        let mut loads = vec![LayerLoad::default(); space.layers()];
+        let (mut window, mut chunks) = self.count_window(executor, input, &space, guess.clone());
+        let mut of_layers = &chunks[..];
+        for layer in guess.clone() {
+            let (own, others) = of_layers.split_at(space.chunks_of(layer));
+            loads[layer] = layer_load(own);
+            of_layers = others;
+        }
+        if let Some(fault) = executor.take_fault() {
+            return Err(BroadError::Device(fault));
+        }
+        split.share(&mut loads, |rank| space.guess(rank, ranks))?;
+        if loads.iter().any(|load| load.tests() == TOO_MANY) {
+            return Ok(None);
+        }
+        let mut workload = Workload::default();
+        workload.add_up(&loads);
+        let share = workload.share(rank, ranks);
+        let needed = layers_of(&loads, &share);
+        if needed.start < guess.start || needed.end > guess.end {
+            (window, chunks) = self.count_window(executor, input, &space, needed);
+        }
+        let before: u64 = loads[..window.layers.start].iter().map(LayerLoad::tests).sum();
+        let share = share.start.max(before) - before..share.end.max(before) - before;
+        let host_bytes = space.bytes() + window.bytes() + 4 * self.members.capacity() as u64;
+        Ok(Some(Counted { params: window.params, chunks, workload, share, host_bytes }))
+    }
+
+    fn count_window(
+        &mut self,
+        executor: &Executor,
+        input: &Input,
+        space: &Space,
+        layers: Range<usize>,
+    ) -> (Window, Vec<Chunk>) {
+        let members = space.members(input, &self.patches, &layers);
+        let window = space.window(input, layers, &members);
+        if members != self.members {
+            let faces: Vec<_> = members.iter().map(|&t| face(&self.mesh, &self.pieces, t)).collect();
+            self.shapes.faces.assign(executor, &faces);
+            self.members = members;
+        }
+        let loads = if window.chunks.is_empty() { vec![] } else { self.table.count(executor, &window, &self.shapes) };
+        let chunks = window.chunks.iter().zip(loads).map(|(&buckets, load)| Chunk::new(buckets, load)).collect();
+        (window, chunks)
+    }
+}
