@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use loomtree::cli::check::{CheckArgs, check};
 use loomtree::math::{Vec2, Vec3};
 use loomtree::mesh::{
-    MaterialSource, Surface, TriangleMesh, first_intersection, hinges, locality_order, ordering_coordinates, parse_obj,
-    parse_ply, read_mesh, unique_edges, validate,
+    MaterialSource, Surface, TriangleMesh, first_intersection, hinges, locality_order, parse_obj, parse_ply, read_mesh,
+    unique_edges, validate, vertex_order,
 };
 use loomtree::scene::sheet_cells;
 use proptest::prelude::*;
@@ -137,7 +137,7 @@ fn the_order_of_a_sheet_halves_it_without_tearing_it_to_pieces() {
         material_uv: triangles.iter().map(|t| t.map(|v| uv[v as usize])).collect(),
         triangles,
     };
-    let order = locality_order(&ordering_coordinates(&mesh));
+    let order = vertex_order(&mesh, 100);
     let mut rank = vec![0; order.len()];
     (0..order.len()).for_each(|new| rank[order[new] as usize] = 8 * new / order.len());
     // Eight compact blocks of a sheet of 101 x 123 points: their seams together are a few hundred edges long.

@@ -4,7 +4,8 @@
 
 use loomtree::collision::broad::{CollisionMesh, Query};
 use loomtree::math::Vec3;
-use loomtree::mesh::locality_order;
+use loomtree::mesh::{TriangleMesh, vertex_order};
+use loomtree::partition::chunk_rows;
 
 /// Random numbers with a seed (splitmix64).
 pub struct Random(pub u64);
@@ -103,8 +104,10 @@ pub fn sphere(center: Vec3, radius: f32) -> impl Fn(f32, f32) -> Vec3 {
 
 /// Vertices in the order that scenes have: patches are made for it.
 pub fn ordered(model: &Model, rest: impl Fn(usize) -> Vec3) -> Model {
-    let places: Vec<Vec3> = (0..model.x0.len()).map(rest).collect();
-    let order = locality_order(&places);
+    let positions: Vec<Vec3> = (0..model.x0.len()).map(rest).collect();
+    let chunk = chunk_rows(positions.len());
+    let order =
+        vertex_order(&TriangleMesh { positions, triangles: model.triangles.clone(), material_uv: Vec::new() }, chunk);
     let mut new = vec![0; order.len()];
     order.iter().zip(0..).for_each(|(&old, at)| new[old as usize] = at);
     let pick = |x: &[Vec3]| order.iter().map(|&old| x[old as usize]).collect();
