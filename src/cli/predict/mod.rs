@@ -199,6 +199,9 @@ impl Prediction {
             KernelTimes::Recorded => "kernels last as long as they were measured in the recorded run".to_string(),
         }];
         all.push("links are shared max-min fairly; bandwidths and latencies are those of the topology file".into());
+        all.push(
+            "what collisions tell all ranks travels like whole sub-vectors, and waits for it are modelled anew".into(),
+        );
         all.push("transfers run beside kernels; no protocol overhead, no host work between kernels".into());
         all.push("one GPU: the same kernels added up over the ranks, border elements counted on both sides".into());
         let recorded = self.report.header.exchange.as_str();
