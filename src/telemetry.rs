@@ -40,6 +40,7 @@ macro_rules! event_names {
 event_names! {
     Step = "step",
     ExchangeState = "exchange state",
+    ReadState = "read state",
     Elements = "element records",
     IndexFill = "index fill",
     ValueFill = "value fill",

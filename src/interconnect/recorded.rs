@@ -203,8 +203,8 @@ fn phases_of(rank: usize, ranks: usize, events: &[Event]) -> Result<Vec<Own>, us
         let vector = event.vector as usize;
         let waits = event.activity == Activity::Wait as u32;
         match name {
-            // Frames around others.
-            EventName::Step | EventName::ExchangeState => {}
+            // Frames around others, and what only the host asks for.
+            EventName::Step | EventName::ExchangeState | EventName::ReadState => {}
             EventName::Publish => {
                 phases.extend(open.replace(Open { published: event.bytes as f64, ..begin() }).map(Own::Exchange));
             }
