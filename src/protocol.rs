@@ -21,6 +21,17 @@ pub enum ExecutorChoice {
     Cpu,
 }
 
+/// Whether ranks that share cores keep to one each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BindCores {
+    /// Ranks of one thread that share fewer cores evenly.
+    #[default]
+    Auto,
+    /// The system decides.
+    Never,
+}
+
 /// How a worker sets itself up.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct WorkerSetup {
@@ -30,6 +41,8 @@ pub struct WorkerSetup {
     pub adapter: Option<usize>,
     /// Threads of the cpu executor.
     pub threads: usize,
+    /// Whether it may keep to one core.
+    pub bind_cores: BindCores,
     /// Number of ranks.
     pub ranks: usize,
     /// Longest message between ranks, values.

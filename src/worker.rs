@@ -11,7 +11,7 @@ use thiserror::Error;
 use crate::gpu::Executor;
 use crate::linear_system::{RankSystem, RankSystemArrays, SolveError, SolveParams, solve_rank};
 use crate::model::RankModel;
-use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
+use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, SetupError, Simulation, StepError};
 use crate::transport::{
     ControlError, ControlWorker, EmulatedTransport, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName,
@@ -237,7 +237,7 @@ fn connect(
     setup: &WorkerSetup,
 ) -> Result<Box<dyn Transport>, TransportError> {
     let hook = inbox.clone();
-    if setup.threads == 1 {
+    if setup.threads == 1 && setup.bind_cores == BindCores::Auto {
         share_cores(rank, setup.ranks);
     }
     if setup.ranks == 1 {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::CliError;
-use super::run::{ExchangeArg, ExecutorArg, PreconditionerArg};
+use super::run::{BindCoresArg, ExchangeArg, ExecutorArg, PreconditionerArg};
 use crate::coordinator::plan::plan_transfers;
 use crate::coordinator::{Crew, CrewError, Launch};
 use crate::interconnect::{Plan, ScheduleKind};
@@ -64,6 +64,10 @@ pub struct SolveArgs {
     /// Threads of each worker on the cpu executor [default: cores / workers]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
+    /// Whether workers of one thread that share cores evenly (more workers than cores) keep to one core each; never = the
+    /// system decides
+    #[arg(long, value_enum, default_value = "auto")]
+    pub bind_cores: BindCoresArg,
     /// Solve K times and time products on their own, for benchmarks; the median counts
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub repeat: u32,
@@ -275,6 +279,7 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
         executor: args.executor.into(),
         adapter: args.adapter,
         threads,
+        bind_cores: args.bind_cores.into(),
         ranks,
         max_message_values,
         patience_s: 3600.0,

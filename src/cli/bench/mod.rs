@@ -21,7 +21,7 @@ use super::CliError;
 use super::run::ExecutorArg;
 use crate::gpu::Executor;
 use crate::interconnect::Topology;
-use crate::protocol::WorkerSetup;
+use crate::protocol::{BindCores, WorkerSetup};
 
 /// Arguments of `loomtree bench`.
 #[derive(Clone, Debug, clap::Args)]
@@ -74,6 +74,7 @@ impl Common {
             executor: self.executor.into(),
             adapter: None,
             threads: self.threads as usize,
+            bind_cores: BindCores::Auto,
             ranks: 1,
             max_message_values: 0,
             patience_s: 0.0,
