@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::interconnect::RankLinks;
-use crate::linear_system::{RankSystem, SolveParams, SolveStats};
+use crate::linear_system::{RankSystem, SolveParams, SolveRecord, SolveStats};
 use crate::model::RankModel;
 use crate::step::{ExchangePlan, Imposed, StepStats};
 
@@ -77,8 +77,8 @@ pub enum ToCoordinator {
     StepDone(Box<StepStats>),
     /// Arrays: positions and velocities of the own rows.
     State,
-    /// A linear solve is done; array: the solution on the own rows, f64.
-    Solved { stats: SolveStats, executor: String },
+    /// A linear solve is done; arrays: the solution on the own rows, f64, and the record's events.
+    Solved { stats: SolveStats, executor: String, record: SolveRecord },
     /// This rank cannot go on.
     Failed(WorkerFailure),
 }

@@ -56,6 +56,7 @@ event_names! {
     ProximityQuery = "proximity query",
     ContinuousQuery = "continuous collision query",
     ImpactZones = "impact zones",
+    Residual = "residual in f64",
     LocalContacts = "contacts of own rows",
     SharePositions = "share positions",
     ShareQuery = "share boxes and loads",

@@ -207,9 +207,11 @@ fn solve(
         Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),
     };
     match solve_rank(&executor, transport.as_mut(), system, exchange.mode, &exchange.queue, params) {
-        Ok(result) => {
-            let solved = ToCoordinator::Solved { stats: result.stats, executor: executor.name().to_string() };
-            inbox.send(&solved, &[bytemuck::cast_slice(&result.x)])?;
+        Ok(mut result) => {
+            let events = std::mem::take(&mut result.record.events);
+            let (stats, executor, record) = (result.stats, executor.name().to_string(), result.record);
+            let solved = ToCoordinator::Solved { stats, executor, record };
+            inbox.send(&solved, &[bytemuck::cast_slice(&result.x), bytemuck::cast_slice(&events)])?;
             Ok(inbox.control.borrow_mut().flush()?)
         }
         Err(SolveError::Transport(error)) => inbox.interrupted(WorkerFailure::Transport(error.to_string())),

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::CliError;
 use super::run::{BindCoresArg, ExchangeArg, ExecutorArg, PreconditionerArg};
+use super::solve_trace::{SOLVES_MOST, TraceFolder};
 use crate::coordinator::plan::plan_transfers;
 use crate::coordinator::{Crew, CrewError, Launch};
 use crate::interconnect::{Plan, ScheduleKind};
@@ -15,11 +16,12 @@ use crate::linear_system::{
     write_solution,
 };
 use crate::math::DIM;
-use crate::output::write_atomically;
+use crate::output::{ReportHeader, write_atomically};
 use crate::partition::RowPartition;
 use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerSetup};
 use crate::solver::ExchangeMode;
 use crate::step::ExchangePlan;
+use crate::telemetry::Event;
 use crate::transport::{RANKS_MAX, check_shared_memory, shared_memory_space};
 
 /// Arguments of `loomtree solve`.
@@ -68,6 +70,10 @@ pub struct SolveArgs {
     /// system decides
     #[arg(long, value_enum, default_value = "auto")]
     pub bind_cores: BindCoresArg,
+    /// Record what the workers compute, transfer and wait for (with --repeat: in the first 20 solves) and write trace.json (for
+    /// ui.perfetto.dev) and report.json into this folder, which loomtree predict takes like a run directory
+    #[arg(long, value_name = "DIR")]
+    pub trace: Option<PathBuf>,
     /// Solve K times and time products on their own, for benchmarks; the median counts
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub repeat: u32,
@@ -100,6 +106,10 @@ pub struct SolveJob {
     pub file_rows: usize,
     /// Block row of the file of each block row of the system, if it was reordered.
     pub order: Option<Vec<u32>>,
+    /// The topology's name.
+    pub topology: String,
+    /// Where the trace goes, if one is wanted.
+    pub trace: Option<TraceFolder>,
 }
 
 /// What the report needs beyond the results.
@@ -113,6 +123,9 @@ pub struct SolveFacts {
     max_iterations: u32,
     solution: Option<PathBuf>,
     order: Option<Vec<u32>>,
+    matrix: PathBuf,
+    topology: String,
+    trace: Option<TraceFolder>,
 }
 
 /// The JSON on stdout. The first six names are a contract.
@@ -166,6 +179,9 @@ pub fn run(args: SolveArgs) -> Result<(), CliError> {
     let job = prepare(args)?;
     let facts = job.facts();
     let (results, executor) = run_on_workers(job)?;
+    if let Some(folder) = &facts.trace {
+        folder.write(facts.header(), &executor, &results)?;
+    }
     report(&facts, &executor, &results)
 }
 
@@ -199,7 +215,7 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
     }
     let partition = RowPartition::new(block_rows, workers);
     let topology = args.topology.as_deref();
-    let (transfers, _) =
+    let (transfers, topology) =
         plan_transfers(topology, args.schedule, workers, partition.sub_vector_rows()).map_err(CliError::bad_input)?;
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or((cores / workers).max(1), usize::from);
@@ -210,6 +226,7 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
         time_products: args.repeat > 1,
         host_threads: threads,
         preconditioner: args.preconditioner.into(),
+        record_solves: if args.trace.is_some() { SOLVES_MOST } else { 0 },
     };
     let file_rows = system.scalar_rows;
     let order = args.preconditioner.may_sweep().then(|| better_order(&system, partition.chunk_rows())).flatten();
@@ -217,7 +234,8 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
         None => (system, rhs),
         Some(order) => (system.reordered(order), blockwise(order, rhs)),
     };
-    Ok(SolveJob { args, system, rhs, partition, transfers, params, threads, file_rows, order })
+    let trace = args.trace.as_deref().map(TraceFolder::new).transpose()?;
+    Ok(SolveJob { args, system, rhs, partition, transfers, params, threads, file_rows, order, topology, trace })
 }
 
 /// An order that brings coupled rows together, if it cuts clearly fewer couplings between chunks than the file's.
@@ -248,6 +266,23 @@ impl SolveJob {
             max_iterations: self.args.max_iterations,
             solution: self.args.solution.clone(),
             order: self.order.clone(),
+            matrix: self.args.matrix.clone(),
+            topology: self.topology.clone(),
+            trace: self.trace.clone(),
+        }
+    }
+}
+
+impl SolveFacts {
+    /// What a report of a run says about what does not change.
+    fn header(&self) -> ReportHeader {
+        ReportHeader {
+            scene: self.matrix.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
+            exchange: format!("{:?}", self.exchange).to_lowercase(),
+            schedule: self.schedule.name().to_string(),
+            topology: self.topology.clone(),
+            vertices: self.block_rows,
+            ..ReportHeader::now()
         }
     }
 }
@@ -300,9 +335,10 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
     let mut results: Vec<Option<SolveResult>> = vec![None; ranks];
     let mut name = String::new();
     crew.collect(SILENCE_LIMIT, |rank, message, arrays| match (message, arrays) {
-        (ToCoordinator::Solved { stats, executor }, [x]) => {
+        (ToCoordinator::Solved { stats, executor, mut record }, [x, events]) => {
             let x = x.chunks_exact(size_of::<f64>()).map(bytemuck::pod_read_unaligned).collect();
-            results[rank] = Some(SolveResult { stats, x });
+            record.events = events.chunks_exact(size_of::<Event>()).map(bytemuck::pod_read_unaligned).collect();
+            results[rank] = Some(SolveResult { stats, x, record });
             name = executor;
             true
         }

@@ -424,7 +424,7 @@ fn stage_of(phase: &Phase) -> usize {
         Phase::Exchange(_) => 0,
         Phase::Kernels(EventName::Elements, _) => 1,
         Phase::Kernels(EventName::IndexFill | EventName::ValueFill | EventName::Precondition, _) => 2,
-        Phase::Kernels(EventName::VectorUpdate, _) | Phase::Product(..) | Phase::AllReduce => 3,
+        Phase::Kernels(EventName::VectorUpdate | EventName::Residual, _) | Phase::Product(..) | Phase::AllReduce => 3,
         Phase::Kernels(EventName::Advance, _) => 4,
         Phase::Kernels(..) | Phase::Share(_) | Phase::ShareCounts => 5,
     }

@@ -20,7 +20,7 @@ pub(super) use recorded_run::RecordedRun;
 /// Arguments of `loomtree predict`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PredictArgs {
-    /// Directory of a run that recorded events (`loomtree run --trace-steps N`)
+    /// Directory of a run that recorded events (`loomtree run --trace-steps N`), or of a solve (`loomtree solve --trace DIR`)
     pub run: PathBuf,
     /// Machine to predict (topology file)
     #[arg(long)]
@@ -252,10 +252,14 @@ impl Prediction {
     }
 
     fn title(&self) -> String {
+        let header = &self.report.header;
+        let size = match header.triangles {
+            0 => format!("{} block rows", header.vertices),
+            triangles => format!("{triangles} triangles"),
+        };
         format!(
-            "{} ({} triangles) on {}: {} x {}, exchange {}, schedule {}",
-            self.report.header.scene,
-            self.report.header.triangles,
+            "{} ({size}) on {}: {} x {}, exchange {}, schedule {}",
+            header.scene,
             self.topology.name(),
             self.topology.gpus(),
             self.topology.device().name,
