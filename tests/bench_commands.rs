@@ -128,7 +128,7 @@ fn spmv_multiplies_matrices_in_contact() {
     let place = place();
     sphere(&place);
     place.write("four.toml", std::fs::read_to_string(repository("topology/pcie_4.toml")).expect("the shipped file"));
-    let flags = "--resolution 1000 --workers 1,2,4,8 --repeat 3 --topology four.toml --out out";
+    let flags = "--resolution 1000 --workers 1,2,4,8 --repeat 3 --rounds 2 --topology four.toml --out out";
     place.run(&format!("bench spmv --scene sphere.toml,flag.toml --steps 3 {flags}")).expect(0);
     for scene in ["sphere", "flag"] {
         positive(&table(&place, &format!("spmv_{scene}"), "measured")[0], &["rows", "median_ms", "bytes"]);
