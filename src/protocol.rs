@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::interconnect::RankLinks;
-use crate::linear_system::{RankSystem, SolveParams, SolveStats};
+use crate::linear_system::{RankSystem, SolveParams, SolveRecord, SolveStats};
 use crate::model::RankModel;
 use crate::step::{ExchangePlan, Imposed, StepStats};
 
@@ -21,6 +21,17 @@ pub enum ExecutorChoice {
     Cpu,
 }
 
+/// Whether ranks that share cores keep to one each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BindCores {
+    /// Ranks of one thread that share fewer cores evenly.
+    #[default]
+    Auto,
+    /// The system decides.
+    Never,
+}
+
 /// How a worker sets itself up.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct WorkerSetup {
@@ -30,6 +41,8 @@ pub struct WorkerSetup {
     pub adapter: Option<usize>,
     /// Threads of the cpu executor.
     pub threads: usize,
+    /// Whether it may keep to one core.
+    pub bind_cores: BindCores,
     /// Number of ranks.
     pub ranks: usize,
     /// Longest message between ranks, values.
@@ -64,8 +77,8 @@ pub enum ToCoordinator {
     StepDone(Box<StepStats>),
     /// Arrays: positions and velocities of the own rows.
     State,
-    /// A linear solve is done; array: the solution on the own rows, f64.
-    Solved { stats: SolveStats, executor: String },
+    /// A linear solve is done; arrays: the solution on the own rows, f64, and the record's events.
+    Solved { stats: SolveStats, executor: String, record: SolveRecord },
     /// This rank cannot go on.
     Failed(WorkerFailure),
 }

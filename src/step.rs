@@ -5,10 +5,12 @@
 mod collisions;
 mod error;
 mod inspect;
+mod own_state;
 mod products;
 mod stats;
 
 use std::ops::Range;
+use std::rc::Rc;
 
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +36,7 @@ use crate::transport::{Transport, TransportError};
 
 use collisions::{Collisions, Resolved, Span};
 pub use error::{Imposed, SetupError, StepError};
+use own_state::{OwnState, StateCopy};
 pub use stats::{QueryStats, StageSeconds, StepStats, ZoneCounts};
 use stats::{StageClock, peak_resident_bytes};
 
@@ -93,6 +96,7 @@ pub struct Simulation {
     pinned: DeviceVec<u32>,
     positions: DeviceVec<f32>,
     velocities: DeviceVec<f32>,
+    copy: StateCopy,
 
     fill_tables: FillTables,
     matrix: SellMatrix,
@@ -170,6 +174,7 @@ impl Simulation {
             pinned: DeviceVec::zeros(ex, rows),
             positions: DeviceVec::upload(ex, &arrays.positions),
             velocities: DeviceVec::upload(ex, &arrays.velocities),
+            copy: StateCopy::default(),
             fill_tables,
             padding_ratio: matrix.padding_ratio(),
             matrix,
@@ -241,7 +246,7 @@ impl Simulation {
         halvings: u32,
         stats: &mut StepStats,
     ) -> Result<(), StepError> {
-        let before = self.collisions.is_some().then(|| (self.state(), self.pins.clone()));
+        let before = self.collisions.is_some().then(|| (self.recorded_state(), self.pins.clone()));
         let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
         let imposed = match self.solve_over(transport, span, rounds_most, stats)? {
             Resolved::Free(_) => return Ok(()),
@@ -251,8 +256,7 @@ impl Simulation {
         let (Some((state, pins)), true) = (before, halvings < HALVINGS_MAX) else {
             return Err(StepError::Squeezed { step: stats.step, imposed });
         };
-        self.positions.write_range(&self.executor, self.own_start, &state.0);
-        self.velocities.write_range(&self.executor, self.own_start, &state.1);
+        self.set_own_state(state);
         self.pins = pins;
         stats.zones.halvings += 1;
         for half in span.halves() {
@@ -307,8 +311,8 @@ impl Simulation {
     fn move_pins(&mut self, span: Span) -> PinTargets {
         let (time_s, step_s) = (span.start_s, span.length_s);
         if self.pins.changes(time_s, step_s) {
-            let (positions, velocities) = self.state();
-            let held = self.pins.regrip(time_s, step_s, &positions, &velocities);
+            let own = self.recorded_state();
+            let held = self.pins.regrip(time_s, step_s, &own.positions, &own.velocities);
             let mut pinned = vec![0u32; self.own_rows];
             held.iter().for_each(|&row| pinned[row as usize] = 1);
             self.pinned.write_range(&self.executor, 0, &pinned);
@@ -323,15 +327,16 @@ impl Simulation {
         span: Span,
         stats: &mut StepStats,
     ) -> Result<(), StepError> {
+        if self.collisions.is_none() {
+            return Ok(());
+        }
+        let own = self.recorded_state();
         let Some(collisions) = &mut self.collisions else { return Ok(()) };
-        let mut own = (vec![0.0; self.own_rows * 3], vec![0.0; self.own_rows * 3]);
-        self.positions.read_range(&self.executor, self.own_start, &mut own.0);
-        self.velocities.read_range(&self.executor, self.own_start, &mut own.1);
         let gravity_m_s2 = self.settings.gravity_m_s2.to_array();
         let found = collisions.contacts(
             &self.executor,
             transport,
-            (&own.0, &own.1),
+            (&own.positions, &own.velocities),
             gravity_m_s2,
             span,
             stats,
@@ -485,6 +490,7 @@ impl Simulation {
 
     fn advance_state(&mut self, span: Span, targets: &PinTargets) {
         let start = self.recorder.before_kernels();
+        self.copy.forget();
         self.advance.advance(
             &self.executor,
             span.length_s as f32,
@@ -507,10 +513,12 @@ impl Simulation {
         rounds_most: u32,
         stats: &mut StepStats,
     ) -> Result<Resolved, StepError> {
+        if self.collisions.is_none() {
+            return Ok(Resolved::Free(Vec::new()));
+        }
+        let own = self.recorded_state();
         let Some(collisions) = &mut self.collisions else { return Ok(Resolved::Free(Vec::new())) };
-        let mut own = vec![0.0; self.own_rows * 3];
-        self.positions.read_range(&self.executor, self.own_start, &mut own);
-        if let Some(at) = own.iter().position(|x| !x.is_finite()) {
+        if let Some(at) = own.positions.iter().position(|x| !x.is_finite()) {
             return Err(StepError::NotFinite {
                 step: stats.step,
                 vertex: (self.rows_start + at / 3) as u32,
@@ -519,21 +527,20 @@ impl Simulation {
                 suspect: "simulation.step_s or a velocity",
             });
         }
-        let resolved = collisions.resolve(&self.executor, transport, &own, rounds_most, stats, &mut self.recorder)?;
+        let resolved =
+            collisions.resolve(&self.executor, transport, &own.positions, rounds_most, stats, &mut self.recorder)?;
         if let Resolved::Free(moved) = &resolved
             && !moved.is_empty()
         {
-            let mut velocities = vec![0.0; self.own_rows * 3];
-            self.velocities.read_range(&self.executor, self.own_start, &mut velocities);
+            let (mut positions, mut velocities) = (own.positions.clone(), own.velocities.clone());
             for &(row, x) in moved {
                 let at = row as usize * 3;
                 for axis in 0..3 {
-                    velocities[at + axis] += (x[axis] - own[at + axis]) / span.length_s as f32;
+                    velocities[at + axis] += (x[axis] - positions[at + axis]) / span.length_s as f32;
                 }
-                own[at..at + 3].copy_from_slice(&x);
+                positions[at..at + 3].copy_from_slice(&x);
             }
-            self.positions.write_range(&self.executor, self.own_start, &own);
-            self.velocities.write_range(&self.executor, self.own_start, &velocities);
+            self.set_own_state(Rc::new(OwnState { positions, velocities }));
         }
         Ok(resolved)
     }

@@ -40,6 +40,7 @@ macro_rules! event_names {
 event_names! {
     Step = "step",
     ExchangeState = "exchange state",
+    ReadState = "read state",
     Elements = "element records",
     IndexFill = "index fill",
     ValueFill = "value fill",
@@ -55,8 +56,23 @@ event_names! {
     ProximityQuery = "proximity query",
     ContinuousQuery = "continuous collision query",
     ImpactZones = "impact zones",
-    ShareContacts = "share contacts",
+    Residual = "residual in f64",
+    LocalContacts = "contacts of own rows",
     SharePositions = "share positions",
+    ShareQuery = "share boxes and loads",
+    ShareContacts = "share contacts",
+    ShareImpacts = "share impacts",
+    ShareMoved = "share moved vertices",
+}
+
+impl EventName {
+    /// True for what all ranks tell all ranks outside of the solver. Such an exchange is a transfer from the own rank (handing
+    /// over), then per other rank a wait for it, if there is one, and a transfer from it; an all-gather is a wait for the own
+    /// rank, whose bytes are the own values.
+    pub fn is_share(self) -> bool {
+        use EventName::*;
+        matches!(self, SharePositions | ShareQuery | ShareContacts | ShareImpacts | ShareMoved)
+    }
 }
 
 /// One event; plain data, so that it can cross processes as bytes.

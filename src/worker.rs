@@ -11,7 +11,7 @@ use thiserror::Error;
 use crate::gpu::Executor;
 use crate::linear_system::{RankSystem, RankSystemArrays, SolveError, SolveParams, solve_rank};
 use crate::model::RankModel;
-use crate::protocol::{ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
+use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, SetupError, Simulation, StepError};
 use crate::transport::{
     ControlError, ControlWorker, EmulatedTransport, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName,
@@ -207,9 +207,11 @@ fn solve(
         Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),
     };
     match solve_rank(&executor, transport.as_mut(), system, exchange.mode, &exchange.queue, params) {
-        Ok(result) => {
-            let solved = ToCoordinator::Solved { stats: result.stats, executor: executor.name().to_string() };
-            inbox.send(&solved, &[bytemuck::cast_slice(&result.x)])?;
+        Ok(mut result) => {
+            let events = std::mem::take(&mut result.record.events);
+            let (stats, executor, record) = (result.stats, executor.name().to_string(), result.record);
+            let solved = ToCoordinator::Solved { stats, executor, record };
+            inbox.send(&solved, &[bytemuck::cast_slice(&result.x), bytemuck::cast_slice(&events)])?;
             Ok(inbox.control.borrow_mut().flush()?)
         }
         Err(SolveError::Transport(error)) => inbox.interrupted(WorkerFailure::Transport(error.to_string())),
@@ -237,7 +239,7 @@ fn connect(
     setup: &WorkerSetup,
 ) -> Result<Box<dyn Transport>, TransportError> {
     let hook = inbox.clone();
-    if setup.threads == 1 {
+    if setup.threads == 1 && setup.bind_cores == BindCores::Auto {
         share_cores(rank, setup.ranks);
     }
     if setup.ranks == 1 {

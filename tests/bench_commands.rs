@@ -55,6 +55,34 @@ fn assembly_measures_every_number_of_workers() {
 }
 
 #[test]
+fn several_scenes_have_tables_and_pictures_of_their_own() {
+    let place = place();
+    sphere(&place);
+    let flags = "--resolution 400 --workers 1,2 --steps 2 --rounds 1 --out out";
+    let scenes = "--scene flag.toml --scene sphere.toml --skip 1,2";
+    for (command, tables) in
+        [("collision", vec!["collision", "zones"]), ("step", vec!["step", "stages"]), ("memory", vec!["memory"])]
+    {
+        let ended = place.run(&format!("bench {command} {scenes} {flags}")).expect(0);
+        for scene in ["flag", "sphere"] {
+            assert!(ended.stdout.contains(&format!("{scene}.toml: ")), "{}", ended.story);
+            for name in &tables {
+                let rows = table(&place, &format!("{name}_{scene}"), "measured");
+                assert!(*name == "zones" || rows.len() == 2, "{name}_{scene}: {rows:?}");
+            }
+            picture(&place, &format!("{command}_{scene}"));
+        }
+    }
+    let lengths = |scene: &str| {
+        let rows = table(&place, &format!("zones_{scene}"), "measured");
+        rows.iter().map(|row| number(row, "steps")).sum::<f64>()
+    };
+    assert_eq!((lengths("flag"), lengths("sphere")), (2.0, 2.0), "the steps that count, after those of --skip");
+    place.run(&format!("bench step --scene flag.toml {flags}")).expect(0);
+    assert_eq!(table(&place, "step", "measured").len(), 2);
+}
+
+#[test]
 fn scaling_keeps_measured_and_modelled_columns_apart() {
     let place = place();
     place.write("pair.toml", std::fs::read_to_string(repository("topology/pcie_2.toml")).expect("the shipped file"));
@@ -100,7 +128,7 @@ fn spmv_multiplies_matrices_in_contact() {
     let place = place();
     sphere(&place);
     place.write("four.toml", std::fs::read_to_string(repository("topology/pcie_4.toml")).expect("the shipped file"));
-    let flags = "--resolution 1000 --workers 1,2,4,8 --repeat 3 --topology four.toml --out out";
+    let flags = "--resolution 1000 --workers 1,2,4,8 --repeat 3 --rounds 2 --topology four.toml --out out";
     place.run(&format!("bench spmv --scene sphere.toml,flag.toml --steps 3 {flags}")).expect(0);
     for scene in ["sphere", "flag"] {
         positive(&table(&place, &format!("spmv_{scene}"), "measured")[0], &["rows", "median_ms", "bytes"]);
@@ -175,6 +203,8 @@ fn what_cannot_be_measured_is_said_in_one_sentence() {
         ("bench spmv --scene flag.toml --topology nowhere.toml", "nowhere.toml"),
         ("bench matrix-free --scene nowhere.toml", "nowhere.toml"),
         ("bench scaling --scene flag.toml --topology nowhere.toml", "nowhere.toml"),
+        ("bench step --scene flag.toml,nowhere.toml --skip 1,2,3", "--skip: 3 numbers for 2 scene(s)"),
+        ("bench memory --scene flag.toml --scene elsewhere/flag.toml", "two scenes are called 'flag'"),
     ] {
         let ended = place.run(command).expect(2);
         assert!(ended.error().contains(wanted), "{}", ended.story);

@@ -46,6 +46,10 @@ struct Recorded {
 
 impl Recorded {
     fn new(second: &[Event]) -> Recorded {
+        Recorded::of(&events_of(0), second)
+    }
+
+    fn of(first: &[Event], second: &[Event]) -> Recorded {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("pair.toml"), PAIR).unwrap();
         let mut report = Report::default();
@@ -54,9 +58,8 @@ impl Recorded {
         report.save(&folder.path().join("report.json")).unwrap();
         let trace = folder.path().join("trace.json");
         let mut writer = TraceWriter::create(&trace, &["a".into(), "b".into()], 0).unwrap();
-        let first = events_of(0);
         let ranks = [
-            RankEvents { rank: 0, epoch_unix_ns: 0, events: &first },
+            RankEvents { rank: 0, epoch_unix_ns: 0, events: first },
             RankEvents { rank: 1, epoch_unix_ns: 0, events: second },
         ];
         writer.append(&ranks).unwrap();
@@ -107,6 +110,44 @@ fn a_step_re_timed_by_hand() {
     close(us(&found["steps"][0]["busy_modelled_s_per_rank"][1]), 11.0 + 1.024 + 21.0 + 2.0 + 2.0);
     close(found["speed_up"].as_f64().unwrap(), 67.0 / 39.888);
     assert_eq!((&found["modelled"], &found["exchange"]), (&Value::from(true), &Value::from("halo")));
+}
+
+#[test]
+fn waits_within_a_query_are_modelled_anew() {
+    let [first, second] = [0, 1].map(|rank: u32| {
+        let (own, other) = ((0, rank, rank), (0, 1 - rank, 1 - rank));
+        // What a query takes besides its bytes: of the ranks' lists, 1000 and 3000 bytes, and of a wait of 0.5 s.
+        let (query, share) = (EventName::ProximityQuery, EventName::ShareQuery);
+        let mut events = vec![
+            event(query, Activity::Compute, 0, own, 0),
+            event(share, Activity::Wait, 10, own, 8),
+            event(query, Activity::Compute, 20, own, 0),
+            event(share, Activity::Transfer, 30, own, 1000 + 2000 * u64::from(rank)),
+            event(share, Activity::Wait, 40, other, 0),
+            event(share, Activity::Transfer, 500_040, other, 3000 - 2000 * u64::from(rank)),
+            event(query, Activity::Compute, 500_050, own, 1_000_000),
+        ];
+        (events[4].end_ns, events[0].flops, events[2].flops) = (500_040_000, 0, 0);
+        events.extend(events_of(rank).into_iter().map(|event| Event {
+            asked_ns: event.asked_ns + 500_060_000,
+            start_ns: event.start_ns + 500_060_000,
+            end_ns: event.end_ns + 500_060_000,
+            ..event
+        }));
+        events
+    });
+    let run = Recorded::of(&first, &second);
+    let found = predicted(&run.args(None));
+    // An all-gather of 2.864, 3 kB at 1 GB/s and 2 us, a kernel of 11; the rest as without a query.
+    close(us(&found["stage_modelled_s"]["collisions"]), 2.864 + 5.0 + 11.0);
+    close(us(&found["mean_modelled_s"]), 18.864 + 39.888);
+    close(us(&found["steps"][0]["busy_modelled_s_per_rank"][0]), 11.0 + 37.024);
+    // As recorded: three parts of 0.5 us.
+    let recorded = predicted(&PredictArgs { kernels: PredictKernels::Recorded, ..run.args(None) });
+    close(us(&recorded["stage_modelled_s"]["collisions"]), 2.864 + 5.0 + 1.5);
+    // The halo of products is that of the products, not of what was told before.
+    let full = predicted(&run.args(Some(PredictExchange::Full)));
+    close(us(&full["mean_modelled_s"]), 18.864 + 11.0 + 21.88 + 1.12 + 2.864 + 2.0);
 }
 
 #[test]
@@ -179,6 +220,7 @@ fn a_real_run_is_predicted_on_the_papers_machine() {
             .expect(0);
         assert_eq!(place.report(&out)["schedule"], "best");
         let folder: PathBuf = place.path(&out);
+        check_queries(&folder);
         let args = |exchange| PredictArgs {
             run: folder.clone(),
             topology: repository("topology/titan_xp_4.toml"),
@@ -201,6 +243,28 @@ fn a_real_run_is_predicted_on_the_papers_machine() {
             check_pictures(&folder);
         }
     }
+}
+
+/// Ranks wait for each other in queries of a real run, and no work of a query is under way meanwhile.
+fn check_queries(folder: &Path) {
+    let mut waits_seen = 0;
+    for (step, ranks) in read_trace(&folder.join("trace.json")).unwrap() {
+        for (rank, events) in ranks.iter().enumerate() {
+            let named = |event: &&Event, names: &[EventName]| names.iter().any(|name| *name as u32 == event.name);
+            let queries = [EventName::ProximityQuery, EventName::ContinuousQuery, EventName::LocalContacts];
+            let is_share = |event: &&Event| EventName::from_number(event.name).is_some_and(EventName::is_share);
+            let work: Vec<&Event> = events.iter().filter(|event| named(event, &queries)).collect();
+            let shares: Vec<&Event> = events.iter().filter(is_share).collect();
+            assert!(work.iter().all(|event| event.activity == Activity::Compute as u32));
+            assert!(!work.is_empty() && shares.len() >= 6, "step {step}, rank {rank}");
+            waits_seen += shares.iter().filter(|event| event.activity == Activity::Wait as u32).count();
+            for (work, share) in work.iter().flat_map(|work| shares.iter().map(move |share| (work, share))) {
+                let apart = work.end_ns <= share.start_ns || share.end_ns <= work.start_ns;
+                assert!(apart, "step {step}, rank {rank}: {work:?} and {share:?}");
+            }
+        }
+    }
+    assert!(waits_seen > 0);
 }
 
 /// The trace is one that other tools and `read_trace` take; the picture shows every rank.

@@ -171,3 +171,47 @@ fn every_preconditioner_reaches_the_residual_and_the_solution_is_in_the_order_of
         assert!(bits.iter().all(|text| *text == bits[0]), "{preconditioner}: the bits depend on the workers");
     }
 }
+
+fn loomtree(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_loomtree")).args(arguments).output().expect("the program starts")
+}
+
+#[test]
+fn a_trace_of_a_solve_is_predicted_on_another_machine() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    std::fs::write(path("grid.mtx"), grid()).expect("writes");
+    let topology = Path::new(env!("CARGO_MANIFEST_DIR")).join("topology/pcie_4.toml").display().to_string();
+    for (exchange, preconditioner) in [("halo", "jacobi"), ("halo", "schwarz"), ("full", "jacobi")] {
+        let trace = path(&format!("{exchange}-{preconditioner}"));
+        let flags = ["--exchange", exchange, "--preconditioner", preconditioner, "--repeat", "3", "--trace", &trace];
+        let (json, code) =
+            report(&[&[path("grid.mtx").as_str(), "--workers", "2", "--rtol", "1e-7"], &flags[..]].concat());
+        assert_eq!(code, Some(0), "{json}");
+        for kernels in ["device", "recorded"] {
+            let output = loomtree(&["predict", &trace, "--topology", &topology, "--json", "--kernels", kernels]);
+            let found: serde_json::Value = serde_json::from_slice(&output.stdout)
+                .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
+            let steps = found["steps"].as_array().expect("steps");
+            assert_eq!((steps.len(), &found["exchange"]), (3, &json["exchange"]), "{found:#}");
+            assert_eq!(found["scene"], "grid.mtx");
+            // Solves do the same every time; most of it is products, vectors and reductions.
+            for step in steps {
+                let (solve, all) = (step["stage_modelled_s"]["solve"].as_f64(), step["modelled_s"].as_f64());
+                assert!(solve > Some(0.5 * all.expect("seconds")), "{step:#}");
+            }
+            if kernels == "device" {
+                assert_eq!(steps[0]["modelled_s"], steps[2]["modelled_s"], "{found:#}");
+            }
+            assert!(found["memory_bytes_per_gpu"][1].as_u64() > Some(10_000), "{found:#}");
+        }
+        // What is there is kept.
+        let again = solve(&[&path("grid.mtx"), "--trace", &trace]);
+        let message = String::from_utf8_lossy(&again.stderr);
+        assert_eq!(again.status.code(), Some(2), "{message}");
+        assert!(message.contains("--trace") && message.contains("already holds a report"), "{message}");
+    }
+    let on_file = solve(&[&path("grid.mtx"), "--trace", &path("grid.mtx")]);
+    assert_eq!(on_file.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&on_file.stderr).contains("is a file; name a folder"));
+}

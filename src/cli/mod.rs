@@ -10,6 +10,8 @@ pub mod render;
 pub mod run;
 pub mod schedule;
 pub mod solve;
+mod solve_report;
+mod solve_trace;
 mod start_state;
 pub mod topology;
 pub mod worker;

@@ -10,7 +10,7 @@ use super::start_state::{Places, untangled_line};
 use crate::coordinator::{Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan, STOP_REQUESTED};
 use crate::interconnect::ScheduleKind;
 use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest, parse_formats};
-use crate::protocol::ExecutorChoice;
+use crate::protocol::{BindCores, ExecutorChoice};
 use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
 
@@ -38,6 +38,10 @@ pub struct RunArgs {
     /// Threads of each worker on the cpu executor [default: cores / workers]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
+    /// Whether workers of one thread that share cores evenly (more workers than cores) keep to one core each; never = the
+    /// system decides [default: auto]
+    #[arg(long, value_enum)]
+    pub bind_cores: Option<BindCoresArg>,
     /// Frames to write after frame 0 [default: the scene's]
     #[arg(long, value_name = "N")]
     pub frames: Option<u32>,
@@ -96,6 +100,22 @@ impl From<ExecutorArg> for ExecutorChoice {
             ExecutorArg::Auto => ExecutorChoice::Auto,
             ExecutorArg::Gpu => ExecutorChoice::Gpu,
             ExecutorArg::Cpu => ExecutorChoice::Cpu,
+        }
+    }
+}
+
+/// Core binding on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum BindCoresArg {
+    Auto,
+    Never,
+}
+
+impl From<BindCoresArg> for BindCores {
+    fn from(arg: BindCoresArg) -> BindCores {
+        match arg {
+            BindCoresArg::Auto => BindCores::Auto,
+            BindCoresArg::Never => BindCores::Never,
         }
     }
 }
@@ -185,6 +205,7 @@ impl RunArgs {
         base.executor = self.executor.map_or(base.executor, Into::into);
         base.adapter = self.adapter.or(base.adapter);
         base.threads = self.threads.map(usize::from).or(base.threads);
+        base.bind_cores = self.bind_cores.map_or(base.bind_cores, Into::into);
         base.frames = self.frames.or(base.frames);
         base.resolution = self.resolution.or(base.resolution);
         base.untangle |= self.untangle;
@@ -209,6 +230,7 @@ pub fn defaults() -> RunOptions {
         executor: ExecutorChoice::Auto,
         adapter: None,
         threads: None,
+        bind_cores: BindCores::Auto,
         frames: None,
         resolution: None,
         untangle: false,

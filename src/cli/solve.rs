@@ -3,23 +3,21 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use serde::Serialize;
-
 use super::CliError;
-use super::run::{ExchangeArg, ExecutorArg, PreconditionerArg};
+use super::run::{BindCoresArg, ExchangeArg, ExecutorArg, PreconditionerArg};
+use super::solve_report::{SolveFacts, report};
+use super::solve_trace::{SOLVES_MOST, TraceFolder};
 use crate::coordinator::plan::plan_transfers;
 use crate::coordinator::{Crew, CrewError, Launch};
 use crate::interconnect::{Plan, ScheduleKind};
 use crate::linear_system::{
     BlockSystem, SolveParams, SolveResult, locality_order, read_right_hand_side, read_system, share_between_chunks,
-    write_solution,
 };
 use crate::math::DIM;
-use crate::output::write_atomically;
 use crate::partition::RowPartition;
 use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerSetup};
-use crate::solver::ExchangeMode;
 use crate::step::ExchangePlan;
+use crate::telemetry::Event;
 use crate::transport::{RANKS_MAX, check_shared_memory, shared_memory_space};
 
 /// Arguments of `loomtree solve`.
@@ -64,6 +62,14 @@ pub struct SolveArgs {
     /// Threads of each worker on the cpu executor [default: cores / workers]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
+    /// Whether workers of one thread that share cores evenly (more workers than cores) keep to one core each; never = the
+    /// system decides
+    #[arg(long, value_enum, default_value = "auto")]
+    pub bind_cores: BindCoresArg,
+    /// Record what the workers compute, transfer and wait for (with --repeat: in the first 20 solves) and write trace.json (for
+    /// ui.perfetto.dev) and report.json into this folder, which loomtree predict takes like a run directory
+    #[arg(long, value_name = "DIR")]
+    pub trace: Option<PathBuf>,
     /// Solve K times and time products on their own, for benchmarks; the median counts
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub repeat: u32,
@@ -96,62 +102,10 @@ pub struct SolveJob {
     pub file_rows: usize,
     /// Block row of the file of each block row of the system, if it was reordered.
     pub order: Option<Vec<u32>>,
-}
-
-/// What the report needs beyond the results.
-pub struct SolveFacts {
-    rows: usize,
-    block_rows: usize,
-    workers: usize,
-    exchange: ExchangeMode,
-    schedule: ScheduleKind,
-    rtol: f64,
-    max_iterations: u32,
-    solution: Option<PathBuf>,
-    order: Option<Vec<u32>>,
-}
-
-/// The JSON on stdout. The first six names are a contract.
-#[derive(Debug, Serialize)]
-pub struct SolveReport {
-    /// Rows of the matrix in the file.
-    pub rows: usize,
-    /// PCG iterations.
-    pub iterations: u32,
-    /// True if the residual met the tolerance.
-    pub converged: bool,
-    /// |b - A x| / |b| in double precision.
-    pub relative_residual: f64,
-    /// Seconds of the solve, the preconditioner's set-up for the values included (median if repeated).
-    pub seconds: f64,
-    /// Bytes that all workers received from each other in one solve.
-    pub bytes_exchanged: u64,
-    workers: usize,
-    executor: String,
-    exchange: ExchangeMode,
-    schedule: &'static str,
-    preconditioner: &'static str,
-    block_rows: usize,
-    blocks: u64,
-    /// Block slots, padding included, over stored blocks.
-    padding_ratio: f64,
-    /// Matrix-vector products.
-    products: u32,
-    /// Corrections after the first PCG.
-    refinements: u32,
-    /// Bytes received by all workers per product.
-    bytes_per_product: f64,
-    milliseconds_per_iteration: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    seconds_best: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    milliseconds_per_iteration_best: Option<f64>,
-    /// Milliseconds of one product (best).
-    #[serde(skip_serializing_if = "Option::is_none")]
-    spmv_ms: Option<f64>,
-    /// Bytes that the kernels of all workers move in a product over its time.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    spmv_gb_s: Option<f64>,
+    /// The topology's name.
+    pub topology: String,
+    /// Where the trace goes, if one is wanted.
+    pub trace: Option<TraceFolder>,
 }
 
 /// Runs the command.
@@ -162,6 +116,9 @@ pub fn run(args: SolveArgs) -> Result<(), CliError> {
     let job = prepare(args)?;
     let facts = job.facts();
     let (results, executor) = run_on_workers(job)?;
+    if let Some(folder) = &facts.trace {
+        folder.write(facts.header(), &executor, &results)?;
+    }
     report(&facts, &executor, &results)
 }
 
@@ -195,7 +152,7 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
     }
     let partition = RowPartition::new(block_rows, workers);
     let topology = args.topology.as_deref();
-    let (transfers, _) =
+    let (transfers, topology) =
         plan_transfers(topology, args.schedule, workers, partition.sub_vector_rows()).map_err(CliError::bad_input)?;
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or((cores / workers).max(1), usize::from);
@@ -206,6 +163,7 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
         time_products: args.repeat > 1,
         host_threads: threads,
         preconditioner: args.preconditioner.into(),
+        record_solves: if args.trace.is_some() { SOLVES_MOST } else { 0 },
     };
     let file_rows = system.scalar_rows;
     let order = args.preconditioner.may_sweep().then(|| better_order(&system, partition.chunk_rows())).flatten();
@@ -213,7 +171,8 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
         None => (system, rhs),
         Some(order) => (system.reordered(order), blockwise(order, rhs)),
     };
-    Ok(SolveJob { args, system, rhs, partition, transfers, params, threads, file_rows, order })
+    let trace = args.trace.as_deref().map(TraceFolder::new).transpose()?;
+    Ok(SolveJob { args, system, rhs, partition, transfers, params, threads, file_rows, order, topology, trace })
 }
 
 /// An order that brings coupled rows together, if it cuts clearly fewer couplings between chunks than the file's.
@@ -244,6 +203,9 @@ impl SolveJob {
             max_iterations: self.args.max_iterations,
             solution: self.args.solution.clone(),
             order: self.order.clone(),
+            matrix: self.args.matrix.clone(),
+            topology: self.topology.clone(),
+            trace: self.trace.clone(),
         }
     }
 }
@@ -275,6 +237,7 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
         executor: args.executor.into(),
         adapter: args.adapter,
         threads,
+        bind_cores: args.bind_cores.into(),
         ranks,
         max_message_values,
         patience_s: 3600.0,
@@ -295,9 +258,10 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
     let mut results: Vec<Option<SolveResult>> = vec![None; ranks];
     let mut name = String::new();
     crew.collect(SILENCE_LIMIT, |rank, message, arrays| match (message, arrays) {
-        (ToCoordinator::Solved { stats, executor }, [x]) => {
+        (ToCoordinator::Solved { stats, executor, mut record }, [x, events]) => {
             let x = x.chunks_exact(size_of::<f64>()).map(bytemuck::pod_read_unaligned).collect();
-            results[rank] = Some(SolveResult { stats, x });
+            record.events = events.chunks_exact(size_of::<Event>()).map(bytemuck::pod_read_unaligned).collect();
+            results[rank] = Some(SolveResult { stats, x, record });
             name = executor;
             true
         }
@@ -306,77 +270,6 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
     .map_err(named)?;
     crew.dismiss();
     Ok((results.into_iter().flatten().collect(), name))
-}
-
-/// Writes the solution if it was asked for and prints the report.
-///
-/// # Errors
-/// The solution cannot be written, or the solve did not converge.
-pub fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> Result<(), CliError> {
-    if let Some(path) = &facts.solution {
-        let mut x: Vec<f64> = results.iter().flat_map(|result| result.x.iter().copied()).collect();
-        debug_assert_eq!(x.len(), facts.block_rows * DIM);
-        if let Some(order) = &facts.order {
-            let mut in_file = vec![0.0; x.len()];
-            for (from, &to) in x.as_chunks::<DIM>().0.iter().zip(order) {
-                in_file[to as usize * DIM..][..DIM].copy_from_slice(from);
-            }
-            x = in_file;
-        }
-        x.truncate(facts.rows);
-        write_atomically(path, |out| write_solution(out, &x)).map_err(CliError::bad_input)?;
-    }
-    let report = SolveReport::new(facts, executor, results);
-    let json = serde_json::to_string_pretty(&report);
-    println!("{}", json.map_err(|error| CliError::failed(format!("cannot print the report: {error}")))?);
-    if report.converged {
-        return Ok(());
-    }
-    let (residual, rtol, iterations) = (report.relative_residual, facts.rtol, report.iterations);
-    Err(CliError::failed(if iterations >= facts.max_iterations {
-        format!(
-            "not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; --max-iterations allows more"
-        )
-    } else {
-        format!(
-            "not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; the matrix is too ill-conditioned for corrections in single precision"
-        )
-    }))
-}
-
-impl SolveReport {
-    fn new(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> SolveReport {
-        let stats = &results[0].stats;
-        let mut seconds = stats.seconds.clone();
-        seconds.sort_by(f64::total_cmp);
-        let (median, best) = (seconds[seconds.len() / 2], seconds[0]);
-        let per_iteration = |seconds: f64| seconds * 1e3 / stats.iterations.max(1) as f64;
-        let repeated = |value: f64| (seconds.len() > 1).then_some(value);
-        SolveReport {
-            rows: facts.rows,
-            iterations: stats.iterations,
-            converged: stats.converged,
-            relative_residual: stats.relative_residual,
-            seconds: median,
-            bytes_exchanged: stats.bytes_exchanged,
-            workers: facts.workers,
-            executor: executor.to_string(),
-            exchange: facts.exchange,
-            schedule: facts.schedule.name(),
-            preconditioner: stats.preconditioner.name(),
-            block_rows: facts.block_rows,
-            blocks: stats.blocks,
-            padding_ratio: stats.slots as f64 / stats.blocks as f64,
-            products: stats.products,
-            refinements: stats.refinements,
-            bytes_per_product: stats.product_bytes as f64 / stats.products.max(1) as f64,
-            milliseconds_per_iteration: per_iteration(median),
-            seconds_best: repeated(best),
-            milliseconds_per_iteration_best: repeated(per_iteration(best)),
-            spmv_ms: stats.product.map(|(seconds, _)| seconds * 1e3),
-            spmv_gb_s: stats.product.map(|(seconds, bytes)| bytes as f64 / seconds * 1e-9),
-        }
-    }
 }
 
 /// Finds out before a long solve that its result could not be written.

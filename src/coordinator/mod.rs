@@ -285,6 +285,7 @@ impl Driver<'_> {
             executor: self.options.executor,
             adapter: self.options.adapter,
             threads: self.options.threads.unwrap_or((cores / ranks).max(1)),
+            bind_cores: self.options.bind_cores,
             ranks,
             max_message_values: message_values(self.plan),
             patience_s: 3600.0,

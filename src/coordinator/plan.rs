@@ -11,7 +11,7 @@ use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology
 use crate::model::{GlobalModel, RankModel};
 use crate::output::FrameFormat;
 use crate::partition::RowPartition;
-use crate::protocol::ExecutorChoice;
+use crate::protocol::{BindCores, ExecutorChoice};
 use crate::scene::{Overrides, PreconditionerKind, Scene, SceneError, Untangling, load, load_untangled};
 use crate::solver::ExchangeMode;
 use crate::transport::RANKS_MAX;
@@ -35,6 +35,9 @@ pub struct RunOptions {
     /// Threads of each worker on the cpu executor; none: cores / workers.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub threads: Option<usize>,
+    /// Whether workers that share cores keep to one each.
+    #[serde(default)]
+    pub bind_cores: BindCores,
     /// Frames; none: the scene's.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub frames: Option<u32>,

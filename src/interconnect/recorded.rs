@@ -92,6 +92,10 @@ pub enum Phase {
     Product(Traffic, RecordedProduct),
     /// Everybody waits for everybody.
     AllReduce,
+    /// Everybody tells everybody something, outside of products: bytes of every rank.
+    Share(Vec<f64>),
+    /// Everybody waits for everybody, outside of the solver.
+    ShareCounts,
 }
 
 /// One step of all ranks.
@@ -135,6 +139,8 @@ enum Own {
     Kernel(EventName, Kernel),
     Exchange(Open),
     AllReduce,
+    Share(f64),
+    ShareCounts,
 }
 
 /// An exchange or product under way.
@@ -170,6 +176,8 @@ impl RecordedStep {
             Own::Kernel(name, _) => (0, *name as u32),
             Own::Exchange(open) => (1, u32::from(open.kind())),
             Own::AllReduce => (2, 0),
+            Own::Share(_) => (3, 0),
+            Own::ShareCounts => (4, 0),
         };
         for rank in 1..ranks {
             let differs =
@@ -195,8 +203,8 @@ fn phases_of(rank: usize, ranks: usize, events: &[Event]) -> Result<Vec<Own>, us
         let vector = event.vector as usize;
         let waits = event.activity == Activity::Wait as u32;
         match name {
-            // Frames around others.
-            EventName::Step | EventName::ExchangeState => {}
+            // Frames around others, and what only the host asks for.
+            EventName::Step | EventName::ExchangeState | EventName::ReadState => {}
             EventName::Publish => {
                 phases.extend(open.replace(Open { published: event.bytes as f64, ..begin() }).map(Own::Exchange));
             }
@@ -225,9 +233,13 @@ fn phases_of(rank: usize, ranks: usize, events: &[Event]) -> Result<Vec<Own>, us
                     open.get_or_insert_with(begin).blocks.get_or_insert_with(|| vec![Kernel::default(); ranks]);
                 *blocks.get_mut(vector).ok_or(vector)? = Kernel::of(event);
             }
+            // Everybody reads all of what everybody hands over.
+            name if name.is_share() && vector != rank => {}
             _ => {
                 phases.extend(open.take().map(Own::Exchange));
                 phases.push(match name {
+                    name if name.is_share() && waits => Own::ShareCounts,
+                    name if name.is_share() => Own::Share(event.bytes as f64),
                     EventName::AllReduce => Own::AllReduce,
                     _ => Own::Kernel(name, Kernel::of(event)),
                 });
@@ -240,7 +252,8 @@ fn phases_of(rank: usize, ranks: usize, events: &[Event]) -> Result<Vec<Own>, us
 
 /// The same phase of all ranks.
 fn joined(own: Vec<Own>) -> Phase {
-    let (mut kernels, mut opens, mut named) = (Vec::new(), Vec::new(), None);
+    let (mut kernels, mut opens, mut shared, mut named) = (Vec::new(), Vec::new(), Vec::new(), None);
+    let counts = own.iter().any(|phase| matches!(phase, Own::ShareCounts));
     for phase in own {
         match phase {
             Own::Kernel(name, kernel) => {
@@ -248,8 +261,15 @@ fn joined(own: Vec<Own>) -> Phase {
                 kernels.push(kernel);
             }
             Own::Exchange(open) => opens.push(open),
-            Own::AllReduce => {}
+            Own::Share(bytes) => shared.push(bytes),
+            Own::AllReduce | Own::ShareCounts => {}
         }
+    }
+    if !shared.is_empty() {
+        return Phase::Share(shared);
+    }
+    if counts {
+        return Phase::ShareCounts;
     }
     if let Some(name) = named {
         return Phase::Kernels(name, kernels);

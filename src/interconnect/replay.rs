@@ -183,18 +183,34 @@ impl<'a> Builder<'a> {
                 self.state.get_or_insert_with(|| traffic.clone());
                 let published = self.publish(&traffic.published);
                 let plan = self.halo_plan(traffic);
-                let receipts = plan.add_to(&mut self.program, Some(&published));
-                self.tag_receipts(&plan, &receipts);
-                for (rank, receipts) in receipts.iter().enumerate() {
-                    let end = self.program.add_after(Work::Seconds(0.0), receipts);
-                    self.program.after(end, published[rank], Moment::Done);
-                    self.last[rank] = end;
-                }
+                self.exchange(&plan, &published);
             }
             Phase::Product(traffic, product) => self.product(traffic, product),
-            Phase::AllReduce => self.all_reduce(),
+            Phase::AllReduce | Phase::ShareCounts => self.all_reduce(),
+            // As whole sub-vectors travel; what is told is contiguous, nothing to pack.
+            Phase::Share(bytes) => {
+                let plan = self.whole.scaled(|owner| bytes[owner] / self.sub_vector_bytes());
+                let published = self.last.clone();
+                self.exchange(&plan, &published);
+            }
         }
         self.ends.push((stage, self.last.clone()));
+    }
+
+    /// Transfers that begin when the ranks' tasks `published` are done; the ranks go on when they have everything.
+    fn exchange(&mut self, plan: &TransferPlan, published: &[usize]) {
+        let receipts = plan.add_to(&mut self.program, Some(published));
+        self.tag_receipts(plan, &receipts);
+        for (rank, receipts) in receipts.iter().enumerate() {
+            let end = self.program.add_after(Work::Seconds(0.0), receipts);
+            self.program.after(end, published[rank], Moment::Done);
+            self.last[rank] = end;
+        }
+    }
+
+    /// Bytes of the largest sub-vector.
+    fn sub_vector_bytes(&self) -> f64 {
+        self.how.rows.div_ceil(self.last.len()) as f64 * ROW_BYTES
     }
 
     fn kernel(&mut self, rank: usize, name: EventName, kernel: Kernel) {
@@ -408,8 +424,8 @@ fn stage_of(phase: &Phase) -> usize {
         Phase::Exchange(_) => 0,
         Phase::Kernels(EventName::Elements, _) => 1,
         Phase::Kernels(EventName::IndexFill | EventName::ValueFill | EventName::Precondition, _) => 2,
-        Phase::Kernels(EventName::VectorUpdate, _) | Phase::Product(..) | Phase::AllReduce => 3,
+        Phase::Kernels(EventName::VectorUpdate | EventName::Residual, _) | Phase::Product(..) | Phase::AllReduce => 3,
         Phase::Kernels(EventName::Advance, _) => 4,
-        Phase::Kernels(..) => 5,
+        Phase::Kernels(..) | Phase::Share(_) | Phase::ShareCounts => 5,
     }
 }

@@ -54,6 +54,13 @@ impl TransferPlan {
         TransferPlan { ahead: true, queues }
     }
 
+    /// The same ways, with `factor(owner)` times the bytes of every owner. Receipts of nothing are left out.
+    pub fn scaled(&self, factor: impl Fn(usize) -> f64) -> TransferPlan {
+        let scale = |transfer: &Transfer| Transfer { bytes: transfer.bytes * factor(transfer.owner), ..*transfer };
+        let queue = |queue: &Vec<Transfer>| queue.iter().map(scale).filter(|transfer| transfer.bytes > 0.0).collect();
+        TransferPlan { ahead: self.ahead, queues: self.queues.iter().map(queue).collect() }
+    }
+
     /// Halo rows along work queues: `halo[owner][reader]` bytes. Who hands on takes the rows of those behind it as well;
     /// how many rows two readers share is not known, so it takes the sum, but never more than the owner publishes
     /// (`published[owner]` bytes). Receipts of nothing are left out.

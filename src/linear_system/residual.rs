@@ -10,7 +10,7 @@ use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::math::DIM;
 use crate::solver::{HaloExchange, ReductionTree, TrafficCounter};
-use crate::telemetry::Recorder;
+use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
 /// The solution of one rank's rows and what computes its residual. Everything is in scaled units: the matrix over
@@ -81,6 +81,7 @@ impl<'a> Residual<'a> {
         self.halo.publish(&self.host, transport, &[&self.high, &self.low], recorder)?;
         let halves = &mut [&mut self.high, &mut self.low];
         self.halo.receive(&self.host, transport, halves, recorder, &mut self.traffic)?;
+        let start = recorder.now();
         for (x, (high, low)) in self.x.iter_mut().zip(self.high.as_slice().iter().zip(self.low.as_slice())) {
             *x = *high as f64 + *low as f64;
         }
@@ -95,6 +96,14 @@ impl<'a> Residual<'a> {
             Values::F32(values) => subtract(cpu, &arrays.offsets, &arrays.columns, values, scale, &self.x, r),
             Values::F64(values) => subtract(cpu, &arrays.offsets, &arrays.columns, values, scale, &self.x, r),
         }
+        let blocks = arrays.columns.len() as u64;
+        let block_bytes = match &arrays.values {
+            Values::F32(_) => 4 * BLOCK as u64 + 4,
+            Values::F64(_) => 8 * BLOCK as u64 + 4,
+        };
+        let vectors = size_of_val(&self.x[..]) + 2 * size_of_val(&self.r[..]);
+        let bytes = blocks * block_bytes + vectors as u64;
+        recorder.end(EventName::Residual, Activity::Compute, start, bytes, blocks * 2 * BLOCK as u64);
         Ok(())
     }
 

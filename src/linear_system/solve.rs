@@ -22,7 +22,7 @@ use crate::solver::{
     ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, PreconditionerKind, RankPattern,
     Schwarz,
 };
-use crate::telemetry::Recorder;
+use crate::telemetry::{Activity, Event, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
 /// Deepest relative residual asked of one PCG in f32.
@@ -47,6 +47,8 @@ pub struct SolveParams {
     pub host_threads: usize,
     /// What PCG multiplies the residual by.
     pub preconditioner: PreconditionerKind,
+    /// Keep the events of the first so many solves.
+    pub record_solves: u32,
 }
 
 /// What came of it; the same on all ranks.
@@ -86,6 +88,22 @@ pub struct SolveResult {
     pub stats: SolveStats,
     /// Solution on the own rows, three values per block row (padding included), in the units of the file.
     pub x: Vec<f64>,
+    /// What it recorded.
+    pub record: SolveRecord,
+}
+
+/// What a rank recorded of its solves.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct SolveRecord {
+    /// Name of the rank's device.
+    pub device: String,
+    /// [`Recorder::epoch_unix_ns`] of the events.
+    pub epoch_unix_ns: u64,
+    /// Bytes of device memory that the rank holds.
+    pub memory_bytes: u64,
+    /// Events of the first [`SolveParams::record_solves`] solves, each a step, from 1. Not serialized: bulk data.
+    #[serde(skip)]
+    pub events: Vec<Event>,
 }
 
 /// Why there is no solution.
@@ -137,12 +155,14 @@ pub fn solve_rank(
     let mut solver = RankSolver::new(executor, system, mode, queue, params, schwarz);
     let mut stats = SolveStats::default();
     let mut seconds = Vec::new();
-    for _ in 0..params.repeat.max(1) {
+    for number in 1..=params.repeat.max(1) {
+        solver.recorder.begin_step(number, number <= params.record_solves);
         transport.barrier()?;
         let mut own_seconds = 0.0;
         stats = solver.solve(transport, params, &mut own_seconds)?;
         seconds.push(all_max(transport, own_seconds)?);
     }
+    solver.recorder.begin_step(0, false);
     stats.seconds = seconds;
     if params.time_products {
         stats.product = Some(solver.time_products(transport)?);
@@ -150,7 +170,8 @@ pub fn solve_rank(
     let own = [stats.bytes_exchanged, stats.product_bytes, stats.blocks, stats.slots];
     [stats.bytes_exchanged, stats.product_bytes, stats.blocks, stats.slots] = all_sum(transport, own)?;
     let unit = system.rhs_scale / system.matrix_scale;
-    Ok(SolveResult { stats, x: solver.residual.solution().into_iter().map(|x| x * unit).collect() })
+    let x = solver.residual.solution().into_iter().map(|x| x * unit).collect();
+    Ok(SolveResult { stats, x, record: solver.record() })
 }
 
 /// What one rank holds during solves.
@@ -203,11 +224,30 @@ impl<'a> RankSolver<'a> {
             spmv: PipelinedSpmv::new(executor, mode, halo, queue.to_vec(), partition.sub_vector_rows()),
             pcg: Pcg::new(executor, partition, plan.rank),
             residual: Residual::new(system, queue.to_vec(), params.host_threads),
-            recorder: Recorder::new(None),
+            recorder: Recorder::new(executor.clock().filter(|_| params.record_solves > 0)),
             slots: layout.slots(),
             executor,
             matrix,
         }
+    }
+
+    fn record(&mut self) -> SolveRecord {
+        let arrays = [&self.inverse_diagonal, &self.rhs].map(DeviceVec::bytes).iter().sum::<u64>();
+        let schwarz = self.schwarz.as_ref().map_or(0, Schwarz::bytes);
+        SolveRecord {
+            device: self.executor.device_name(),
+            epoch_unix_ns: self.recorder.epoch_unix_ns,
+            memory_bytes: self.matrix.bytes() + arrays + self.vectors.bytes() + self.spmv.scratch_bytes() + schwarz,
+            events: self.recorder.take(),
+        }
+    }
+
+    /// 2-norm of the residual.
+    fn norm(&mut self, transport: &mut dyn Transport) -> Result<f64, TransportError> {
+        let start = self.recorder.now();
+        let norm = self.residual.norm(transport)?;
+        self.recorder.end(EventName::AllReduce, Activity::Wait, start, size_of::<f64>() as u64, 0);
+        Ok(norm)
     }
 
     /// One solve from x = 0. Adds to `seconds`; counts are those of this rank.
@@ -225,7 +265,7 @@ impl<'a> RankSolver<'a> {
         };
         let (blocks, slots) = (self.matrix.blocks as u64, self.slots as u64);
         let mut stats = SolveStats { blocks, slots, preconditioner, ..Default::default() };
-        let b_norm = self.residual.norm(transport)?;
+        let b_norm = self.norm(transport)?;
         let mut norm = b_norm;
         stats.converged = b_norm == 0.0;
         let mut clock = Instant::now();
@@ -247,7 +287,7 @@ impl<'a> RankSolver<'a> {
             *seconds += clock.elapsed().as_secs_f64();
             clock = Instant::now();
             self.residual.update(transport, &mut self.recorder)?;
-            norm = self.residual.norm(transport)?;
+            norm = self.norm(transport)?;
             stats.relative_residual = norm / b_norm;
             if !norm.is_finite() {
                 return Err(SolveError::NotFinite { iteration: stats.iterations });

@@ -29,6 +29,7 @@ fn params(relative_tolerance: f64) -> SolveParams {
         time_products: false,
         host_threads: 1,
         preconditioner: PreconditionerKind::Auto,
+        record_solves: 0,
     }
 }
 

@@ -204,25 +204,30 @@ impl std::fmt::Display for Micros {
 }
 
 /// Matches publications with receptions: messages of one rank arrive in the order in which they were published, so the
-/// k-th reception of its vector in a step is of its k-th publication.
+/// k-th reception of its vector in a step is of its k-th publication of that name.
 #[derive(Default)]
 struct Flows {
-    /// By (step, publishing rank).
-    published: HashMap<(u32, u32), Vec<Place>>,
-    /// By (step, owner of the vector, receiving rank).
-    received: HashMap<(u32, u32, u32), Vec<Place>>,
+    published: HashMap<Publications, Vec<Place>>,
+    /// By publication and receiving rank.
+    received: HashMap<(Publications, u32), Vec<Place>>,
 }
+
+/// Step, name of the publication, publishing rank.
+type Publications = (u32, u32, u32);
 
 impl Flows {
     fn note(&mut self, event: &Event, place: Place) {
         if event.activity != Activity::Transfer as u32 || place.end_ns == place.start_ns {
             return;
         }
+        let Some(name) = EventName::from_number(event.name) else { return };
         let rank = place.rank as u32;
-        if event.name == EventName::Publish as u32 {
-            self.published.entry((event.step, rank)).or_default().push(place);
-        } else if event.name == EventName::Receive as u32 && event.vector != rank {
-            self.received.entry((event.step, event.vector, rank)).or_default().push(place);
+        if name == EventName::Publish || name.is_share() && event.vector == rank {
+            self.published.entry((event.step, event.name, rank)).or_default().push(place);
+        } else if (name == EventName::Receive || name.is_share()) && event.vector != rank {
+            let publication = if name.is_share() { name } else { EventName::Publish };
+            let of_owner = (event.step, publication as u32, event.vector);
+            self.received.entry((of_owner, rank)).or_default().push(place);
         }
     }
 
@@ -230,8 +235,8 @@ impl Flows {
     /// together, and no arrow is better than a wrong one.
     fn pairs(self) -> Vec<(Place, Place)> {
         let mut pairs = Vec::new();
-        for ((step, owner, _), receptions) in &self.received {
-            let Some(publications) = self.published.get(&(*step, *owner)) else { continue };
+        for ((of_owner, _), receptions) in &self.received {
+            let Some(publications) = self.published.get(of_owner) else { continue };
             if publications.len() == receptions.len() {
                 let both = publications.iter().zip(receptions).filter(|(from, to)| from.start_ns <= to.end_ns);
                 pairs.extend(both.map(|(from, to)| (*from, *to)));

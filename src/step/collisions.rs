@@ -12,8 +12,8 @@ use crate::impact_zone::{self, ImpactZones, Moved, StepPositions, ZoneSettings};
 use crate::model::CollisionModel;
 use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::Obstacles;
-use crate::telemetry::{Activity, EventName, Recorder};
-use crate::transport::{Transport, TransportError, share_lists, share_ranges};
+use crate::telemetry::{EventName, Recorder};
+use crate::transport::{TracedTransport, Transport, TransportError, share_lists, share_ranges};
 
 use super::error::{Imposed, SetupError, StepError};
 use super::stats::{StageClock, StepStats};
@@ -161,9 +161,10 @@ impl Collisions {
         recorder: &mut Recorder,
     ) -> Result<RankContacts, StepError> {
         let clock = StageClock::start();
-        let start = recorder.now();
+        let (query, share) = (EventName::ProximityQuery, EventName::SharePositions);
+        let mut traced = TracedTransport::new(transport, recorder, query, share);
         if !self.state_known {
-            share_positions(transport, &self.partition, own.0, &mut self.x_t0)?;
+            share_positions(&mut traced, &self.partition, own.0, &mut self.x_t0)?;
             self.state_known = true;
         }
         let cloth = self.partition.rows() * 3;
@@ -182,23 +183,24 @@ impl Collisions {
                 suspect: "simulation.step_s or a velocity",
             });
         }
-        share_positions(transport, &self.partition, &ahead, &mut self.x_t1)?;
+        share_positions(&mut traced, &self.partition, &ahead, &mut self.x_t1)?;
+        traced.shares(EventName::ShareQuery);
         let mut found = Vec::new();
         let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
         let query = self
             .detector
-            .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(transport), limit, &mut found)
+            .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(&mut traced), limit, &mut found)
             .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
         stats.proximity.add(&query);
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
-        recorder.end(EventName::ProximityQuery, Activity::Compute, start, query.bytes, 0);
+        traced.finish(query.bytes);
         clock.lap(&mut stats.seconds.proximity);
         transport.alive()?;
 
-        let start = recorder.now();
-        let elements = self.own_contacts(transport, &found, stats)?;
-        let contacts = self.localize(transport, elements, span)?;
-        recorder.end(EventName::ShareContacts, Activity::Transfer, start, size_of_val(&found[..]) as u64, 0);
+        let mut traced = TracedTransport::new(transport, recorder, EventName::LocalContacts, EventName::ShareContacts);
+        let elements = self.own_contacts(&mut traced, &found, stats)?;
+        let contacts = self.localize(&mut traced, elements, span)?;
+        traced.finish(0);
         clock.lap(&mut stats.seconds.contacts);
         Ok(contacts)
     }
@@ -294,11 +296,11 @@ impl Collisions {
         recorder: &mut Recorder,
     ) -> Result<Resolved, StepError> {
         let clock = StageClock::start();
-        let start = recorder.now();
-        share_positions(transport, &self.partition, own, &mut self.x_t1)?;
-        let bytes = 4 * (self.partition.rows() * 3 - own.len()) as u64;
-        stats.state_bytes += bytes;
-        recorder.end(EventName::SharePositions, Activity::Transfer, start, bytes, 0);
+        let (query, share) = (EventName::ContinuousQuery, EventName::SharePositions);
+        let mut traced = TracedTransport::new(transport, recorder, query, share);
+        share_positions(&mut traced, &self.partition, own, &mut self.x_t1)?;
+        traced.finish(0);
+        stats.state_bytes += 4 * (self.partition.rows() * 3 - own.len()) as u64;
         clock.lap(&mut stats.seconds.positions);
         let mut zones = ImpactZones::new(ZoneSettings::for_thickness(self.model.thickness_m));
         let mut touched: Option<Vec<bool>> = None;
@@ -317,25 +319,25 @@ impl Collisions {
                 return Ok(Resolved::Slow);
             }
             last = impacts.len();
-            let start = recorder.now();
+            let mut traced = TracedTransport::new(transport, recorder, EventName::ImpactZones, EventName::ShareMoved);
             let inverse_masses = &self.detector.params().inverse_masses_per_kg;
             let step = StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses };
             if let Err(impossible) = zones.add(&step, &impacts) {
                 stats.zones.add(&zones.counts());
                 return Ok(Resolved::Squeezed(self.imposed(&impossible.imposed)));
             }
-            let share = zones.share(transport.rank(), transport.ranks());
+            let share = zones.share(traced.rank(), traced.ranks());
             let solved = zones.solve(executor, &step, &share);
             stats.zones.iterations += solved.iterations;
             let mask = touched.get_or_insert_with(Vec::new);
             mask.clear();
             mask.resize(self.x_t0.len() / 3, false);
             let x_t1 = &mut self.x_t1;
-            share_lists(transport, &solved.moved, &mut |_, part: &[Moved]| {
+            share_lists(&mut traced, &solved.moved, &mut |_, part: &[Moved]| {
                 impact_zone::apply(part, x_t1);
                 part.iter().for_each(|one| mask[one.vertex as usize] = true);
             })?;
-            recorder.end(EventName::ImpactZones, Activity::Compute, start, 0, 0);
+            traced.finish(0);
             clock.lap(&mut stats.seconds.zones);
         }
         stats.zones.add(&zones.counts());
@@ -377,20 +379,23 @@ impl Collisions {
         stats: &mut StepStats,
         recorder: &mut Recorder,
     ) -> Result<Vec<Impact>, StepError> {
-        let start = recorder.now();
+        let (query, share) = (EventName::ContinuousQuery, EventName::ShareQuery);
+        let mut traced = TracedTransport::new(transport, recorder, query, share);
         let mut found = Vec::new();
         let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
-        let split = &mut Split::together(transport);
+        let split = &mut Split::together(&mut traced);
         let query = self
             .detector
             .impacts_split(on, &self.x_t0, &self.x_t1, touched, split, limit, &mut found)
             .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
         stats.continuous.add(&query);
-        recorder.end(EventName::ContinuousQuery, Activity::Compute, start, query.bytes, 0);
-        transport.alive()?;
-        let mut lists = vec![Vec::new(); transport.ranks()];
-        share_lists(transport, &found, &mut |source, part: &[Impact]| lists[source].extend_from_slice(part))?;
-        Ok(merge_impacts(&lists.iter().map(Vec::as_slice).collect::<Vec<_>>()))
+        traced.alive()?;
+        traced.shares(EventName::ShareImpacts);
+        let mut lists = vec![Vec::new(); traced.ranks()];
+        share_lists(&mut traced, &found, &mut |source, part: &[Impact]| lists[source].extend_from_slice(part))?;
+        let impacts = merge_impacts(&lists.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        traced.finish(query.bytes);
+        Ok(impacts)
     }
 }
 

@@ -7,10 +7,8 @@ use crate::solver::{PcgError, Schwarz};
 impl Simulation {
     /// Own rows' positions and velocities, xyz in global order.
     pub fn state(&self) -> (Vec<f32>, Vec<f32>) {
-        let mut state = (vec![0.0; self.own_rows * 3], vec![0.0; self.own_rows * 3]);
-        self.positions.read_range(&self.executor, self.own_start, &mut state.0);
-        self.velocities.read_range(&self.executor, self.own_start, &mut state.1);
-        state
+        let own = self.own_state();
+        (own.positions.clone(), own.velocities.clone())
     }
 
     /// Bytes of device memory (on the cpu executor: of host memory).
@@ -56,11 +54,11 @@ impl Simulation {
         if let Some(fault) = self.executor.take_fault() {
             return StepError::Device { step, message: fault.to_string() };
         }
-        let (positions, velocities) = self.state();
+        let own = self.own_state();
         let rhs = self.rhs.read(&self.executor);
         let suspects = [
-            ("position", &positions, "simulation.step_s or the start state"),
-            ("velocity", &velocities, "simulation.step_s or air.wind"),
+            ("position", &own.positions, "simulation.step_s or the start state"),
+            ("velocity", &own.velocities, "simulation.step_s or air.wind"),
             ("force", &rhs, "fabric stiffness (stretching, bending) or simulation.step_s"),
         ];
         for (quantity, values, suspect) in suspects {

@@ -3,8 +3,8 @@
 //! Every rank makes the same sequence of calls on its transport (a collective program); messages of one source arrive in
 //! the order in which they were published. At any point of that sequence at most two messages of a source may be published
 //! and not yet received by everybody: then nobody ever waits in a circle. Implementations: processes ([`IceoryxTransport`]),
-//! threads ([`InProcessTransport`]), two wrappers for tests, and one that holds messages back as the links of
-//! another machine would ([`EmulatedTransport`]).
+//! threads ([`InProcessTransport`]), two wrappers for tests, one that holds messages back as the links of
+//! another machine would ([`EmulatedTransport`]) and one that records waits ([`TracedTransport`]).
 //!
 //! Beside it: the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`], [`encode`])
 //! and what a run takes of the machine and leaves behind ([`RunName`]). Linux only.
@@ -21,6 +21,7 @@ mod recording;
 mod run_name;
 mod shared_memory;
 mod solo;
+mod traced;
 mod wait;
 
 pub use collective::{share_lists, share_ranges};
@@ -36,6 +37,7 @@ pub use recording::{Action, Record, RecordingTransport};
 pub use run_name::{FoundRun, Member, RunError, RunMember, RunName, SHARED_MEMORY_FOLDER, list_runs};
 pub use shared_memory::{SharedMemoryError, check_shared_memory, required_shared_memory_bytes, shared_memory_space};
 pub use solo::SoloTransport;
+pub use traced::TracedTransport;
 pub use wait::{HOOK_INTERVAL, WaitHook};
 
 use thiserror::Error;

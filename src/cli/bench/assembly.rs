@@ -20,12 +20,12 @@ pub fn run(bench: &SceneBench) -> Result<(), CliError> {
         "share_of_step_percent",
         "contacts",
     ];
-    let mut table = Table::new("assembly", title, columns);
+    let mut table = Table::new(bench.name("assembly"), title, columns);
     let base = all.first().map_or(f64::NAN, |runs| runs.median(assembly));
     for runs in &all {
         table.push(row(runs, base));
     }
-    table.finish(bench.common.out.as_deref(), Some(("workers", "speedup")))
+    table.finish(bench.settings.common.out.as_deref(), Some(("workers", "speedup")))
 }
 
 /// Seconds of element records and both fills, of the slowest rank.

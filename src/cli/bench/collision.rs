@@ -2,16 +2,16 @@
 //! Figs. 10 and 12 [Li et al. 2020].
 
 use super::CliError;
-use super::runs::{Runs, SceneBench};
+use super::runs::{Runs, SceneBench, Size};
 use super::table::Table;
 use crate::output::{QueryRecord, StepRecord};
 
 /// Runs the benchmark.
 pub fn run(bench: &SceneBench) -> Result<(), CliError> {
     let (size, all) = bench.run()?;
-    let out = bench.common.out.as_deref();
-    collision_table(bench.title(size), &all, size.triangles).finish(out, Some(("workers", "speedup")))?;
-    zone_table(&all).finish(out, None)
+    let out = bench.settings.common.out.as_deref();
+    collision_table(bench, size, &all).finish(out, Some(("workers", "speedup")))?;
+    zone_table(bench, &all).finish(out, None)
 }
 
 fn collision_s(step: &StepRecord) -> f64 {
@@ -31,7 +31,7 @@ fn searched(step: &StepRecord) -> f64 {
     if all > 0.0 { some / all } else { 1.0 }
 }
 
-fn collision_table(title: String, all: &[Runs], triangles: usize) -> Table {
+fn collision_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
     let columns = vec![
         "workers",
         "proximity_ms",
@@ -47,7 +47,7 @@ fn collision_table(title: String, all: &[Runs], triangles: usize) -> Table {
         "contacts",
         "bytes_of_a_rank",
     ];
-    let mut table = Table::new("collision", title, columns);
+    let mut table = Table::new(bench.name("collision"), bench.title(size), columns);
     let base = all.first().map_or(f64::NAN, |runs| runs.median(collision_s));
     for runs in all {
         let seconds = runs.median(collision_s);
@@ -58,7 +58,7 @@ fn collision_table(title: String, all: &[Runs], triangles: usize) -> Table {
             runs.median(|step| step.stage_seconds.continuous) * 1e3,
             runs.median(|step| step.stage_seconds.zones) * 1e3,
             seconds * 1e3,
-            seconds * 1e6 / triangles as f64,
+            seconds * 1e6 / size.triangles as f64,
             base / seconds,
             runs.mean(|step| (step.proximity.tests + step.continuous.tests) as f64),
             runs.most(|step| imbalance(&step.proximity).max(imbalance(&step.continuous))),
@@ -72,9 +72,10 @@ fn collision_table(title: String, all: &[Runs], triangles: usize) -> Table {
 }
 
 /// How many steps took how many rounds; the counts are the same for every number of workers, so those of the first are shown.
-fn zone_table(all: &[Runs]) -> Table {
+fn zone_table(bench: &SceneBench, all: &[Runs]) -> Table {
     let columns = vec!["rounds", "steps", "zones", "largest_zone", "impacts", "iterations", "fail_safes", "halvings"];
-    let mut table = Table::new("zones", "Rounds of continuous detection and impact zones".to_string(), columns);
+    let title = format!("Rounds of continuous detection and impact zones: {}", bench.scene.display());
+    let mut table = Table::new(bench.name("zones"), title, columns);
     let Some(runs) = all.first() else { return table };
     let most = runs.most(|step| step.zone_rounds as f64) as u32;
     for rounds in 0..=most {

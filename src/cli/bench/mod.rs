@@ -21,7 +21,7 @@ use super::CliError;
 use super::run::ExecutorArg;
 use crate::gpu::Executor;
 use crate::interconnect::Topology;
-use crate::protocol::WorkerSetup;
+use crate::protocol::{BindCores, WorkerSetup};
 
 /// Arguments of `loomtree bench`.
 #[derive(Clone, Debug, clap::Args)]
@@ -37,19 +37,19 @@ enum Bench {
     /// Matrix-vector product of scenes' matrices in contact on 1 to 16 ranks: gather first, pipelined with every schedule, halo
     /// rows; modelled on a topology file's machine and measured on this one, apart; bandwidth and bytes exchanged
     Spmv(spmv::SpmvBench),
-    /// Collision detection and impact zones of a scene on several numbers of worker processes: time, tests, their split
-    Collision(runs::SceneBench),
-    /// Whole steps of a scene on several numbers of worker processes: time, speed-up, bytes, shares of the stages
-    Step(runs::SceneBench),
-    /// Assembly of a scene's matrix on several numbers of worker processes: element records, index fill, value fill
-    Assembly(runs::SceneBench),
+    /// Collision detection and impact zones of scenes on several numbers of worker processes: time, tests, their split
+    Collision(runs::ScenesBench),
+    /// Whole steps of scenes on several numbers of worker processes: time, speed-up, bytes, shares of the stages
+    Step(runs::ScenesBench),
+    /// Assembly of scenes' matrices on several numbers of worker processes: element records, index fill, value fill
+    Assembly(runs::ScenesBench),
     /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine and modelled
     /// on a topology file's
     Scaling(scaling::ScalingBench),
     /// The same integrator with and without a stored matrix (cpu executor, one rank): product, memory, whole step
     MatrixFree(matrix_free::MatrixFreeBench),
-    /// Memory of a scene's workers per structure and vertex
-    Memory(runs::SceneBench),
+    /// Memory of scenes' workers per structure and vertex
+    Memory(runs::ScenesBench),
     /// Modelled, not measured: products on the machines of topology files, every exchange and schedule
     Interconnect(interconnect::InterconnectBench),
 }
@@ -74,6 +74,7 @@ impl Common {
             executor: self.executor.into(),
             adapter: None,
             threads: self.threads as usize,
+            bind_cores: BindCores::Auto,
             ranks: 1,
             max_message_values: 0,
             patience_s: 0.0,
@@ -91,12 +92,12 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
     match args.what {
         Bench::Device(bench) => device::run(&bench),
         Bench::Spmv(bench) => spmv::run(&bench),
-        Bench::Collision(bench) => collision::run(&bench),
-        Bench::Step(bench) => step::time(&bench),
-        Bench::Assembly(bench) => assembly::run(&bench),
+        Bench::Collision(bench) => bench.each()?.iter().try_for_each(collision::run),
+        Bench::Step(bench) => bench.each()?.iter().try_for_each(step::time),
+        Bench::Assembly(bench) => bench.each()?.iter().try_for_each(assembly::run),
         Bench::Scaling(bench) => scaling::run(&bench),
         Bench::MatrixFree(bench) => matrix_free::run(&bench),
-        Bench::Memory(bench) => step::memory(&bench),
+        Bench::Memory(bench) => bench.each()?.iter().try_for_each(step::memory),
         Bench::Interconnect(bench) => interconnect::run(&bench),
     }
 }

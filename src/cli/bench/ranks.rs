@@ -23,7 +23,8 @@ pub struct ModelState {
 }
 
 impl ModelState {
-    /// Advances `model` until at least `contacts_per_vertex` act, or by `steps_max` steps.
+    /// Advances `model` until at least `contacts_per_vertex` act, or by `steps_max` steps, with all cores: threads change no
+    /// bit.
     pub fn in_contact(
         mut model: GlobalModel,
         common: &Common,
@@ -32,7 +33,9 @@ impl ModelState {
     ) -> Result<ModelState, CliError> {
         let failed = |error: &dyn std::fmt::Display| CliError::failed(error.to_string());
         let mut transport = SoloTransport::new(Box::new(|| false));
-        let mut simulation = alone(&model, common)?;
+        let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+        let all_cores = Common { threads: u16::try_from(cores).unwrap_or(u16::MAX), ..common.clone() };
+        let mut simulation = alone(&model, &all_cores)?;
         let enough = contacts_per_vertex * model.rows() as f64;
         let mut step = 0;
         while step < steps_max {

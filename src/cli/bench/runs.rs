@@ -11,13 +11,25 @@ use crate::output::{Existing, Report, StepRecord};
 
 /// What benchmarks of whole steps take.
 #[derive(Clone, Debug, clap::Args)]
-pub struct SceneBench {
+pub struct ScenesBench {
+    /// Scenes to run, separated by commas or each with a --scene of its own; of several, each has its tables, and files named
+    /// after it
+    #[arg(long, value_delimiter = ',', default_value = "scenes/flag.toml")]
+    pub scene: Vec<PathBuf>,
+    /// Steps before the counted ones, for scenes whose contacts come late: one number for all scenes, or one for each
+    /// [default: a fifth of --steps]
+    #[arg(long, value_delimiter = ',', value_name = "N")]
+    pub skip: Vec<u32>,
+    #[command(flatten)]
+    pub settings: Settings,
+}
+
+/// What all scenes of a benchmark share.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Settings {
     #[command(flatten)]
     pub common: Common,
-    /// Scene to run
-    #[arg(long, default_value = "scenes/flag.toml")]
-    pub scene: PathBuf,
-    /// Triangles of the scene
+    /// Triangles of each scene
     #[arg(long, default_value_t = 50_000)]
     pub resolution: u64,
     /// Numbers of worker processes, measured in turn
@@ -26,9 +38,6 @@ pub struct SceneBench {
     /// Steps per run; those of --skip are not counted
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(2..))]
     pub steps: u32,
-    /// Steps before the counted ones, for scenes whose contacts come late [default: a fifth of --steps]
-    #[arg(long, value_name = "N")]
-    pub skip: Option<u32>,
     /// Rounds: every number of workers is run this many times, interleaved
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub rounds: u32,
@@ -38,6 +47,47 @@ pub struct SceneBench {
     /// Preconditioner of the solver [default: the scene's]; auto takes schwarz from a size on, which weak scaling may cross
     #[arg(long, value_enum)]
     pub preconditioner: Option<PreconditionerArg>,
+}
+
+impl ScenesBench {
+    /// The scenes one by one.
+    ///
+    /// # Errors
+    /// The numbers of `--skip` do not fit the scenes, or the files of two scenes would have the same names.
+    pub fn each(&self) -> Result<Vec<SceneBench>, CliError> {
+        let (scenes, skips) = (self.scene.len(), self.skip.len());
+        if skips > 1 && skips != scenes {
+            return Err(CliError::bad_input(format!(
+                "--skip: {skips} numbers for {scenes} scene(s); expected one for all or one for each"
+            )));
+        }
+        let stem =
+            |path: &PathBuf| path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+        let stems: Vec<String> = self.scene.iter().map(stem).collect();
+        if let Some(twice) = stems.iter().enumerate().find_map(|(i, stem)| stems[..i].contains(stem).then_some(stem)) {
+            return Err(CliError::bad_input(format!("--scene: two scenes are called '{twice}'; run them one by one")));
+        }
+        let one = |(i, scene): (usize, &PathBuf)| SceneBench {
+            scene: scene.clone(),
+            skip: self.skip.get(i).or(self.skip.first()).copied(),
+            suffix: if scenes > 1 { format!("_{}", stems[i]) } else { String::new() },
+            settings: self.settings.clone(),
+        };
+        Ok(self.scene.iter().enumerate().map(one).collect())
+    }
+}
+
+/// The benchmark of one scene.
+#[derive(Clone, Debug)]
+pub struct SceneBench {
+    /// The scene.
+    pub scene: PathBuf,
+    /// Steps before the counted ones, if they come on top of those.
+    skip: Option<u32>,
+    /// Ending of the names of its tables.
+    suffix: String,
+    /// Everything else.
+    pub settings: Settings,
 }
 
 /// The counted steps of all rounds with one number of workers.
@@ -81,14 +131,20 @@ pub struct Size {
 impl SceneBench {
     /// Runs every number of workers `rounds` times, interleaved.
     pub fn run(&self) -> Result<(Size, Vec<Runs>), CliError> {
-        let mut all: Vec<Runs> = self.workers.iter().map(|&workers| Runs { workers, ..Runs::default() }).collect();
+        let mut all: Vec<Runs> =
+            self.settings.workers.iter().map(|&workers| Runs { workers, ..Runs::default() }).collect();
         let mut size = Size::default();
-        for _ in 0..self.rounds {
+        for _ in 0..self.settings.rounds {
             for runs in &mut all {
                 size = self.run_once(runs)?;
             }
         }
         Ok((size, all))
+    }
+
+    /// Name of a table.
+    pub fn name(&self, table: &str) -> String {
+        format!("{table}{}", self.suffix)
     }
 
     /// Title of a table.
@@ -98,14 +154,14 @@ impl SceneBench {
             self.scene.display(),
             size.triangles,
             size.vertices,
-            self.common.threads
+            self.settings.common.threads
         )
     }
 
     /// Steps before the counted ones, and all steps of a run.
     fn steps(&self) -> (u32, u32) {
-        let skip = self.skip.unwrap_or(self.steps.div_ceil(5));
-        (skip, if self.skip.is_some() { self.steps + skip } else { self.steps })
+        let steps = self.settings.steps;
+        self.skip.map_or((steps.div_ceil(5), steps), |skip| (skip, steps.saturating_add(skip)))
     }
 
     /// Modelled seconds of the counted steps on `topology`, with schedule `best`: a run of its own records events, which
@@ -138,12 +194,12 @@ impl SceneBench {
             .map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
         let options = RunOptions {
             workers,
-            executor: self.common.executor.into(),
-            threads: Some(self.common.threads as usize),
-            resolution: Some(self.resolution),
+            executor: self.settings.common.executor.into(),
+            threads: Some(self.settings.common.threads as usize),
+            resolution: Some(self.settings.resolution),
             frames: Some(1),
-            exchange: self.exchange.into(),
-            preconditioner: self.preconditioner.map(Into::into),
+            exchange: self.settings.exchange.into(),
+            preconditioner: self.settings.preconditioner.map(Into::into),
             checkpoint_every: 0,
             heartbeat_s: 600.0,
             trace_steps,

@@ -5,7 +5,7 @@
 
 use std::path::PathBuf;
 
-use super::runs::{Runs, SceneBench, Size};
+use super::runs::{Runs, SceneBench, ScenesBench, Size};
 use super::table::Table;
 use super::{CliError, machine};
 use crate::interconnect::Topology;
@@ -14,7 +14,7 @@ use crate::interconnect::Topology;
 #[derive(Clone, Debug, clap::Args)]
 pub struct ScalingBench {
     #[command(flatten)]
-    scene: SceneBench,
+    scenes: ScenesBench,
     /// Machine of the modelled columns, with schedule best [default: Titan Xp on a balanced tree of PCIe 3 x16 links]; more
     /// workers than it has GPUs are not modelled
     #[arg(long, value_name = "FILE")]
@@ -22,12 +22,17 @@ pub struct ScalingBench {
 }
 
 pub fn run(bench: &ScalingBench) -> Result<(), CliError> {
-    let machine = machine(bench.topology.as_deref(), bench.scene.workers.iter().copied().max().unwrap_or(1))?;
-    let out = bench.scene.common.out.as_deref();
+    let most = bench.scenes.settings.workers.iter().copied().max().unwrap_or(1);
+    let machine = machine(bench.topology.as_deref(), most)?;
+    bench.scenes.each()?.iter().try_for_each(|scene| of_scene(scene, &machine))
+}
+
+fn of_scene(scene: &SceneBench, machine: &Topology) -> Result<(), CliError> {
+    let out = scene.settings.common.out.as_deref();
     let curves = ["measured_speedup", "modelled_speedup"];
-    strong(&bench.scene, &machine)?.finish_curves(out, Some(("workers", &curves)))?;
+    strong(scene, machine)?.finish_curves(out, Some(("workers", &curves)))?;
     let curves = ["measured_efficiency", "measured_efficiency_per_iteration", "modelled_efficiency_per_iteration"];
-    weak(&bench.scene, &machine)?.y_label("efficiency").finish_curves(out, Some(("workers", &curves)))
+    weak(scene, machine)?.y_label("efficiency").finish_curves(out, Some(("workers", &curves)))
 }
 
 fn strong(bench: &SceneBench, machine: &Topology) -> Result<Table, CliError> {
@@ -44,7 +49,7 @@ fn strong(bench: &SceneBench, machine: &Topology) -> Result<Table, CliError> {
         "modelled_speedup",
         "modelled_efficiency",
     ];
-    let mut table = Table::mixed("scaling_strong", title, columns);
+    let mut table = Table::mixed(bench.name("scaling_strong"), title, columns);
     let mut base = None;
     for runs in &all {
         let (workers, step_s, modelled_s) = (runs.workers as f64, step_s(runs), modelled_s(bench, runs, machine)?);
@@ -71,8 +76,8 @@ fn weak(bench: &SceneBench, machine: &Topology) -> Result<Table, CliError> {
     let title = format!(
         "weak scaling of a step, {}: {} triangles asked for per worker, {} thread(s) per worker; modelled: {}",
         bench.scene.display(),
-        bench.resolution,
-        bench.common.threads,
+        bench.settings.resolution,
+        bench.settings.common.threads,
         name(machine)
     );
     let columns = vec![
@@ -87,11 +92,12 @@ fn weak(bench: &SceneBench, machine: &Topology) -> Result<Table, CliError> {
         "modelled_efficiency",
         "modelled_efficiency_per_iteration",
     ];
-    let mut table = Table::mixed("scaling_weak", title, columns);
+    let mut table = Table::mixed(bench.name("scaling_weak"), title, columns);
     let mut base = None;
-    for &workers in &bench.workers {
-        let resolution = bench.resolution.saturating_mul(workers as u64);
-        let one = SceneBench { workers: vec![workers], resolution, ..bench.clone() };
+    for &workers in &bench.settings.workers {
+        let mut one = bench.clone();
+        one.settings.workers = vec![workers];
+        one.settings.resolution = bench.settings.resolution.saturating_mul(workers as u64);
         let (Size { triangles, .. }, all) = one.run()?;
         for runs in &all {
             let (step_s, modelled_s) = (step_s(runs), modelled_s(&one, runs, machine)?);

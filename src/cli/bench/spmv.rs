@@ -40,6 +40,9 @@ pub struct SpmvBench {
     /// Products to time
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
+    /// Rounds: on this machine every way to multiply is measured this many times, interleaved; the fastest median counts
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    rounds: u32,
     /// The matrix is that of the first step with so many contacts per vertex
     #[arg(long, default_value_t = 0.05, value_parser = positive)]
     contacts: f64,
@@ -253,32 +256,58 @@ impl SceneProducts<'_> {
             self.bench.common.threads, self.what
         );
         let mut table = Table::new(format!("spmv_{}_measured", self.stem), title, MEASURED.to_vec());
-        let one_rank_s = self.time(ExchangeMode::Halo, false, &[Vec::new()])?;
+        let one = Way { mode: ExchangeMode::Halo, gather_first: false, queues: vec![Vec::new()] };
+        let mut ways = vec![Some(one)];
         for &ranks in &self.bench.workers {
-            let topology = Topology::default_for(ranks).map_err(CliError::bad_input)?;
-            let mut row = vec![ranks as f64, one_rank_s * 1e3];
-            let order = direct(ranks).queues;
-            row.push(one_rank_s / self.time(ExchangeMode::Full, true, &order)?);
-            for kind in SCHEDULES {
-                row.push(match self.plan(kind, &topology) {
-                    Some(plan) => one_rank_s / self.time(ExchangeMode::Full, false, &plan.schedule.queues)?,
-                    None => f64::NAN,
-                });
+            ways.extend(self.ways(ranks)?);
+        }
+        let mut seconds = vec![f64::NAN; ways.len()];
+        for _ in 0..self.bench.rounds {
+            for (way, best_s) in ways.iter().zip(&mut seconds) {
+                if let Some(way) = way {
+                    // The first one replaces what is no number.
+                    *best_s = self.time(way)?.min(*best_s);
+                }
             }
-            row.push(one_rank_s / self.time(ExchangeMode::Halo, false, &order)?);
-            table.push(row);
+        }
+        let one_rank_s = seconds[0];
+        for (&ranks, row) in self.bench.workers.iter().zip(seconds[1..].chunks(MEASURED.len() - 2)) {
+            let speed_ups = row.iter().map(|seconds| one_rank_s / seconds);
+            table.push([ranks as f64, one_rank_s * 1e3].into_iter().chain(speed_ups).collect());
         }
         Ok(table)
     }
 
+    /// What the columns of [`MEASURED`] compare on some number of ranks; none where there is no such schedule.
+    fn ways(&self, ranks: usize) -> Result<Vec<Option<Way>>, CliError> {
+        let topology = Topology::default_for(ranks).map_err(CliError::bad_input)?;
+        let order = direct(ranks).queues;
+        let way = |mode, gather_first, queues| Some(Way { mode, gather_first, queues });
+        let mut ways = vec![way(ExchangeMode::Full, true, order.clone())];
+        for kind in SCHEDULES {
+            let plan = self.plan(kind, &topology);
+            ways.push(plan.and_then(|plan| way(ExchangeMode::Full, false, plan.schedule.queues)));
+        }
+        ways.push(way(ExchangeMode::Halo, false, order));
+        Ok(ways)
+    }
+
     /// Median seconds of a product.
-    fn time(&self, mode: ExchangeMode, gather_first: bool, queues: &[Vec<QueueNode>]) -> Result<f64, CliError> {
-        let times = self.state.on_ranks(&self.bench.common, mode, queues, |simulation, transport| {
-            simulation.gather_first(gather_first);
+    fn time(&self, way: &Way) -> Result<f64, CliError> {
+        let times = self.state.on_ranks(&self.bench.common, way.mode, &way.queues, |simulation, transport| {
+            simulation.gather_first(way.gather_first);
             simulation.time_products(transport, self.bench.repeat).map_err(|error| error.to_string())
         })?;
         Ok(median_s(&times))
     }
+}
+
+/// A way to multiply on ranks of this machine.
+struct Way {
+    mode: ExchangeMode,
+    gather_first: bool,
+    /// Work queue of every rank.
+    queues: Vec<Vec<QueueNode>>,
 }
 
 /// Modelled time of all kernels of a product as one.

@@ -9,26 +9,26 @@ use crate::output::StepRecord;
 /// Time of whole steps, and the share of every stage.
 pub fn time(bench: &SceneBench) -> Result<(), CliError> {
     let (size, all) = bench.run()?;
-    let out = bench.common.out.as_deref();
-    step_table(bench.title(size), &all, size).finish(out, Some(("workers", "speedup")))?;
-    stage_table(&all).finish(out, None)
+    let out = bench.settings.common.out.as_deref();
+    step_table(bench, size, &all).finish(out, Some(("workers", "speedup")))?;
+    stage_table(bench, &all).finish(out, None)
 }
 
 /// Memory of the workers.
 pub fn memory(bench: &SceneBench) -> Result<(), CliError> {
     let (size, all) = bench.run()?;
-    let table = memory_table(bench.title(size), &all, size);
-    table.finish(bench.common.out.as_deref(), Some(("workers", "device_bytes_per_vertex")))
+    let table = memory_table(bench, size, &all);
+    table.finish(bench.settings.common.out.as_deref(), Some(("workers", "device_bytes_per_vertex")))
 }
 
 fn total(step: &StepRecord) -> f64 {
     step.stage_seconds.total
 }
 
-fn step_table(title: String, all: &[Runs], size: Size) -> Table {
+fn step_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
     let columns =
         vec!["workers", "step_ms", "solve_ms", "iterations", "us_per_triangle", "speedup", "bytes_per_spmv", "start_s"];
-    let mut table = Table::new("step", title, columns);
+    let mut table = Table::new(bench.name("step"), bench.title(size), columns);
     let base = all.first().map_or(f64::NAN, |runs| runs.median(total));
     for runs in all {
         let step = runs.median(total);
@@ -47,7 +47,7 @@ fn step_table(title: String, all: &[Runs], size: Size) -> Table {
 }
 
 /// Percent of a step's time in the slowest rank's stages; what is left is waiting and the coordinator.
-fn stage_table(all: &[Runs]) -> Table {
+fn stage_table(bench: &SceneBench, all: &[Runs]) -> Table {
     let columns = vec![
         "workers",
         "proximity",
@@ -62,7 +62,8 @@ fn stage_table(all: &[Runs]) -> Table {
         "ccd",
         "zones",
     ];
-    let mut table = Table::new("stages", "Share of the stages, percent of the step".to_string(), columns);
+    let title = format!("Share of the stages, percent of the step: {}", bench.scene.display());
+    let mut table = Table::new(bench.name("stages"), title, columns);
     for runs in all {
         let whole = runs.mean(total);
         let share = |stage: fn(&StepRecord) -> f64| 100.0 * runs.mean(stage) / whole;
@@ -84,7 +85,7 @@ fn stage_table(all: &[Runs]) -> Table {
     table
 }
 
-fn memory_table(title: String, all: &[Runs], size: Size) -> Table {
+fn memory_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
     let columns = vec![
         "workers",
         "device_bytes",
@@ -95,7 +96,7 @@ fn memory_table(title: String, all: &[Runs], size: Size) -> Table {
         "peak_resident_of_a_rank",
         "peak_resident_per_vertex",
     ];
-    let mut table = Table::new("memory", title, columns);
+    let mut table = Table::new(bench.name("memory"), bench.title(size), columns);
     let largest = |bytes: &[u64]| bytes.iter().copied().max().unwrap_or(0) as f64;
     for runs in all {
         let device = runs.most(|step| step.memory_bytes_per_rank.iter().sum::<u64>() as f64);

@@ -20,7 +20,7 @@ pub(super) use recorded_run::RecordedRun;
 /// Arguments of `loomtree predict`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PredictArgs {
-    /// Directory of a run that recorded events (`loomtree run --trace-steps N`)
+    /// Directory of a run that recorded events (`loomtree run --trace-steps N`), or of a solve (`loomtree solve --trace DIR`)
     pub run: PathBuf,
     /// Machine to predict (topology file)
     #[arg(long)]
@@ -199,6 +199,9 @@ impl Prediction {
             KernelTimes::Recorded => "kernels last as long as they were measured in the recorded run".to_string(),
         }];
         all.push("links are shared max-min fairly; bandwidths and latencies are those of the topology file".into());
+        all.push(
+            "what collisions tell all ranks travels like whole sub-vectors, and waits for it are modelled anew".into(),
+        );
         all.push("transfers run beside kernels; no protocol overhead, no host work between kernels".into());
         all.push("one GPU: the same kernels added up over the ranks, border elements counted on both sides".into());
         let recorded = self.report.header.exchange.as_str();
@@ -249,10 +252,14 @@ impl Prediction {
     }
 
     fn title(&self) -> String {
+        let header = &self.report.header;
+        let size = match header.triangles {
+            0 => format!("{} block rows", header.vertices),
+            triangles => format!("{triangles} triangles"),
+        };
         format!(
-            "{} ({} triangles) on {}: {} x {}, exchange {}, schedule {}",
-            self.report.header.scene,
-            self.report.header.triangles,
+            "{} ({size}) on {}: {} x {}, exchange {}, schedule {}",
+            header.scene,
             self.topology.name(),
             self.topology.gpus(),
             self.topology.device().name,

@@ -1,0 +1,84 @@
+//! What `loomtree solve --trace` leaves behind: a folder with `report.json` and `trace.json`, every solve one step, that
+//! `loomtree predict` takes like a run directory.
+
+use std::path::{Path, PathBuf};
+
+use super::CliError;
+use crate::linear_system::SolveResult;
+use crate::output::{
+    RankEvents, ReportHeader, ReportWriter, StageSeconds, Status, StepRecord, TraceWriter, WriteError,
+};
+
+/// Solves of a repeated one whose events are kept: as many as steps of a run.
+pub const SOLVES_MOST: u32 = 20;
+
+/// A folder that can be written to and holds no run.
+#[derive(Clone, Debug)]
+pub struct TraceFolder {
+    path: PathBuf,
+}
+
+impl TraceFolder {
+    /// Makes the folder. Nothing that is there is replaced.
+    ///
+    /// # Errors
+    /// A file is in the way, the folder holds a run or a trace, or it cannot be written to.
+    pub fn new(path: &Path) -> Result<TraceFolder, CliError> {
+        let refused = |what: &str| CliError::bad_input(format!("--trace {}: {what}", path.display()));
+        if path.exists() && !path.is_dir() {
+            return Err(refused("is a file; name a folder"));
+        }
+        if ["report.json", "trace.json"].iter().any(|name| path.join(name).exists()) {
+            return Err(refused("already holds a report or a trace; choose another folder"));
+        }
+        let made = std::fs::create_dir_all(path).and_then(|()| tempfile::tempfile_in(path));
+        made.map_err(|error| refused(&format!("cannot be written to: {error}")))?;
+        Ok(TraceFolder { path: path.to_path_buf() })
+    }
+
+    /// Writes both files. `header`: scene, exchange, schedule, topology and sizes of the solve; the rest is filled in.
+    ///
+    /// # Errors
+    /// A file cannot be written.
+    pub fn write(&self, header: ReportHeader, executor: &str, results: &[SolveResult]) -> Result<(), CliError> {
+        let written = self.write_report(header, executor, results).and_then(|()| self.write_trace(results));
+        written.map_err(|error| CliError::bad_input(format!("--trace: {error}")))
+    }
+
+    fn write_report(&self, header: ReportHeader, executor: &str, results: &[SolveResult]) -> Result<(), WriteError> {
+        let stats = &results[0].stats;
+        let header = ReportHeader {
+            workers: results.len(),
+            executor: executor.to_string(),
+            devices: results.iter().map(|result| result.record.device.clone()).collect(),
+            preconditioner: stats.preconditioner.name().into(),
+            ..header
+        };
+        let mut writer = ReportWriter::create(&self.path.join("report.json"), header)?;
+        for (step, &seconds) in (1..).zip(&stats.seconds) {
+            writer.step(StepRecord {
+                step,
+                iterations: stats.iterations,
+                residual: stats.relative_residual,
+                converged: stats.converged,
+                stage_seconds: StageSeconds { solve: seconds, total: seconds, ..StageSeconds::default() },
+                bytes_moved: stats.bytes_exchanged,
+                bytes_per_spmv: stats.product_bytes / u64::from(stats.products.max(1)),
+                memory_bytes_per_rank: results.iter().map(|result| result.record.memory_bytes).collect(),
+                ..StepRecord::default()
+            });
+        }
+        writer.finish(Status::Done).map(|_| ())
+    }
+
+    fn write_trace(&self, results: &[SolveResult]) -> Result<(), WriteError> {
+        let records = || results.iter().map(|result| &result.record);
+        let devices: Vec<String> = records().map(|record| record.device.clone()).collect();
+        let base = records().map(|record| record.epoch_unix_ns).min().unwrap_or(0);
+        let ranks: Vec<RankEvents<'_>> = records()
+            .enumerate()
+            .map(|(rank, record)| RankEvents { rank, epoch_unix_ns: record.epoch_unix_ns, events: &record.events })
+            .collect();
+        TraceWriter::create(&self.path.join("trace.json"), &devices, base)?.append(&ranks)
+    }
+}

@@ -1,0 +1,181 @@
+//! A [`Transport`] that tells a [`Recorder`] what work between ranks that is interwoven with exchanges spends its time on:
+//! computing up to the next message, handing a message over, waiting for one, reading it. It changes nothing else, and nothing
+//! at all where nothing is recorded.
+
+use super::{Transport, TransportError};
+use crate::telemetry::{Activity, EventName, Moment, Recorder};
+
+/// Passes everything on to a transport and records it as [`EventName::is_share`] says.
+pub struct TracedTransport<'a> {
+    inner: &'a mut dyn Transport,
+    recorder: &'a mut Recorder,
+    work: EventName,
+    share: EventName,
+    /// When the last exchange ended.
+    since: Moment,
+}
+
+impl<'a> TracedTransport<'a> {
+    /// Work begins now: its parts become events called `work`, its exchanges events called `share`.
+    pub fn new(
+        inner: &'a mut dyn Transport,
+        recorder: &'a mut Recorder,
+        work: EventName,
+        share: EventName,
+    ) -> TracedTransport<'a> {
+        let since = recorder.now();
+        TracedTransport { inner, recorder, work, share, since }
+    }
+
+    /// Exchanges are called `share` from now on.
+    pub fn shares(&mut self, share: EventName) {
+        self.share = share;
+    }
+
+    /// The work is done: its last part, with the bytes that all parts together read and wrote.
+    pub fn finish(self, bytes: u64) {
+        self.recorder.end(self.work, Activity::Compute, self.since, bytes, 0);
+    }
+
+    /// A part of the work ends because an exchange begins.
+    fn pause(&mut self) -> Moment {
+        self.recorder.end(self.work, Activity::Compute, self.since, 0, 0);
+        self.recorder.now()
+    }
+
+    fn own(&self) -> (u32, u32, u32) {
+        let rank = self.inner.rank() as u32;
+        (0, rank, rank)
+    }
+}
+
+impl Transport for TracedTransport<'_> {
+    fn rank(&self) -> usize {
+        self.inner.rank()
+    }
+
+    fn ranks(&self) -> usize {
+        self.inner.ranks()
+    }
+
+    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError> {
+        let start = self.pause();
+        self.inner.publish(len, fill)?;
+        let (own, bytes) = (self.own(), (len * size_of::<f32>()) as u64);
+        self.recorder.end_transfer(self.share, Activity::Transfer, start, own, bytes, 0);
+        self.since = self.recorder.now();
+        Ok(())
+    }
+
+    fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError> {
+        let route = (0, source as u32, source as u32);
+        let mut start = self.recorder.now();
+        if !self.inner.ready(source) {
+            self.inner.wait(source)?;
+            self.recorder.end_transfer(self.share, Activity::Wait, start, route, 0, 0);
+            start = self.recorder.now();
+        }
+        let mut bytes = 0;
+        self.inner.receive(source, &mut |values| {
+            bytes = size_of_val(values) as u64;
+            read(values);
+        })?;
+        self.recorder.end_transfer(self.share, Activity::Transfer, start, route, bytes, 0);
+        self.since = self.recorder.now();
+        Ok(())
+    }
+
+    fn ready(&mut self, source: usize) -> bool {
+        self.inner.ready(source)
+    }
+
+    fn wait(&mut self, source: usize) -> Result<(), TransportError> {
+        self.inner.wait(source)
+    }
+
+    fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
+        let start = self.pause();
+        self.inner.all_gather(own, out)?;
+        let (route, bytes) = (self.own(), size_of_val(own) as u64);
+        self.recorder.end_transfer(self.share, Activity::Wait, start, route, bytes, 0);
+        self.since = self.recorder.now();
+        Ok(())
+    }
+
+    fn expect_halo(&mut self, source: usize, bytes: u64) {
+        self.inner.expect_halo(source, bytes);
+    }
+
+    fn alive(&mut self) -> Result<(), TransportError> {
+        self.inner.alive()
+    }
+
+    fn max_message_values(&self) -> usize {
+        self.inner.max_message_values()
+    }
+
+    fn bytes_published(&self) -> u64 {
+        self.inner.bytes_published()
+    }
+
+    fn bytes_received(&self) -> u64 {
+        self.inner.bytes_received()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::telemetry::Event;
+    use crate::transport::{InProcessTransport, share_lists};
+
+    const LATE: Duration = Duration::from_millis(60);
+
+    /// What rank 0 records while rank 1 works for [`LATE`] before each of its two exchanges.
+    fn events() -> Vec<Event> {
+        let mut ranks = InProcessTransport::group(2);
+        let (mut one, mut zero) = (ranks.pop().unwrap(), ranks.pop().unwrap());
+        let late = std::thread::spawn(move || {
+            for _ in 0..2 {
+                std::thread::sleep(LATE);
+                share_lists(&mut one, &[7u32; 5], &mut |_, _: &[u32]| ()).unwrap();
+            }
+        });
+        let mut recorder = Recorder::new(None);
+        recorder.begin_step(1, true);
+        let mut traced =
+            TracedTransport::new(&mut zero, &mut recorder, EventName::ProximityQuery, EventName::ShareQuery);
+        for _ in 0..2 {
+            let mut got = Vec::new();
+            share_lists(&mut traced, &[1u32, 2], &mut |_, part: &[u32]| got.extend_from_slice(part)).unwrap();
+            assert_eq!(got, [1, 2, 7, 7, 7, 7, 7]);
+        }
+        traced.finish(4711);
+        late.join().unwrap();
+        recorder.take()
+    }
+
+    #[test]
+    fn what_another_rank_takes_is_a_wait_and_no_work() {
+        let events = events();
+        let of = |name: EventName, activity: Activity| -> Vec<&Event> {
+            events.iter().filter(|e| e.name == name as u32 && e.activity == activity as u32).collect()
+        };
+        let length = |events: &[&Event]| events.iter().map(|e| e.end_ns - e.start_ns).sum::<u64>();
+        let work = of(EventName::ProximityQuery, Activity::Compute);
+        let waits = of(EventName::ShareQuery, Activity::Wait);
+        assert!(u128::from(length(&waits)) >= LATE.as_nanos(), "{waits:?}");
+        let (first, last) = (events[0].start_ns, events[events.len() - 1].end_ns);
+        assert!(length(&work) + length(&waits) <= last - first);
+        for pair in events.windows(2) {
+            assert!(pair[0].end_ns <= pair[1].start_ns, "{pair:?} overlap");
+        }
+        // Two exchanges of a length and a list each; the bytes of the work are told once.
+        assert_eq!(work.iter().map(|e| e.bytes).collect::<Vec<_>>(), [0, 0, 0, 0, 4711]);
+        let moved = of(EventName::ShareQuery, Activity::Transfer);
+        let routes: Vec<_> = moved.iter().map(|e| (e.source, e.vector, e.bytes)).collect();
+        assert_eq!(routes, [(0, 0, 8), (1, 1, 20), (0, 0, 8), (1, 1, 20)]);
+    }
+}
