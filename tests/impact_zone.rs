@@ -349,7 +349,7 @@ fn random_batch() -> Batch {
                 target,
                 weights: [1.0, -s, s - 1.0, 0.0],
                 vertices: pick,
-                bound: 0.0,
+                yielding: 0.0,
                 start: 0.0,
             }
         };
@@ -378,7 +378,9 @@ fn device_and_native_solve_agree() {
         vertices: row.vertices.map(|v| if v == u32::MAX { v } else { v - span.first_vertex }),
         ..*row
     };
-    let rows: Vec<Row> = batch.rows[span.row_range()].iter().map(local).collect();
+    let mut rows: Vec<(u32, Row)> = span.row_range().map(|row| (batch.given[row], local(&batch.rows[row]))).collect();
+    rows.sort_by_key(|&(given, _)| given);
+    let rows = rows.into_iter().map(|(_, row)| row);
     alone.push(&batch.inverse_masses[span.vertex_range()], rows, 1e-6);
     assert_eq!(solve::solve(&gpu, &alone, 20_000)[0], device[3]);
 }
