@@ -327,6 +327,39 @@ fn stages_follow_each_other() {
     assert_eq!((verdict.vertices, verdict.imposed), (vec![0], vec![3, 4, 5]));
 }
 
+#[test]
+fn only_what_still_hits_goes_to_the_fail_safe() {
+    let world = pile(3, 4, 0.012, 7);
+    let step = StepPositions { x_t0: &world.x_t0, x_t1: &world.x_t1, inverse_masses: &world.inverse_masses };
+    let impacts = world.impacts(&world.mesh(), &world.x_t1);
+    let mut zones = ImpactZones::new(ZoneSettings { attempts: 4, ..settings() });
+    zones.add(&step, &impacts).unwrap();
+    assert_eq!((zones.zones().len(), zones.zones()[0].vertices().len()), (1, 48));
+    let again = impacts[0];
+    (0..4).for_each(|_| zones.add(&step, &[again]).unwrap());
+    let mut stuck = again.candidate.vertices.to_vec();
+    stuck.sort_unstable();
+    let of = |zones: &ImpactZones| {
+        let inside = zones.zones().iter().find(|zone| zone.vertices() == stuck).expect("a zone of what hits again");
+        let outside = zones.zones().iter().find(|zone| zone.vertices() != stuck).expect("a zone of the rest");
+        assert_eq!((zones.zones().len(), outside.vertices().len()), (2, 44));
+        assert!(outside.vertices().iter().all(|v| !stuck.contains(v)));
+        (zones.stage(inside), zones.stage(outside))
+    };
+    assert_eq!(of(&zones), (Stage::Rigid, Stage::Descent(1)));
+    assert_eq!(zones.active().len(), 2);
+    // Where the two meet, the rest gives way.
+    let touches = |impact: &&Impact| impact.candidate.vertices.iter().filter(|v| stuck.contains(v)).count() == 2;
+    let between = *impacts.iter().find(touches).expect("an impact of both");
+    zones.add(&step, &[between]).unwrap();
+    assert_eq!(of(&zones), (Stage::Rigid, Stage::Descent(2)));
+    for stage in [Stage::Scaled(0.5), Stage::Scaled(0.25), Stage::Still] {
+        zones.add(&step, &[again]).unwrap();
+        assert_eq!(of(&zones), (stage, Stage::Descent(2)));
+    }
+    assert_eq!((zones.counts().rigid, zones.counts().scaled, zones.counts().still), (1, 2, 1));
+}
+
 /// Random zones of a few and of many rows; the last one has more than a workgroup's invocations.
 fn random_batch() -> Batch {
     let mut random = Seeded::new(21);
