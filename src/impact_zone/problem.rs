@@ -19,11 +19,15 @@ pub struct Row {
     pub weights: [f64; 4],
     /// Vertices of the batch; [`IMMOVABLE`] for those that cannot move.
     pub vertices: [u32; 4],
-    /// How much a unit of the row's multiplier changes its own gap, 1/(unit of mass).
+    /// How much a unit of the row's multiplier changes its own gap, 1/(unit of mass); more where vertices have hardly any
+    /// weight in it, which so are not thrown far in one go.
     pub yielding: f64,
     /// Multiplier to begin with, in units of its own, 0 or more.
     pub start: f64,
 }
+
+/// What a row yields at least, of what it would with weights of 1.
+const LEAST_YIELDING: f64 = 1e-6;
 
 /// Where a zone's parts lie in the batch's arrays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,14 +91,17 @@ impl Batch {
         let (order, ends) = by_colour(inverse_masses.len(), &rows);
         for row in &mut rows {
             row.yielding = 0.0;
+            let mut least = 0.0f64;
             for (v, w) in row.vertices.iter_mut().zip(&mut row.weights) {
                 if *v == IMMOVABLE {
                     *w = 0.0;
                 } else {
                     *v += first_vertex;
                     row.yielding += *w * *w * self.inverse_masses[*v as usize];
+                    least = least.max(LEAST_YIELDING * self.inverse_masses[*v as usize]);
                 }
             }
+            row.yielding = row.yielding.max(least);
         }
         self.zones.push(ZoneSpan {
             first_vertex,
@@ -240,6 +247,9 @@ mod tests {
         assert_eq!(batch.rows[2].weights, [0.0, 0.0, -0.25, 0.0]);
         let yielding: Vec<f64> = batch.rows.iter().map(|r| r.yielding).collect();
         assert_eq!(yielding, [1.0 + 0.25 * 0.5, 0.5 + 0.25, 0.0625]);
+        let light = Row { weights: [1e-9, -1.0, 0.0, 0.0], ..row([0, NO, NO, NO]) };
+        batch.push(&[4.0], [light], 1e-6);
+        assert_eq!(batch.rows[3].yielding, 1e-6);
         let pushed = batch.displacements(&first, &[4.0, 1.0]);
         assert_eq!(pushed, [[0.0, 0.0, 4.0 - 0.5], [0.0, 0.0, 0.5 * (1.0 - 2.0)]]);
     }

@@ -20,7 +20,7 @@ const PASSES: u32 = 6;
 /// Pairs that one thread tests at least.
 const GRAIN: usize = 256;
 /// Error of a constraint that ends a descent, in margins: what is left of the margin is free of penetration.
-const TOLERANCE: f64 = 0.25;
+const TOLERANCE: f64 = 0.1;
 
 /// A vertex and its new end position: what ranks exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
