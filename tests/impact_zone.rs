@@ -327,6 +327,39 @@ fn stages_follow_each_other() {
     assert_eq!((verdict.vertices, verdict.imposed), (vec![0], vec![3, 4, 5]));
 }
 
+#[test]
+fn only_what_still_hits_goes_to_the_fail_safe() {
+    let world = pile(3, 4, 0.012, 7);
+    let step = StepPositions { x_t0: &world.x_t0, x_t1: &world.x_t1, inverse_masses: &world.inverse_masses };
+    let impacts = world.impacts(&world.mesh(), &world.x_t1);
+    let mut zones = ImpactZones::new(ZoneSettings { attempts: 4, ..settings() });
+    zones.add(&step, &impacts).unwrap();
+    assert_eq!((zones.zones().len(), zones.zones()[0].vertices().len()), (1, 48));
+    let again = impacts[0];
+    (0..4).for_each(|_| zones.add(&step, &[again]).unwrap());
+    let mut stuck = again.candidate.vertices.to_vec();
+    stuck.sort_unstable();
+    let of = |zones: &ImpactZones| {
+        let inside = zones.zones().iter().find(|zone| zone.vertices() == stuck).expect("a zone of what hits again");
+        let outside = zones.zones().iter().find(|zone| zone.vertices() != stuck).expect("a zone of the rest");
+        assert_eq!((zones.zones().len(), outside.vertices().len()), (2, 44));
+        assert!(outside.vertices().iter().all(|v| !stuck.contains(v)));
+        (zones.stage(inside), zones.stage(outside))
+    };
+    assert_eq!(of(&zones), (Stage::Rigid, Stage::Descent(1)));
+    assert_eq!(zones.active().len(), 2);
+    // Where the two meet, the rest gives way.
+    let touches = |impact: &&Impact| impact.candidate.vertices.iter().filter(|v| stuck.contains(v)).count() == 2;
+    let between = *impacts.iter().find(touches).expect("an impact of both");
+    zones.add(&step, &[between]).unwrap();
+    assert_eq!(of(&zones), (Stage::Rigid, Stage::Descent(2)));
+    for stage in [Stage::Scaled(0.5), Stage::Scaled(0.25), Stage::Still] {
+        zones.add(&step, &[again]).unwrap();
+        assert_eq!(of(&zones), (stage, Stage::Descent(2)));
+    }
+    assert_eq!((zones.counts().rigid, zones.counts().scaled, zones.counts().still), (1, 2, 1));
+}
+
 /// Random zones of a few and of many rows; the last one has more than a workgroup's invocations.
 fn random_batch() -> Batch {
     let mut random = Seeded::new(21);
@@ -349,7 +382,7 @@ fn random_batch() -> Batch {
                 target,
                 weights: [1.0, -s, s - 1.0, 0.0],
                 vertices: pick,
-                bound: 0.0,
+                yielding: 0.0,
                 start: 0.0,
             }
         };
@@ -378,7 +411,9 @@ fn device_and_native_solve_agree() {
         vertices: row.vertices.map(|v| if v == u32::MAX { v } else { v - span.first_vertex }),
         ..*row
     };
-    let rows: Vec<Row> = batch.rows[span.row_range()].iter().map(local).collect();
+    let mut rows: Vec<(u32, Row)> = span.row_range().map(|row| (batch.given[row], local(&batch.rows[row]))).collect();
+    rows.sort_by_key(|&(given, _)| given);
+    let rows = rows.into_iter().map(|(_, row)| row);
     alone.push(&batch.inverse_masses[span.vertex_range()], rows, 1e-6);
     assert_eq!(solve::solve(&gpu, &alone, 20_000)[0], device[3]);
 }

@@ -88,7 +88,9 @@ fn states(executor: fn(usize) -> Executor, each_anew: bool) -> (Vec<f32>, Vec<f3
     let spans = if each_anew { (1..=STEPS).map(|step| step..=step).collect() } else { vec![1..=STEPS] };
     for span in spans {
         let run = on_ranks(&model, 1, ExchangeMode::Halo, executor, move |simulation, transport| {
-            span.clone().for_each(|step| drop(simulation.step(transport, step, false).unwrap()));
+            for step in span.clone() {
+                simulation.step(transport, step, false).unwrap();
+            }
             simulation.state()
         });
         (model.positions, model.velocities) = run.into_iter().next().unwrap();

@@ -30,7 +30,7 @@ impl CpuExecutor {
 
     /// Splits `0..items` into contiguous ranges and calls `f` on each, on all threads. Ranges start at multiples of `grain`.
     pub fn for_ranges(&self, items: usize, grain: usize, f: impl Fn(Range<usize>) + Sync) {
-        let Some(pool) = &self.pool else {
+        let Some(pool) = self.pool.as_ref().filter(|_| items > grain) else {
             if items > 0 {
                 f(0..items);
             }

@@ -37,7 +37,7 @@ pub struct ZoneSettings {
     pub margin_m: f64,
     /// Attempts by descent before the fail-safe begins.
     pub attempts: u32,
-    /// Iterations of a descent at most; an attempt has a few.
+    /// Sweeps of a descent at most; an attempt has a few descents.
     pub iterations: u32,
 }
 

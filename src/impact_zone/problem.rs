@@ -19,11 +19,15 @@ pub struct Row {
     pub weights: [f64; 4],
     /// Vertices of the batch; [`IMMOVABLE`] for those that cannot move.
     pub vertices: [u32; 4],
-    /// Sum of the magnitudes of the row's couplings, 1/(unit of mass): steps of 1 / bound never overshoot.
-    pub bound: f64,
+    /// How much a unit of the row's multiplier changes its own gap, 1/(unit of mass); more where vertices have hardly any
+    /// weight in it, which so are not thrown far in one go.
+    pub yielding: f64,
     /// Multiplier to begin with, in units of its own, 0 or more.
     pub start: f64,
 }
+
+/// What a row yields at least, of what it would with weights of 1.
+const LEAST_YIELDING: f64 = 1e-6;
 
 /// Where a zone's parts lie in the batch's arrays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,6 +40,10 @@ pub struct ZoneSpan {
     pub first_row: u32,
     /// Number of rows.
     pub rows: u32,
+    /// First entry in the batch's list of colours.
+    pub first_colour: u32,
+    /// Number of colours; the list has an entry for each and one more.
+    pub colours: u32,
 }
 
 impl ZoneSpan {
@@ -59,60 +67,128 @@ pub struct Batch {
     pub tolerances: Vec<f64>,
     /// Per vertex, in units of the largest one of the zone.
     pub inverse_masses: Vec<f64>,
-    /// Per vertex and one more: where its entries begin in `gather`.
-    pub gather_offsets: Vec<u32>,
-    /// Per vertex, ascending: 4 * row + place of the vertex in it.
-    pub gather: Vec<u32>,
-    /// Constraints.
+    /// Constraints, per zone by colour: those of one colour have no movable vertex in common.
     pub rows: Vec<Row>,
+    /// Per row: its number among the rows that its zone was given and that move anything.
+    pub given: Vec<u32>,
+    /// Per zone and colour the first of its rows, and per zone the end of its rows.
+    pub colours: Vec<u32>,
 }
 
 impl Batch {
     /// Nothing to solve.
     pub fn new() -> Batch {
-        Batch { gather_offsets: vec![0], ..Batch::default() }
+        Batch::default()
     }
 
     /// Adds a zone. `inverse_masses` are those of its vertices, all above 0; rows count vertices from 0 within the zone,
-    /// their bounds are filled here. A row that moves nothing is left out.
+    /// what they yield is filled here. A row that moves nothing is left out.
     pub fn push(&mut self, inverse_masses: &[f64], rows: impl IntoIterator<Item = Row>, tolerance_m: f64) {
         let (first_vertex, first_row) = (self.inverse_masses.len() as u32, self.rows.len() as u32);
         let largest = inverse_masses.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         self.inverse_masses.extend(inverse_masses.iter().map(|m| m / largest));
-        self.rows.extend(rows.into_iter().filter(Row::moves));
-        let mut entries: Vec<Vec<u32>> = vec![Vec::new(); inverse_masses.len()];
-        let mut weight_sums = vec![0.0f64; inverse_masses.len()];
-        for (i, row) in self.rows.iter_mut().enumerate().skip(first_row as usize) {
-            for k in 0..4 {
-                if row.vertices[k] == IMMOVABLE {
-                    row.weights[k] = 0.0;
+        let mut rows: Vec<Row> = rows.into_iter().filter(Row::moves).collect();
+        let (order, ends) = by_colour(inverse_masses.len(), &rows);
+        for row in &mut rows {
+            row.yielding = 0.0;
+            let mut least = 0.0f64;
+            for (v, w) in row.vertices.iter_mut().zip(&mut row.weights) {
+                if *v == IMMOVABLE {
+                    *w = 0.0;
                 } else {
-                    let local = row.vertices[k] as usize;
-                    weight_sums[local] += row.weights[k].abs();
-                    entries[local].push(4 * i as u32 + k as u32);
-                    row.vertices[k] += first_vertex;
+                    *v += first_vertex;
+                    row.yielding += *w * *w * self.inverse_masses[*v as usize];
+                    least = least.max(LEAST_YIELDING * self.inverse_masses[*v as usize]);
                 }
             }
-        }
-        for row in &mut self.rows[first_row as usize..] {
-            let coupling = |(&v, w): (&u32, f64)| match v {
-                IMMOVABLE => 0.0,
-                v => w.abs() * self.inverse_masses[v as usize] * weight_sums[(v - first_vertex) as usize],
-            };
-            row.bound = row.vertices.iter().zip(row.weights).map(coupling).sum();
-        }
-        for list in entries {
-            self.gather.extend(list);
-            self.gather_offsets.push(self.gather.len() as u32);
+            row.yielding = row.yielding.max(least);
         }
         self.zones.push(ZoneSpan {
             first_vertex,
             vertices: inverse_masses.len() as u32,
             first_row,
-            rows: self.rows.len() as u32 - first_row,
+            rows: rows.len() as u32,
+            first_colour: self.colours.len() as u32,
+            colours: ends.len() as u32,
         });
+        self.rows.extend(order.iter().map(|&i| rows[i as usize]));
+        self.given.extend(order);
+        self.colours.push(first_row);
+        self.colours.extend(ends.iter().map(|end| first_row + end));
         self.tolerances.push(tolerance_m);
     }
+
+    /// Displacements of a zone's vertices that belong to `multipliers` of its rows, in their order here: M^-1 A^T y, a sum of
+    /// internal forces.
+    pub(super) fn displacements(&self, zone: &ZoneSpan, multipliers: &[f64]) -> Vec<[f64; 3]> {
+        let mut displacements = vec![[0.0f64; 3]; zone.vertices as usize];
+        let rows = &self.rows[zone.row_range()];
+        for (row, multiplier) in rows.iter().zip(multipliers).filter(|(_, multiplier)| **multiplier != 0.0) {
+            for (&v, w) in row.vertices.iter().zip(row.weights).filter(|(v, _)| **v != IMMOVABLE) {
+                let sum = &mut displacements[(v - zone.first_vertex) as usize];
+                for k in 0..3 {
+                    sum[k] += w * multiplier * row.normal[k];
+                }
+            }
+        }
+        for (d, inverse_mass) in displacements.iter_mut().zip(&self.inverse_masses[zone.vertex_range()]) {
+            *d = d.map(|sum| sum * inverse_mass);
+        }
+        displacements
+    }
+
+    /// Values per row in the order in which the zone was given its rows.
+    pub(super) fn as_given(&self, zone: &ZoneSpan, of_rows: &[f64]) -> Vec<f64> {
+        let mut given = vec![0.0; of_rows.len()];
+        for (&place, &value) in self.given[zone.row_range()].iter().zip(of_rows) {
+            given[place as usize] = value;
+        }
+        given
+    }
+}
+
+/// The smallest colour, row by row, that none of the row's vertices has yet: rows by colour, each colour ascending, and the
+/// ends of the colours.
+fn by_colour(vertices: usize, rows: &[Row]) -> (Vec<u32>, Vec<u32>) {
+    // Colours of every vertex, 64 to a word.
+    let mut taken: Vec<Vec<u64>> = vec![Vec::new(); vertices];
+    let mut ends: Vec<u32> = Vec::new();
+    let mut colours = Vec::with_capacity(rows.len());
+    for row in rows {
+        let own = || row.vertices.into_iter().filter(|&v| v != IMMOVABLE).map(|v| v as usize);
+        let of_word = |taken: &[Vec<u64>], word: usize| {
+            own().map(|v| taken[v].get(word).copied().unwrap_or(0)).fold(0, std::ops::BitOr::bitor)
+        };
+        let (mut word, mut used) = (0, of_word(&taken, 0));
+        while used == u64::MAX {
+            word += 1;
+            used = of_word(&taken, word);
+        }
+        for v in own() {
+            let words = taken[v].len().max(word + 1);
+            taken[v].resize(words, 0);
+            taken[v][word] |= 1 << used.trailing_ones();
+        }
+        let colour = 64 * word + used.trailing_ones() as usize;
+        if colour == ends.len() {
+            ends.push(0);
+        }
+        ends[colour] += 1;
+        colours.push(colour);
+    }
+    let mut next: Vec<u32> = Vec::with_capacity(ends.len());
+    let mut end = 0;
+    for count in &mut ends {
+        next.push(end);
+        end += *count;
+        *count = end;
+    }
+    let mut order = vec![0; rows.len()];
+    for (i, colour) in colours.into_iter().enumerate() {
+        order[next[colour] as usize] = i as u32;
+        next[colour] += 1;
+    }
+    (order, ends)
 }
 
 impl Row {
@@ -130,7 +206,7 @@ impl Row {
             target: margin_m - normal.dot(offset),
             weights,
             vertices,
-            bound: 0.0,
+            yielding: 0.0,
             start: 0.0,
         }
     }
@@ -145,26 +221,52 @@ impl Row {
 mod tests {
     use super::*;
 
-    #[test]
-    fn zones_lie_one_behind_the_other() {
-        let row = |vertices| Row {
+    fn row(vertices: [u32; 4]) -> Row {
+        Row {
             normal: [0.0, 0.0, 1.0],
             target: 1.0,
             weights: [1.0, -0.5, -0.25, -0.25],
             vertices,
-            bound: 0.0,
+            yielding: 0.0,
             start: 0.0,
-        };
+        }
+    }
+
+    const NO: u32 = IMMOVABLE;
+
+    #[test]
+    fn zones_lie_one_behind_the_other() {
         let mut batch = Batch::new();
-        batch.push(&[2.0, 1.0], [row([0, 1, IMMOVABLE, IMMOVABLE]), row([1, 0, IMMOVABLE, IMMOVABLE])], 1e-6);
-        batch.push(&[4.0], [row([IMMOVABLE; 4]), row([IMMOVABLE, IMMOVABLE, 0, IMMOVABLE])], 1e-6);
+        batch.push(&[2.0, 1.0], [row([0, 1, NO, NO]), row([1, 0, NO, NO])], 1e-6);
+        batch.push(&[4.0], [row([NO; 4]), row([NO, NO, 0, NO])], 1e-6);
         assert_eq!(batch.inverse_masses, [1.0, 0.5, 1.0]);
-        assert_eq!(batch.gather_offsets, [0, 2, 4, 5]);
-        assert_eq!(batch.gather, [0, 5, 1, 4, 10]);
-        let second = ZoneSpan { first_vertex: 2, vertices: 1, first_row: 2, rows: 1 };
-        assert_eq!(batch.zones, [ZoneSpan { first_vertex: 0, vertices: 2, first_row: 0, rows: 2 }, second]);
+        let first = ZoneSpan { first_vertex: 0, vertices: 2, first_row: 0, rows: 2, first_colour: 0, colours: 2 };
+        let second = ZoneSpan { first_vertex: 2, vertices: 1, first_row: 2, rows: 1, first_colour: 3, colours: 1 };
+        assert_eq!(batch.zones, [first, second]);
+        assert_eq!(batch.colours, [0, 1, 2, 2, 3]);
         assert_eq!(batch.rows[2].weights, [0.0, 0.0, -0.25, 0.0]);
-        let bounds: Vec<f64> = batch.rows.iter().map(|r| r.bound).collect();
-        assert_eq!(bounds, [1.0 * 1.5 + 0.5 * 0.5 * 1.5, 0.5 * 1.5 + 0.5 * 1.5, 0.25 * 0.25]);
+        let yielding: Vec<f64> = batch.rows.iter().map(|r| r.yielding).collect();
+        assert_eq!(yielding, [1.0 + 0.25 * 0.5, 0.5 + 0.25, 0.0625]);
+        let light = Row { weights: [1e-9, -1.0, 0.0, 0.0], ..row([0, NO, NO, NO]) };
+        batch.push(&[4.0], [light], 1e-6);
+        assert_eq!(batch.rows[3].yielding, 1e-6);
+        let pushed = batch.displacements(&first, &[4.0, 1.0]);
+        assert_eq!(pushed, [[0.0, 0.0, 4.0 - 0.5], [0.0, 0.0, 0.5 * (1.0 - 2.0)]]);
+    }
+
+    #[test]
+    fn rows_of_a_colour_share_no_vertex() {
+        let mut batch = Batch::new();
+        // Two that could go together, one that touches both, and so many of one vertex that a word of colours is too small.
+        let mut rows = vec![row([0, 1, NO, NO]), row([1, 2, NO, NO]), row([2, 3, NO, NO])];
+        rows.extend(std::iter::repeat_n(row([4, NO, NO, NO]), 70));
+        batch.push(&[1.0; 5], rows, 1e-6);
+        assert_eq!(batch.zones[0].colours, 70);
+        assert_eq!(batch.colours[..4], [0, 3, 5, 6]);
+        assert_eq!(batch.given[..5], [0, 2, 3, 1, 4]);
+        assert_eq!(batch.rows[3].vertices, [1, 2, NO, NO]);
+        let numbers: Vec<f64> = batch.given.iter().map(|&i| f64::from(i)).collect();
+        let given = batch.as_given(&batch.zones[0], &numbers);
+        assert_eq!(given, (0..73).map(f64::from).collect::<Vec<_>>());
     }
 }

@@ -9,16 +9,18 @@ use super::rigid::{self, MovingPoint, RigidMotion};
 use super::solve::{ZoneResult, solve};
 use super::zones::{ImpactZones, Stage, Zone};
 use super::{StepPositions, at};
-use crate::collision::Impact;
 use crate::collision::elementary::ccd;
-use crate::gpu::Executor;
+use crate::collision::{Candidate, Impact};
+use crate::gpu::{CpuExecutor, Executor};
 use crate::math::{DVec3, Vec3};
 
 /// Solves per attempt: between them the zone's own pairs are tested along the new paths, and those that still hit get a
 /// constraint from there. Saves rounds, in which all ranks meet.
 const PASSES: u32 = 6;
+/// Pairs that one thread tests at least.
+const GRAIN: usize = 256;
 /// Error of a constraint that ends a descent, in margins: what is left of the margin is free of penetration.
-const TOLERANCE: f64 = 0.25;
+const TOLERANCE: f64 = 0.1;
 
 /// A vertex and its new end position: what ranks exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -71,8 +73,8 @@ impl ImpactZones {
     }
 
     /// New end positions of the vertices of zones `which`. A zone's result depends on that zone alone, not on where or with
-    /// which others it is solved. On a device, ask [`Executor::take_fault`] afterwards.
-    pub fn solve(&self, executor: &Executor, step: &StepPositions, which: &[u32]) -> Solved {
+    /// which others it is solved, or on how many of the `host`'s threads. On a device, ask [`Executor::take_fault`] afterwards.
+    pub fn solve(&self, executor: &Executor, host: &CpuExecutor, step: &StepPositions, which: &[u32]) -> Solved {
         let mut solved = Solved::default();
         let mut descents = Vec::new();
         for zone in which.iter().map(|&zone| &self.zones[zone as usize]) {
@@ -100,7 +102,7 @@ impl ImpactZones {
                 descents[i].take(&result);
             }
             if pass + 1 < PASSES {
-                left.retain(|&i| descents[i].hits_again(step, self.settings.margin_m));
+                left.retain(|&i| descents[i].hits_again(host, step, self.settings.margin_m));
             }
         }
         for descent in descents {
@@ -165,28 +167,39 @@ impl Descent<'_> {
         }
     }
 
-    /// Tests the zone's own pairs along their new paths. Those that still hit get a constraint from there for the next
-    /// pass, unless the descent has not met the ones they have.
-    fn hits_again(&mut self, step: &StepPositions, margin_m: f64) -> bool {
-        let mut hits = false;
+    /// Start and end positions of a pair as they stand.
+    fn motion(&self, candidate: &Candidate, step: &StepPositions) -> [[DVec3; 4]; 2] {
+        let x_t1 = candidate.vertices.map(|v| match self.zone.place(v) {
+            Some(place) => at(self.positions[place].as_slice(), 0),
+            None => step.end(v),
+        });
+        [candidate.vertices.map(|v| step.start(v)), x_t1]
+    }
+
+    /// Tests the zone's own pairs along their new paths, on the host's threads. Those that still hit get a constraint from
+    /// there for the next pass, unless the descent has not met the ones they have.
+    fn hits_again(&mut self, host: &CpuExecutor, step: &StepPositions, margin_m: f64) -> bool {
+        let pairs: Vec<&[(Constraint, f64)]> = self.of_pairs().collect();
+        let mut times: Vec<Option<f32>> = vec![None; pairs.len()];
+        host.for_ranges_mut(&mut times, 1, GRAIN, |range, times| {
+            for (pair, time) in pairs[range].iter().zip(times) {
+                let candidate = &pair[0].0.candidate;
+                let [x_t0, x_t1] = self.motion(candidate, step).map(|x| x.map(|p| p.as_vec3()));
+                *time = ccd(stencil_kind(candidate), x_t0, x_t1, 0.0).toi;
+            }
+        });
         let mut more = Vec::new();
-        for pair in self.of_pairs() {
+        let hits = pairs.iter().zip(&times).filter_map(|(pair, time)| Some((pair, (*time)?)));
+        for (pair, toi) in hits {
             let candidate = pair[0].0.candidate;
-            let x_t0 = candidate.vertices.map(|v| step.start(v));
-            let x_t1 = candidate.vertices.map(|v| match self.zone.place(v) {
-                Some(place) => at(self.positions[place].as_slice(), 0),
-                None => step.end(v),
-            });
-            let narrow = |x: [DVec3; 4]| x.map(|p| p.as_vec3());
-            let Some(toi) = ccd(stencil_kind(&candidate), narrow(x_t0), narrow(x_t1), 0.0).toi else { continue };
-            hits = true;
+            let [x_t0, x_t1] = self.motion(&candidate, step);
             if all_met(pair.iter().map(|(c, _)| c), x_t1, margin_m, |c| moves(self.zone, c)) {
                 more.push((Constraint::of_impact(&Impact { candidate, toi }, x_t0, x_t1), 0.0));
             }
         }
         self.constraints.extend(more);
         self.constraints.sort_by_key(|(constraint, _)| constraint.candidate);
-        hits
+        times.iter().any(Option::is_some)
     }
 }
 

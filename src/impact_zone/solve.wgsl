@@ -1,9 +1,9 @@
-// Accelerated descent on the multipliers of impact zones, one workgroup per zone; see solve.rs. A dispatch goes on where
-// the one before stopped, with the same bits as one long dispatch.
+// Descent on the multipliers of impact zones, one workgroup per zone; see solve.rs. A dispatch goes on where the one before
+// stopped, with the same bits as one long dispatch.
 
 struct SolveParams {
     zones: u32,
-    // At most so many in this dispatch.
+    // At most so many sweeps in this dispatch.
     iterations: u32,
 }
 
@@ -12,15 +12,11 @@ struct DeviceZone {
     vertices: u32,
     first_row: u32,
     rows: u32,
-    // Error of a constraint that ends the descent.
+    // Entries of `colours`: the first row of each colour, and the end of the last one.
+    first_colour: u32,
+    colours: u32,
+    // Change of a gap that ends the descent.
     tolerance: f32,
-}
-
-struct DeviceVertex {
-    inverse_mass: f32,
-    // Entries of `gather`: 4 * row + place of the vertex in it.
-    first_entry: u32,
-    end_entry: u32,
 }
 
 // normal . sum(weights * d) >= value; `target` is reserved in WGSL.
@@ -29,59 +25,83 @@ struct DeviceRow {
     value: f32,
     weights: vec4<f32>,
     vertices: vec4<u32>,
-    bound: f32,
+    yielding: f32,
     pad: Packed3,
 }
 
-// Of a row: of the last iterate, of the extrapolated one, of the one being made.
+// Of a row: as it stands, after the sweep before, and whether it takes part in sweeps over the acting rows.
 struct Multipliers {
+    now: f32,
     held: f32,
-    tried: f32,
-    next: f32,
+    working: u32,
+}
+
+// Of a vertex: what belongs to the multipliers.
+struct Displacements {
+    now: Packed3,
+    held: Packed3,
 }
 
 struct DeviceStatus {
     momentum: f32,
+    // Sweeps over the acting rows until the next one over all.
+    inner: u32,
     iterations: u32,
     converged: u32,
 }
 
 @group(0) @binding(0) var<storage, read> zones: array<DeviceZone>;
-@group(0) @binding(1) var<storage, read> vertices: array<DeviceVertex>;
-@group(0) @binding(2) var<storage, read> gather: array<u32>;
-@group(0) @binding(3) var<storage, read> rows: array<DeviceRow>;
+@group(0) @binding(1) var<storage, read> inverse_masses: array<f32>;
+@group(0) @binding(2) var<storage, read> rows: array<DeviceRow>;
+@group(0) @binding(3) var<storage, read> colours: array<u32>;
 @group(0) @binding(4) var<storage, read_write> multipliers: array<Multipliers>;
-@group(0) @binding(5) var<storage, read_write> displacements: array<Packed3>;
+@group(0) @binding(5) var<storage, read_write> displacements: array<Displacements>;
 @group(0) @binding(6) var<storage, read_write> status: array<DeviceStatus>;
 @group(0) @binding(7) var<uniform> params: SolveParams;
 
 const LANES: u32 = 64u;
 const IMMOVABLE: u32 = 0xffffffffu;
+const MOST_INNER: u32 = 20u;
 
-// Largest change of a row, and the product that says whether the momentum points uphill.
+// Largest change of a gap, and the product that says whether the extrapolation pointed uphill.
 var<workgroup> changes: array<f32, LANES>;
 var<workgroup> turns: array<f32, LANES>;
 // Uniform over the workgroup.
 var<workgroup> shared_status: DeviceStatus;
-
-fn displacement(v: u32, held: bool) -> Packed3 {
-    var sum = vec3<f32>(0.0);
-    let vertex = vertices[v];
-    for (var e = vertex.first_entry; e < vertex.end_entry; e++) {
-        let entry = gather[e];
-        let row = entry / 4u;
-        let multiplier = select(multipliers[row].tried, multipliers[row].held, held);
-        sum += rows[row].weights[entry % 4u] * multiplier * unpacked(rows[row].normal);
-    }
-    return packed(sum * vertex.inverse_mass);
-}
 
 // Part of a row's gap that a vertex makes.
 fn part(v: u32, weight: f32, normal: vec3<f32>) -> f32 {
     if (v == IMMOVABLE) {
         return 0.0;
     }
-    return weight * dot(normal, unpacked(displacements[v]));
+    return weight * dot(normal, unpacked(displacements[v].now));
+}
+
+fn move_along(v: u32, by: f32, normal: vec3<f32>) {
+    if (v == IMMOVABLE) {
+        return;
+    }
+    displacements[v].now = packed(unpacked(displacements[v].now) + by * inverse_masses[v] * normal);
+}
+
+// Gives a row the multiplier that closes its gap. Returns the change of the gap and the row's part of the turn.
+fn close_gap(r: u32) -> vec2<f32> {
+    let row = rows[r];
+    let normal = unpacked(row.normal);
+    let gap = part(row.vertices.x, row.weights.x, normal) + part(row.vertices.y, row.weights.y, normal)
+        + part(row.vertices.z, row.weights.z, normal) + part(row.vertices.w, row.weights.w, normal);
+    let own = multipliers[r];
+    if (own.now == 0.0 && gap >= row.value) {
+        return vec2<f32>(0.0);
+    }
+    let next = max(own.now + (row.value - gap) / row.yielding, 0.0);
+    let by = next - own.now;
+    multipliers[r].now = next;
+    move_along(row.vertices.x, by * row.weights.x, normal);
+    move_along(row.vertices.y, by * row.weights.y, normal);
+    move_along(row.vertices.z, by * row.weights.z, normal);
+    move_along(row.vertices.w, by * row.weights.w, normal);
+    return row.yielding * vec2<f32>(abs(by), -by * (next - own.held));
 }
 
 @compute @workgroup_size(LANES)
@@ -103,23 +123,19 @@ fn solve(
         if (state.converged != 0u) {
             break;
         }
-        for (var v = local; v < zone.vertices; v += LANES) {
-            displacements[zone.first_vertex + v] = displacement(zone.first_vertex + v, false);
-        }
-        storageBarrier();
+        let over_all = state.inner == 0u;
         var change = 0.0;
         var uphill = 0.0;
-        for (var i = local; i < zone.rows; i += LANES) {
-            let r = zone.first_row + i;
-            let row = rows[r];
-            let normal = unpacked(row.normal);
-            let gap = part(row.vertices.x, row.weights.x, normal) + part(row.vertices.y, row.weights.y, normal)
-                + part(row.vertices.z, row.weights.z, normal) + part(row.vertices.w, row.weights.w, normal);
-            let own = multipliers[r];
-            let next = max(own.tried + (row.value - gap) / row.bound, 0.0);
-            change = max(change, row.bound * abs(next - own.tried));
-            uphill += row.bound * (own.tried - next) * (next - own.held);
-            multipliers[r].next = next;
+        for (var c = 0u; c < zone.colours; c++) {
+            let end = colours[zone.first_colour + c + 1u];
+            for (var r = colours[zone.first_colour + c] + local; r < end; r += LANES) {
+                if (over_all || multipliers[r].working != 0u) {
+                    let changed = close_gap(r);
+                    change = max(change, changed.x);
+                    uphill += changed.y;
+                }
+            }
+            storageBarrier();
         }
         changes[local] = change;
         turns[local] = uphill;
@@ -131,25 +147,32 @@ fn solve(
             }
             workgroupBarrier();
         }
+        let inner = select(state.inner - 1u, 0u, changes[0] <= 0.5 * zone.tolerance);
         let dropped = turns[0] > 0.0;
         let following = select(0.5 + sqrt(0.25 + state.momentum * state.momentum), 1.0, dropped);
-        let keep = select((state.momentum - 1.0) / following, 0.0, dropped);
+        let keep = select((state.momentum - 1.0) / following, 0.0, over_all || dropped || inner == 0u);
         if (local == 0u) {
-            shared_status = DeviceStatus(following, state.iterations + 1u, u32(changes[0] <= zone.tolerance));
+            let made = state.iterations + 1u;
+            if (over_all) {
+                shared_status = DeviceStatus(1.0, MOST_INNER, made, u32(changes[0] <= zone.tolerance));
+            } else {
+                shared_status = DeviceStatus(following, inner, made, 0u);
+            }
         }
-        for (var i = local; i < zone.rows; i += LANES) {
-            let r = zone.first_row + i;
+        for (var r = zone.first_row + local; r < zone.first_row + zone.rows; r += LANES) {
             let own = multipliers[r];
-            multipliers[r].tried = own.next + keep * (own.next - own.held);
-            multipliers[r].held = own.next;
+            let working = select(own.working, u32(own.now > 0.0), over_all);
+            multipliers[r] = Multipliers(own.now + keep * (own.now - own.held), own.now, working);
+        }
+        for (var v = zone.first_vertex + local; v < zone.first_vertex + zone.vertices; v += LANES) {
+            let now = unpacked(displacements[v].now);
+            let held = unpacked(displacements[v].held);
+            displacements[v] = Displacements(packed(now + keep * (now - held)), packed(now));
         }
         storageBarrier();
         workgroupBarrier();
     }
     let ended = workgroupUniformLoad(&shared_status);
-    for (var v = local; v < zone.vertices; v += LANES) {
-        displacements[zone.first_vertex + v] = displacement(zone.first_vertex + v, true);
-    }
     if (local == 0u) {
         status[z] = ended;
     }

@@ -1,62 +1,130 @@
 //! CPU twin of `solve.wgsl`, in f64.
 
-use super::problem::{IMMOVABLE, Row, ZoneSpan};
-use super::solve::ZoneResult;
+use super::problem::{Batch, Row};
+use super::solve::{MOST_INNER, ZoneResult};
 
-/// Descends one zone until no multiplier changes by more than the tolerance, or `iterations` times.
-pub fn solve(zone: &ZoneSpan, tolerance: f64, inverse_masses: &[f64], rows: &[Row], iterations: u32) -> ZoneResult {
-    let first_vertex = zone.first_vertex as usize;
-    let count = zone.rows as usize;
-    let rows = &rows[zone.row_range()];
-    let mut held: Vec<f64> = rows.iter().map(|row| row.start).collect();
-    let (mut tried, mut next) = (held.clone(), vec![0.0f64; count]);
-    let mut displacements = vec![[0.0f64; 3]; zone.vertices as usize];
-    // Row by row, which adds up in the order of the shader's lists: rows lie in the order they are read.
-    let displace = |displacements: &mut [[f64; 3]], multipliers: &[f64]| {
-        displacements.fill([0.0; 3]);
-        for (row, multiplier) in rows.iter().zip(multipliers).filter(|(_, multiplier)| **multiplier != 0.0) {
-            for (&v, w) in row.vertices.iter().zip(row.weights).filter(|(v, _)| **v != IMMOVABLE) {
-                let factor = w * multiplier;
-                let sum = &mut displacements[v as usize - first_vertex];
-                for k in 0..3 {
-                    sum[k] += factor * row.normal[k];
-                }
-            }
-        }
-        for (d, inverse_mass) in displacements.iter_mut().zip(&inverse_masses[zone.vertex_range()]) {
-            *d = d.map(|sum| sum * inverse_mass);
-        }
-    };
-    let mut momentum = 1.0f64;
+/// Multipliers and displacements on the way.
+struct Descent<'a> {
+    rows: &'a [Row],
+    inverse_masses: Vec<f64>,
+    first_vertex: u32,
+    /// Multipliers: as they stand, and after the sweep before.
+    now: Vec<f64>,
+    held: Vec<f64>,
+    /// Displacements that belong to them; one more for all that cannot move.
+    displaced: Vec<[f64; 3]>,
+    displaced_held: Vec<[f64; 3]>,
+}
+
+/// What a sweep changed.
+#[derive(Default)]
+struct Changes {
+    /// Of the gap of a row at most, metres.
+    largest: f64,
+    /// Above 0 where the extrapolation pointed uphill.
+    turn: f64,
+}
+
+/// Sweeps over the rows of a zone until a sweep over all of them changes no gap by more than the tolerance, or `iterations`
+/// times.
+pub fn solve(batch: &Batch, zone: usize, iterations: u32) -> ZoneResult {
+    let (tolerance, zone) = (batch.tolerances[zone], &batch.zones[zone]);
+    let mut descent = Descent::new(batch, zone);
+    let all: Vec<u32> = (0..zone.rows).collect();
+    let mut working: Vec<u32> = Vec::new();
+    let (mut momentum, mut inner) = (1.0f64, 0u32);
     let mut result = ZoneResult::default();
     while result.iterations < iterations && !result.converged {
-        displace(&mut displacements, &tried);
-        let (mut change, mut turn) = (0.0f64, 0.0f64);
-        for (i, row) in rows.iter().enumerate() {
+        result.iterations += 1;
+        if inner == 0 {
+            let changes = descent.sweep(&all);
+            result.converged = changes.largest <= tolerance;
+            working.clear();
+            working.extend(all.iter().filter(|&&row| descent.now[row as usize] > 0.0));
+            descent.extrapolate(&all, 0.0);
+            (momentum, inner) = (1.0, MOST_INNER);
+        } else {
+            let changes = descent.sweep(&working);
+            inner = if changes.largest <= 0.5 * tolerance { 0 } else { inner - 1 };
+            // Momentum that points uphill is dropped.
+            let dropped = changes.turn > 0.0;
+            let following = if dropped { 1.0 } else { 0.5 + (0.25 + momentum * momentum).sqrt() };
+            let keep = if dropped || inner == 0 { 0.0 } else { (momentum - 1.0) / following };
+            descent.extrapolate(&working, keep);
+            momentum = following;
+        }
+    }
+    result.displacements = batch.displacements(zone, &descent.held);
+    result.multipliers = batch.as_given(zone, &descent.held);
+    result
+}
+
+impl<'a> Descent<'a> {
+    fn new(batch: &'a Batch, zone: &super::ZoneSpan) -> Descent<'a> {
+        let rows = &batch.rows[zone.row_range()];
+        let now: Vec<f64> = rows.iter().map(|row| row.start).collect();
+        let mut displaced = batch.displacements(zone, &now);
+        displaced.push([0.0; 3]);
+        let mut inverse_masses = batch.inverse_masses[zone.vertex_range()].to_vec();
+        inverse_masses.push(0.0);
+        Descent {
+            rows,
+            inverse_masses,
+            first_vertex: zone.first_vertex,
+            held: now.clone(),
+            now,
+            displaced_held: displaced.clone(),
+            displaced,
+        }
+    }
+
+    /// Each row of `which` in turn takes the multiplier that closes its gap with the others as they are. Rows lie by colour,
+    /// so this is what the shader does a colour at a time.
+    fn sweep(&mut self, which: &[u32]) -> Changes {
+        let mut changes = Changes::default();
+        let fixed = self.inverse_masses.len() - 1;
+        for &i in which {
+            let row = &self.rows[i as usize];
+            let places = row.vertices.map(|v| (v.wrapping_sub(self.first_vertex) as usize).min(fixed));
             let mut gap = 0.0;
-            for (&v, w) in row.vertices.iter().zip(row.weights) {
-                if v != IMMOVABLE {
-                    let d = displacements[v as usize - first_vertex];
-                    gap += w * (row.normal[0] * d[0] + row.normal[1] * d[1] + row.normal[2] * d[2]);
+            for (&v, w) in places.iter().zip(row.weights) {
+                let d = self.displaced[v];
+                gap += w * (row.normal[0] * d[0] + row.normal[1] * d[1] + row.normal[2] * d[2]);
+            }
+            let now = self.now[i as usize];
+            if now == 0.0 && gap >= row.target {
+                continue;
+            }
+            let next = (now + (row.target - gap) / row.yielding).max(0.0);
+            let by = next - now;
+            changes.largest = changes.largest.max(row.yielding * by.abs());
+            changes.turn -= row.yielding * by * (next - self.held[i as usize]);
+            self.now[i as usize] = next;
+            for (&v, w) in places.iter().zip(row.weights) {
+                let step = by * w * self.inverse_masses[v];
+                let d = &mut self.displaced[v];
+                for k in 0..3 {
+                    d[k] += step * row.normal[k];
                 }
             }
-            next[i] = (tried[i] + (row.target - gap) / row.bound).max(0.0);
-            change = change.max(row.bound * (next[i] - tried[i]).abs());
-            turn += row.bound * (tried[i] - next[i]) * (next[i] - held[i]);
         }
-        result.iterations += 1;
-        result.converged = change <= tolerance;
-        // Momentum that points uphill is dropped.
-        let following = if turn > 0.0 { 1.0 } else { 0.5 + (0.25 + momentum * momentum).sqrt() };
-        let keep = if turn > 0.0 { 0.0 } else { (momentum - 1.0) / following };
-        for i in 0..count {
-            tried[i] = next[i] + keep * (next[i] - held[i]);
-            held[i] = next[i];
-        }
-        momentum = following;
+        changes
     }
-    displace(&mut displacements, &held);
-    result.displacements = displacements;
-    result.multipliers = held;
-    result
+
+    /// Goes on by `keep` of what the last sweep and the extrapolation before it changed, in all rows of `which`.
+    fn extrapolate(&mut self, which: &[u32], keep: f64) {
+        for &i in which {
+            let (now, held) = (&mut self.now[i as usize], &mut self.held[i as usize]);
+            let next = *now;
+            *now = next + keep * (next - *held);
+            *held = next;
+        }
+        for (now, held) in self.displaced.iter_mut().zip(&mut self.displaced_held) {
+            let next = *now;
+            for k in 0..3 {
+                now[k] = next[k] + keep * (next[k] - held[k]);
+            }
+            *held = next;
+        }
+    }
 }

@@ -1,9 +1,11 @@
 //! The zones of a step: which impacts belong together, and how far each zone has come on the way from descent to standing
 //! still. Replicated: every rank makes the same zones from the same impacts.
 //!
-//! Zones are disjoint in movable vertices. A vertex that joins stays, and no zone's effort ever falls, so after finitely
-//! many rounds either nothing hits or everything that hits stands still. Vertices that stand still count as immovable for
-//! the zones around them, so standing still does not spread.
+//! Zones are disjoint in movable vertices. A zone whose descents are used up is divided, once, if what still hits is the
+//! smaller part of it: that part goes on to the fail-safe, the rest gets a few more descents around it. A vertex never leaves
+//! the fail-safe; there it counts as immovable for zones still in descent, and once it stands still for all others, so neither
+//! spreads. Effort falls only where a vertex enters the fail-safe by a division, so after finitely many rounds either nothing
+//! hits or everything that hits stands still.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -20,6 +22,8 @@ const FAILED: u32 = 3;
 const GROWN: u32 = 1;
 /// Stages of the fail-safe after the descents.
 const FALLBACKS: u32 = 4;
+/// Descents that the rest of a divided zone gets: the first one does not know yet where the other part goes.
+const AFTER_DIVISION: u32 = 3;
 /// How often standing vertices may be given another body to follow.
 const MOST_REBASES: u32 = 8;
 /// Shares of the wanted motion in the stages of the fail-safe, for zones that hit imposed vertices and for others, which
@@ -50,6 +54,8 @@ pub struct Zone {
     pub(super) constraints: Vec<Constraint>,
     effort: u32,
     rebases: u32,
+    /// Whether a part of it went on to the fail-safe before.
+    divided: bool,
 }
 
 impl Zone {
@@ -125,6 +131,7 @@ struct Parts {
     fresh: Vec<Constraint>,
     effort: u32,
     rebases: u32,
+    divided: bool,
     olds: u32,
     immovable_before: usize,
     touched: bool,
@@ -180,6 +187,7 @@ impl ImpactZones {
             part.olds += 1;
             part.effort = part.effort.max(zone.effort);
             part.rebases = part.rebases.max(zone.rebases);
+            part.divided |= zone.divided;
             part.immovable_before += zone.immovable().len();
             part.vertices.extend(zone.vertices.iter().copied().zip(zone.wanted));
             part.constraints.extend(zone.constraints);
@@ -213,19 +221,19 @@ impl ImpactZones {
         let mut homes = Vec::with_capacity(impacts.len());
         for impact in impacts {
             let movable = impact.candidate.vertices.into_iter().filter(|&v| step.inverse_masses[v as usize] > 0.0);
-            let (mut free, mut standing) = (Vec::new(), Vec::new());
+            // Before the fail-safe, in it, standing still.
+            let mut nodes: [Vec<u32>; 3] = Default::default();
             for vertex in movable {
                 match self.zone_of.get(&vertex) {
-                    Some(&zone) if self.stands(&self.zones[zone as usize]) => standing.push(zone),
-                    Some(&zone) => free.push(zone),
-                    None => free.push(*node_of_fresh.entry(vertex).or_insert_with(|| {
+                    Some(&zone) => nodes[self.precedence(&self.zones[zone as usize])].push(zone),
+                    None => nodes[0].push(*node_of_fresh.entry(vertex).or_insert_with(|| {
                         let node = sets.push();
                         fresh.push((node, vertex));
                         node
                     })),
                 }
             }
-            let nodes = if free.is_empty() { standing } else { free };
+            let nodes = nodes.into_iter().find(|nodes| !nodes.is_empty()).unwrap_or_default();
             let Some(&first) = nodes.first() else { return Err(impossible(step, [impact])) };
             let failed = (first as usize) < self.zones.len() && nodes.iter().all(|&node| node == first);
             nodes.iter().for_each(|&node| sets.join(first, node));
@@ -246,8 +254,14 @@ impl ImpactZones {
             part.vertices.sort_unstable_by_key(|&(vertex, _)| vertex);
             self.take_fresh(step, &mut part);
             let (vertices, wanted) = part.vertices.into_iter().unzip();
-            let mut zone =
-                Zone { vertices, wanted, constraints: part.constraints, effort: part.effort, rebases: part.rebases };
+            let mut zone = Zone {
+                vertices,
+                wanted,
+                constraints: part.constraints,
+                effort: part.effort,
+                rebases: part.rebases,
+                divided: part.divided,
+            };
             if part.touched && self.stands(&zone) {
                 // Standing vertices hit each other or imposed ones: they follow another body, or there is none to follow.
                 zone.rebases += 1;
@@ -264,7 +278,11 @@ impl ImpactZones {
                 }
             } else if part.touched && part.olds > 0 {
                 let most = FAILED * (self.settings.attempts + FALLBACKS - 1);
+                let descended = self.precedence(&zone) == 0;
                 zone.effort = (zone.effort + if part.failed { FAILED } else { GROWN }).min(most);
+                if descended && self.precedence(&zone) > 0 {
+                    made.extend(self.divide(&mut zone, &part.fresh).map(|rest| (rest, true)));
+                }
             }
             made.push((zone, part.touched));
         }
@@ -304,6 +322,32 @@ impl ImpactZones {
         all.extend(fresh);
         all.sort_by_key(|constraint| constraint.candidate);
         part.constraints = all;
+    }
+
+    /// Leaves in a zone that begins its fail-safe what still hits, by the impacts of this round, and returns the rest; nothing
+    /// if that is the smaller part.
+    fn divide(&self, zone: &mut Zone, fresh: &[Constraint]) -> Option<Zone> {
+        let hits: BTreeSet<u32> = fresh.iter().flat_map(|c| c.candidate.vertices).collect();
+        let count = zone.vertices.iter().filter(|v| hits.contains(v)).count();
+        if 2 * count > zone.vertices.len() || zone.divided {
+            return None;
+        }
+        zone.divided = true;
+        let effort = FAILED * self.settings.attempts.saturating_sub(AFTER_DIVISION);
+        let mut rest = Zone { effort, ..zone.clone() };
+        for (part, hitting) in [(&mut *zone, true), (&mut rest, false)] {
+            let kept = part.vertices.iter().zip(&part.wanted).filter(|(v, _)| hits.contains(v) == hitting);
+            (part.vertices, part.wanted) = kept.map(|(&v, &x)| (v, x)).unzip();
+        }
+        let (of_rest, own) =
+            zone.constraints.iter().partition(|c| c.candidate.vertices.iter().any(|&v| rest.place(v).is_some()));
+        (rest.constraints, zone.constraints) = (of_rest, own);
+        Some(rest)
+    }
+
+    /// Of zones that meet, those of the lowest precedence give way: 0 in descent, 1 in the fail-safe, 2 standing still.
+    fn precedence(&self, zone: &Zone) -> usize {
+        if self.stands(zone) { 2 } else { usize::from(zone.effort / FAILED >= self.settings.attempts) }
     }
 
     fn stands(&self, zone: &Zone) -> bool {

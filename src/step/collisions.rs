@@ -327,7 +327,7 @@ impl Collisions {
                 return Ok(Resolved::Squeezed(self.imposed(&impossible.imposed)));
             }
             let share = zones.share(traced.rank(), traced.ranks());
-            let solved = zones.solve(executor, &step, &share);
+            let solved = zones.solve(executor, &self.cpu, &step, &share);
             stats.zones.iterations += solved.iterations;
             let mask = touched.get_or_insert_with(Vec::new);
             mask.clear();

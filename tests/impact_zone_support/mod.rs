@@ -5,7 +5,7 @@
 use loomtree::collision::broad::{CollisionMesh, Query, brute_force};
 use loomtree::collision::elementary::{StencilKind, ccd, edge_crosses_triangle};
 use loomtree::collision::{Candidate, Impact};
-use loomtree::gpu::Executor;
+use loomtree::gpu::{CpuExecutor, Executor};
 use loomtree::impact_zone::{ImpactZones, Impossible, Moved, StepPositions, ZoneCounts, ZoneSettings, apply};
 use loomtree::math::{DVec3, Vec3};
 
@@ -92,6 +92,8 @@ impl World {
     /// The loop of a step. The zones of each of `ranks` ranks are solved in a call of their own.
     pub fn resolve(&self, executor: &Executor, settings: ZoneSettings, ranks: usize) -> Result<Outcome, Impossible> {
         let mesh = self.mesh();
+        let alone = CpuExecutor::new(1);
+        let host = if let Executor::Cpu(cpu) = executor { cpu } else { &alone };
         let mut zones = ImpactZones::new(settings);
         let (mut x_t1, mut iterations, mut solve_s) = (self.x_t1.clone(), 0, 0.0);
         for _ in 0..ROUNDS_MAX {
@@ -105,7 +107,7 @@ impl World {
             zones.add(&step, &impacts)?;
             let mut moved: Vec<Moved> = Vec::new();
             for rank in 0..ranks {
-                let solved = zones.solve(executor, &step, &zones.share(rank, ranks));
+                let solved = zones.solve(executor, host, &step, &zones.share(rank, ranks));
                 iterations += solved.iterations;
                 moved.extend(solved.moved);
             }
