@@ -197,8 +197,8 @@ fn a_memory_limit_changes_nothing_for_ranks_that_work_together() {
 fn a_waving_sheet_takes_no_part_on_a_device() {
     let wave = |u: f32, v: f32| Vec3::new(u, v, 0.05 * (9.0 * u + 2.0 * v).sin());
     let mut model = Model::default();
-    model.sheet(61, 53, wave, |x| x + Vec3::new(0.02, 0.0, -0.02));
-    let model = ordered(&model, |v| Vec3::new((v % 61) as f32, (v / 61) as f32, 0.0));
+    model.sheet(64, 64, wave, |x| x + Vec3::new(0.02, 0.0, -0.02));
+    let model = ordered(&model, |v| Vec3::new((v % 64) as f32, (v / 64) as f32, 0.0));
     for kind in kinds() {
         for radius_m in [0.0, 0.3 / 60.0] {
             for ranks in [1, 2] {

@@ -14,13 +14,16 @@ const BLOCKS: usize = 32;
 /// a chunk.
 const PARTS: usize = 120;
 
-/// Where a range of the order is cut in two: between two chunks, below the size of a chunk in the middle. Ranges are those
-/// that the same cuts make of the whole order.
+/// Where a range of the order is cut in two: about the middle, between chunks, after a number of them that is a multiple of as
+/// high a power of two as leaves no sliver. In the middle up to a chunk and a half. Ranges are those that the same cuts make of
+/// the whole order.
 pub fn middle(range: &Range<usize>, chunk: usize) -> usize {
-    match range.len() {
-        len if len <= chunk => range.start + len / 2,
-        len => range.start + len.div_ceil(chunk).next_power_of_two() / 2 * chunk,
+    if range.len() <= chunk.saturating_add(chunk / 2) {
+        return range.start + range.len() / 2;
     }
+    let chunks = range.len().div_ceil(chunk);
+    let multiple = 1 << (chunks / 4).checked_ilog2().unwrap_or(0);
+    range.start + chunks.div_ceil(2).next_multiple_of(multiple) * chunk
 }
 
 /// `old_from_new`: recursive bisection at the median along the longest axis, ties broken by the old index. O(n log n).
@@ -263,9 +266,13 @@ mod tests {
 
     #[test]
     fn cuts_fall_between_chunks() {
-        assert_eq!(middle(&(0..10), 1), 8);
-        assert_eq!(middle(&(0..100), 10), 80);
-        assert_eq!(middle(&(80..100), 10), 90);
+        assert_eq!(middle(&(0..97), 97), 48);
         assert_eq!(middle(&(90..97), 10), 93);
+        // 128 chunks, 125 of them, 13, 2 with a short one.
+        assert_eq!(middle(&(0..1280), 10), 640);
+        assert_eq!(middle(&(0..1243), 10), 640);
+        assert_eq!(middle(&(640..770), 10), 720);
+        assert_eq!(middle(&(80..91), 10), 85);
+        assert_eq!(middle(&(80..97), 10), 90);
     }
 }
