@@ -61,6 +61,10 @@ fn slowed_on_round(obstacle: Obstacle, mut scene: Scene, radius_m: f32, seconds:
     scene.obstacles = vec![obstacle];
     let dt = scene.settings.step_s;
     let mut cloth = OneRank::new(&scene);
+    // Being laid onto facets is an impact, with a friction of its own.
+    for _ in 0..3 {
+        cloth.step();
+    }
     let (start, _) = around(&cloth, radius_m);
     let (mut driven, mut coulomb) = (0.0, 0.0);
     for _ in 0..(seconds / dt).round() as u32 {
@@ -73,7 +77,7 @@ fn slowed_on_round(obstacle: Obstacle, mut scene: Scene, radius_m: f32, seconds:
     (start + driven - end, coulomb)
 }
 
-/// Contacts brake a little where facets meet, friction or not; what friction adds is Coulomb's at most, and not much less.
+/// Facets brake next to nothing without friction; what friction adds is about Coulomb's.
 #[test]
 fn a_patch_slides_over_a_cylinder_and_a_ball() {
     let (angle, speed_m_s, seconds, mu) = (0.3, 0.8, 0.12, 0.3);
@@ -83,8 +87,11 @@ fn a_patch_slides_over_a_cylinder_and_a_ball() {
         println!(
             "{name}, {cells} cells: slowed by {smooth:.3} m/s without friction, {rough:.3} with; Coulomb {coulomb:.3}"
         );
-        assert!(rough - smooth < 1.1 * coulomb, "{name}: friction took {} m/s, Coulomb's {coulomb}", rough - smooth);
-        assert!(rough > 0.7 * coulomb, "{name}: slowed by {rough} m/s, Coulomb's friction is {coulomb}");
+        let friction = (rough - smooth) / coulomb;
+        // Crossings of edges come and go on a ball, and each begins with the force of a pair at rest.
+        let most = if on_ball { 1.4 } else { 1.1 };
+        assert!((0.6..most).contains(&friction), "{name}: friction took {friction} of Coulomb's {coulomb} m/s");
+        assert!(smooth < 0.2 * coulomb, "{name}: facets took {smooth} m/s, Coulomb's friction is {coulomb}");
     };
     for (segments, cells) in [(120, 4), (720, 4), (360, 10), (720, 10)] {
         run(&format!("cylinder of {segments}"), false, cells, &|mu| cylinder(1.0, 0.4, segments, mu));

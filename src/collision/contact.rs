@@ -7,7 +7,8 @@
 //! pair is seen by the vertex-face stencils of all faces there, so edge-edge stencils speak for crossing edges only; edges
 //! that are nearly parallel are left to their ends, since the place where they cross is rounding noise. Where a surface is
 //! flat across an edge, the distance to it changes evenly along whatever lies on it: the ends are closest, and they have
-//! contacts of their own. Crossings that come and go under a sliding sheet would jolt its friction.
+//! contacts of their own. Crossings that come and go under a sliding sheet would jolt its friction. Edges that cross beside a
+//! ridge, not over it, are no minimum either: their normal leans, and what slides past would be stopped by it.
 
 use super::Candidate;
 use super::around::Around;
@@ -25,6 +26,10 @@ const LEVEL: f32 = 4e-3;
 const ROUNDING: f32 = 16.0 * f32::EPSILON;
 /// Height of a face over the plane of the face beside it, in reaches, up to which both are flat.
 const FLAT: f32 = 0.02;
+/// The same for crossing edges: such a ridge is at most a tenth of a reach above the straight way between what its faces carry.
+const LOW_RIDGE: f32 = 0.4;
+/// Cosine up to which a face beside an edge may lead towards the edge that crosses it.
+const TILT: f32 = 0.02;
 /// Distance over size below which an offset is rounding noise and surfaces give the direction.
 const NOISE: f32 = 1e-5;
 
@@ -78,7 +83,9 @@ impl Surfaces<'_> {
             let found = found.filter(|found| {
                 found.feature.is_interior()
                     && found.distance <= reach_m
-                    && ![[a, b], [c, d]].into_iter().any(|edge| self.is_flat(edge, FLAT * reach_m))
+                    && ![[a, b], [c, d]].into_iter().any(|edge| self.is_flat(edge, LOW_RIDGE * reach_m))
+                    && self.is_ridge([a, b], -found.normal)
+                    && self.is_ridge([c, d], found.normal)
             });
             return found.map(|found| whole(candidate, &found));
         }
@@ -154,6 +161,15 @@ impl Surfaces<'_> {
         let normal = edge.cross(one);
         let far_side = normal.dot(edge.cross(other)) < 0.0;
         far_side && normal.dot(other).abs() <= height_m * normal.length()
+    }
+
+    /// Whether no face beside an edge leads from it in the unit direction `toward`, which is normal to the edge: if one does,
+    /// what lies there is closer to the face than to the edge.
+    fn is_ridge(&self, [a, b]: [u32; 2], toward: Vec3) -> bool {
+        let (x, edge) = (self.at(a), self.at(b) - self.at(a));
+        let along = |side: Vec3| edge * (side.dot(edge) / edge.length_squared());
+        let mut sides = self.around.opposite(self.mesh, [a, b]).map(|c| self.at(c) - x).map(|side| side - along(side));
+        sides.all(|side| toward.dot(side) <= TILT * side.length())
     }
 
     /// Whether a point `offset` away from a vertex has no point of the surface around the vertex that is closer.

@@ -18,6 +18,8 @@ use crate::transport::{Transport, TransportError};
 
 /// Size of rounding errors in p'Ap relative to its terms: f32 vectors, recurrences over hundreds of iterations.
 const ROUNDING: f64 = 1e-4;
+/// Down to this part of the start the recursive residual follows the true one; below, it is all rounding.
+const FOLLOWED: f64 = 1e-5;
 
 /// When to stop.
 #[derive(Clone, Copy, Debug)]
@@ -213,7 +215,7 @@ impl Pcg {
             if curvature <= 0.0 {
                 // The recurrence for p'Ap cancels; a negative value of the size of its rounding says that f32 has given what it
                 // can for this matrix, not that the matrix is indefinite.
-                if curvature.abs() > ROUNDING * delta {
+                if relative > FOLLOWED && curvature.abs() > ROUNDING * delta {
                     return Err(PcgError::NotPositiveDefinite { iteration, curvature });
                 }
                 return Ok(PcgInfo {

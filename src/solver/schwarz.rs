@@ -22,9 +22,6 @@ use crate::transport::{Transport, TransportError};
 
 /// Rows of a chunk that its columns can name.
 const CHUNK_ROWS_MAX: usize = 1 << 16;
-/// Rows per chunk from which `auto` takes it: below, Jacobi needs so few iterations that the dearer ones do not pay.
-const CHUNK_ROWS_WORTH: usize = 16;
-
 /// Pattern of a rank's rows, as the matrix was laid out.
 #[derive(Clone, Copy)]
 pub struct RankPattern<'a> {
@@ -56,8 +53,10 @@ pub struct Schwarz {
 }
 
 impl Schwarz {
-    /// True if a solve takes this preconditioner: the same on all ranks, if their executors are of one kind. `auto` leaves devices
-    /// with Jacobi: on software ones barriers cost too much, and hardware has not been measured.
+    /// True if a solve takes this preconditioner: the same on all ranks, if their executors are of one kind. `auto` takes it for
+    /// systems of any size, because stopping at a residual that contacts dominate is only good enough where no motion of the
+    /// cloth as a whole is left in it. It leaves devices with Jacobi: on software ones barriers cost too much, and hardware has
+    /// not been measured.
     ///
     /// # Errors
     /// It was asked for and is not to be had; the text says why.
@@ -66,7 +65,7 @@ impl Schwarz {
         let fits = partition.chunk_rows() <= CHUNK_ROWS_MAX;
         match kind {
             PreconditionerKind::Jacobi => Ok(false),
-            PreconditionerKind::Auto => Ok(native && fits && partition.chunk_rows() >= CHUNK_ROWS_WORTH),
+            PreconditionerKind::Auto => Ok(native && fits),
             PreconditionerKind::Schwarz if !fits => Err(format!(
                 "preconditioner schwarz takes at most {CHUNK_ROWS_MAX} rows per chunk, this system has {}; use auto or jacobi",
                 partition.chunk_rows()
