@@ -157,8 +157,9 @@ impl Simulation {
                 Collisions::new(host_threads(ex, partition.ranks()), partition, plan.clone(), model, settings.step_s)
             })
             .transpose()?;
-        let schwarz =
-            Schwarz::wanted(settings.preconditioner, ex, &partition).map_err(SetupError::Preconditioner)?.then(|| {
+        let schwarz = Schwarz::wanted(settings.preconditioner, ex, &partition, settings.relative_tolerance)
+            .map_err(SetupError::Preconditioner)?
+            .then(|| {
                 let (offsets, block_address) = fill_tables.blocks(ex);
                 let columns = fill_tables.local_columns(ex, &matrix, &numbering);
                 let pattern = RankPattern { offsets: &offsets, columns: &columns, block_address: &block_address };

@@ -150,8 +150,9 @@ pub fn solve_rank(
     queue: &[QueueNode],
     params: &SolveParams,
 ) -> Result<SolveResult, SolveError> {
+    // Where rounding ends a descent, the next one begins with a residual in f64, so no tolerance is too tight.
     let schwarz =
-        Schwarz::wanted(params.preconditioner, executor, &system.partition).map_err(SolveError::Preconditioner)?;
+        Schwarz::wanted(params.preconditioner, executor, &system.partition, 1.0).map_err(SolveError::Preconditioner)?;
     let mut solver = RankSolver::new(executor, system, mode, queue, params, schwarz);
     let mut stats = SolveStats::default();
     let mut seconds = Vec::new();

@@ -20,6 +20,9 @@ use crate::transport::{Transport, TransportError};
 const ROUNDING: f64 = 1e-4;
 /// Down to this part of the start the recursive residual follows the true one; below, it is all rounding.
 const FOLLOWED: f64 = 1e-5;
+/// Part of its start to which a descent that broke off must have brought the residual for another one of its kind to be worth
+/// while.
+const PROGRESS: f64 = 0.1;
 
 /// When to stop.
 #[derive(Clone, Copy, Debug)]
@@ -92,6 +95,16 @@ impl PcgVectors {
     }
 }
 
+/// Why a descent went no further.
+struct Broken {
+    /// p' A p.
+    curvature: f64,
+    /// Its last residual over its first.
+    progress: f64,
+    /// True if that is what f32 makes of a positive definite matrix.
+    rounding: bool,
+}
+
 /// The solver of one rank.
 pub struct Pcg {
     ops: VectorOps,
@@ -118,6 +131,10 @@ impl Pcg {
     /// Solves A x = b for x = `vectors.x`. Rows with a zero `inverse_diagonal` keep their start value (pins). `nonzero_start`
     /// says that x may differ from zero on some rank; all ranks must agree on it. `schwarz`: the preconditioner, set up with this
     /// matrix; without it, block Jacobi.
+    ///
+    /// The coarse level sums forces that cancel, and its solution can be many times as large as what a row could do by itself: on
+    /// stiff systems rounding breaks the descent off long before it would with Jacobi. Then another one begins with the true
+    /// residual, and when that does not help, one with Jacobi.
     pub fn solve(
         &mut self,
         executor: &Executor,
@@ -132,11 +149,54 @@ impl Pcg {
         params: &PcgParams,
         recorder: &mut Recorder,
     ) -> Result<PcgInfo, PcgError> {
+        let mut before: Option<PcgInfo> = None;
+        loop {
+            let (info, broken) = self.descend(
+                executor,
+                transport,
+                spmv,
+                matrix,
+                inverse_diagonal,
+                schwarz.as_deref_mut(),
+                b,
+                vectors,
+                nonzero_start,
+                before,
+                params,
+                recorder,
+            )?;
+            let Some(Broken { curvature, progress, rounding }) = broken else { return Ok(info) };
+            if progress > PROGRESS && schwarz.take().is_none() {
+                if rounding {
+                    return Ok(info);
+                }
+                return Err(PcgError::NotPositiveDefinite { iteration: info.iterations, curvature });
+            }
+            before = Some(info);
+        }
+    }
+
+    /// One descent; how it broke off, if it did. `before`: what others have reached in x, of this solve.
+    fn descend(
+        &mut self,
+        executor: &Executor,
+        transport: &mut dyn Transport,
+        spmv: &mut PipelinedSpmv,
+        matrix: &SystemMatrix<'_>,
+        inverse_diagonal: &DeviceVec<f32>,
+        mut schwarz: Option<&mut Schwarz>,
+        b: &DeviceVec<f32>,
+        vectors: &mut PcgVectors,
+        nonzero_start: bool,
+        before: Option<PcgInfo>,
+        params: &PcgParams,
+        recorder: &mut Recorder,
+    ) -> Result<(PcgInfo, Option<Broken>), PcgError> {
         let own = spmv.own_start();
         let v = vectors;
-        let mut products = 0;
+        let (done, mut products) = before.map_or((0, 0), |info| (info.iterations, info.products));
         self.own_restricted.clear();
-        if nonzero_start {
+        if nonzero_start || before.is_some() {
             // w = A x0, through u because only u has halo rows.
             v.u.copy_range(executor, own, &v.x, 0, v.x.len());
             spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
@@ -154,8 +214,8 @@ impl Pcg {
         }
 
         let (mut gamma_old, mut alpha_old) = (1.0, 1.0);
-        let mut start_residual = 0.0;
-        for iteration in 0.. {
+        let (mut start_residual, mut own_start) = (0.0, 0.0);
+        for iteration in done.. {
             transport.alive()?;
             // w = A u; delta = w.u, together with gamma = r.u and r.r of the last pass: one all-reduce
             match schwarz.as_deref_mut() {
@@ -195,36 +255,25 @@ impl Pcg {
                 return Err(PcgError::NotFinite { iteration });
             }
             let residual = rr.sqrt();
-            if iteration == 0 {
-                start_residual = residual;
+            if iteration == done {
+                own_start = residual;
+                start_residual = before.map_or(residual, |info| info.start_residual);
             }
             let relative = if start_residual > 0.0 { residual / start_residual } else { 0.0 };
             let converged = relative <= params.relative_tolerance;
-            if converged || iteration == params.max_iterations {
-                return Ok(PcgInfo {
-                    iterations: iteration,
-                    relative_residual: relative,
-                    converged,
-                    start_residual,
-                    products,
-                });
+            let info =
+                PcgInfo { iterations: iteration, relative_residual: relative, converged, start_residual, products };
+            if converged || iteration >= params.max_iterations {
+                return Ok((info, None));
             }
             // beta = gamma / gamma_old; p'Ap = delta - beta gamma / alpha_old; alpha = gamma / p'Ap
-            let beta = if iteration == 0 { 0.0 } else { gamma / gamma_old };
-            let curvature = if iteration == 0 { delta } else { delta - beta * gamma / alpha_old };
+            let beta = if iteration == done { 0.0 } else { gamma / gamma_old };
+            let curvature = if iteration == done { delta } else { delta - beta * gamma / alpha_old };
             if curvature <= 0.0 {
                 // The recurrence for p'Ap cancels; a negative value of the size of its rounding says that f32 has given what it
                 // can for this matrix, not that the matrix is indefinite.
-                if relative > FOLLOWED && curvature.abs() > ROUNDING * delta {
-                    return Err(PcgError::NotPositiveDefinite { iteration, curvature });
-                }
-                return Ok(PcgInfo {
-                    iterations: iteration,
-                    relative_residual: relative,
-                    converged,
-                    start_residual,
-                    products,
-                });
+                let rounding = relative <= FOLLOWED || curvature.abs() <= ROUNDING * delta;
+                return Ok((info, Some(Broken { curvature, progress: residual / own_start, rounding })));
             }
             let alpha = gamma / curvature;
             let (alpha_f32, beta_f32) = (alpha as f32, beta as f32);

@@ -22,6 +22,9 @@ use crate::transport::{Transport, TransportError};
 
 /// Rows of a chunk that its columns can name.
 const CHUNK_ROWS_MAX: usize = 1 << 16;
+/// Least relative tolerance of a descent for which `auto` takes it.
+const LEAST_TOLERANCE: f64 = 1e-4;
+
 /// Pattern of a rank's rows, as the matrix was laid out.
 #[derive(Clone, Copy)]
 pub struct RankPattern<'a> {
@@ -55,17 +58,23 @@ pub struct Schwarz {
 impl Schwarz {
     /// True if a solve takes this preconditioner: the same on all ranks, if their executors are of one kind. `auto` takes it for
     /// systems of any size, because stopping at a residual that contacts dominate is only good enough where no motion of the
-    /// cloth as a whole is left in it. It leaves devices with Jacobi: on software ones barriers cost too much, and hardware has
-    /// not been measured.
+    /// cloth as a whole is left in it; but below a tolerance of 1e-4 that holds for Jacobi, too, and rounding lets Jacobi get
+    /// further (see [`super::Pcg::solve`]). It leaves devices with Jacobi: on software ones barriers cost too much, and hardware
+    /// has not been measured.
     ///
     /// # Errors
     /// It was asked for and is not to be had; the text says why.
-    pub fn wanted(kind: PreconditionerKind, executor: &Executor, partition: &RowPartition) -> Result<bool, String> {
+    pub fn wanted(
+        kind: PreconditionerKind,
+        executor: &Executor,
+        partition: &RowPartition,
+        tolerance: f64,
+    ) -> Result<bool, String> {
         let native = matches!(executor, Executor::Cpu(_));
         let fits = partition.chunk_rows() <= CHUNK_ROWS_MAX;
         match kind {
             PreconditionerKind::Jacobi => Ok(false),
-            PreconditionerKind::Auto => Ok(native && fits),
+            PreconditionerKind::Auto => Ok(native && fits && tolerance >= LEAST_TOLERANCE),
             PreconditionerKind::Schwarz if !fits => Err(format!(
                 "preconditioner schwarz takes at most {CHUNK_ROWS_MAX} rows per chunk, this system has {}; use auto or jacobi",
                 partition.chunk_rows()
