@@ -40,15 +40,16 @@ pub fn vertex_order(mesh: &TriangleMesh, chunk: usize) -> Vec<u32> {
     let vertices = mesh.positions.len();
     let pieces = Pieces::of(mesh, chunk);
     let mut points: Vec<Point> = mesh.positions.iter().copied().zip(0..).collect();
-    let mut blocks = vec![0..vertices];
-    while let Some(block) = blocks.pop() {
+    let mut blocks = vec![(0, vertices)];
+    while let Some((start, end)) = blocks.pop() {
+        let block = start..end;
         let points = &mut points[block.clone()];
         let cut = middle(&block, chunk);
         if block.len() * BLOCKS > vertices && block.len() > chunk && !pieces.single(points) {
             split(points, cut - block.start);
             let (low, high) = points.split_at(cut - block.start);
             if block.len() * PARTS / 2 > pieces.common(low, high) * vertices {
-                blocks.extend([block.start..cut, cut..block.end]);
+                blocks.extend([(start, cut), (cut, end)]);
                 continue;
             }
         }
