@@ -169,7 +169,7 @@ impl Surfaces<'_> {
         let (x, edge) = (self.at(a), self.at(b) - self.at(a));
         let along = |side: Vec3| edge * (side.dot(edge) / edge.length_squared());
         let mut sides = self.around.opposite(self.mesh, [a, b]).map(|c| self.at(c) - x).map(|side| side - along(side));
-        sides.all(|side| toward.dot(side) <= TILT * side.length())
+        sides.all(|side| level(toward, side, TILT, 0.0))
     }
 
     /// Whether a point `offset` away from a vertex has no point of the surface around the vertex that is closer.

@@ -1,4 +1,4 @@
-//! Edges and bending stencils of a mesh, in an order that depends on the mesh alone. Expects a validated mesh.
+//! Edges, bending stencils and connected pieces of a mesh, in an order that depends on the mesh alone. Expects a validated mesh.
 
 use super::TriangleMesh;
 
@@ -47,6 +47,29 @@ pub fn hinges(mesh: &TriangleMesh) -> Vec<Hinge> {
         hinges.push(Hinge { vertices: [edge0, edge1, opposite[0], opposite[1]], triangles: pair });
     }
     hinges
+}
+
+/// Per vertex the smallest vertex that triangles connect it with.
+pub fn pieces(vertices: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
+    let mut parent: Vec<u32> = (0..vertices as u32).collect();
+    fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
+        while parent[vertex as usize] != vertex {
+            parent[vertex as usize] = parent[parent[vertex as usize] as usize];
+            vertex = parent[vertex as usize];
+        }
+        vertex
+    }
+    for &[a, b, c] in triangles {
+        for other in [b, c] {
+            let (one, other) = (root(&mut parent, a), root(&mut parent, other));
+            parent[one.max(other) as usize] = one.min(other);
+        }
+    }
+    // Parents are never larger than their children, so they are final when a child asks.
+    for vertex in 0..vertices {
+        parent[vertex] = parent[parent[vertex] as usize];
+    }
+    parent
 }
 
 #[cfg(test)]

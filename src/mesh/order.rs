@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use crate::math::Vec3;
 
-use super::TriangleMesh;
+use super::{TriangleMesh, pieces};
 
 /// Blocks of space that hold parts of all pieces which lie together: what ranks share is the boundary of a few of them.
 const BLOCKS: usize = 32;
@@ -103,7 +103,7 @@ impl Pieces {
     const SMALL: u32 = u32::MAX;
 
     fn of(mesh: &TriangleMesh, chunk: usize) -> Pieces {
-        let mut of = pieces(mesh);
+        let mut of = pieces(mesh.positions.len(), &mesh.triangles);
         let mut sizes = vec![0; of.len()];
         of.iter().for_each(|&piece| sizes[piece as usize] += 1);
         of.iter_mut().filter(|piece| sizes[**piece as usize] < chunk).for_each(|piece| *piece = Pieces::SMALL);
@@ -140,26 +140,6 @@ impl Pieces {
     fn sort(&self, points: &mut [Point]) {
         points.sort_unstable_by_key(|point| (self.of[point.1 as usize], point.1));
     }
-}
-
-/// Per vertex: the smallest vertex of its connected piece.
-fn pieces(mesh: &TriangleMesh) -> Vec<u32> {
-    let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    for &[a, b, c] in &mesh.triangles {
-        for other in [b, c] {
-            let (root, joined) = (find(&mut parent, a), find(&mut parent, other));
-            parent[root.max(joined) as usize] = root.min(joined);
-        }
-    }
-    (0..parent.len() as u32).map(|v| find(&mut parent, v)).collect()
-}
-
-fn find(parent: &mut [u32], mut v: u32) -> u32 {
-    while parent[v as usize] != v {
-        parent[v as usize] = parent[parent[v as usize] as usize];
-        v = parent[v as usize];
-    }
-    v
 }
 
 #[cfg(test)]

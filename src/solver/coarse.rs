@@ -101,7 +101,7 @@ impl Coarse {
         let mut blocks: Vec<GroupSums> = vec![Vec::new(); self.chunks.div_ceil(self.per_group)];
         for entry in all.as_chunks::<ENTRY>().0 {
             let (chunk, column) = (entry[0] as usize / self.chunks, entry[0] as usize % self.chunks);
-            add_sums(&mut blocks[chunk / self.per_group], column as u32, std::array::from_fn(|c| entry[1 + c]));
+            add_sums(&mut blocks[self.group(chunk)], column as u32, std::array::from_fn(|c| entry[1 + c]));
         }
         self.per_unknown = self.per_group;
         let mut envelope = Envelope::of(&blocks);
@@ -145,7 +145,10 @@ impl Coarse {
     }
 
     fn correct(&mut self) {
-        let Some(factor) = &mut self.factor else { return };
+        let Some(factor) = &mut self.factor else {
+            self.correction.fill(0.0);
+            return;
+        };
         factor.solve(&self.residual, &mut self.solution);
         for (chunk, correction) in self.own.clone().zip(self.correction.as_chunks_mut::<3>().0) {
             let at = chunk / self.per_unknown * 3;
@@ -366,4 +369,35 @@ fn cuthill_mckee(blocks: &[GroupSums]) -> Vec<usize> {
     }
     order.reverse();
     order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::InProcessTransport;
+
+    #[test]
+    fn groups_that_contacts_join_all_over_are_solved_for_in_pairs() {
+        let partition = RowPartition::new(1 << 16, 1);
+        let groups = partition.chunks() as u32;
+        let diagonal = |v: f64| std::array::from_fn(|c| if c % 4 == 0 { v } else { 0.0 });
+        // Every row adds up to 1, so equal residuals have equal displacements.
+        let couple = |row: u32| move |column: u32| if row == column { f64::from(groups) } else { -1.0 };
+        let joined =
+            |row: u32| (0..groups).map(|column| (column, diagonal(couple(row)(column)))).collect::<GroupSums>();
+        let alone = |row: u32| vec![(row, diagonal(1.0))];
+        let solve = |entries: Vec<GroupSums>| {
+            let mut coarse = Coarse::new(&partition, 0);
+            coarse.set_up(&mut InProcessTransport::group(1).remove(0), &entries).expect("alone");
+            coarse.start(&vec![3.0; groups as usize * 3]);
+            (coarse.per_unknown, coarse.correction)
+        };
+        for (entries, per_unknown) in [((0..groups).map(alone).collect(), 1), ((0..groups).map(joined).collect(), 2)] {
+            let (found, correction) = solve(entries);
+            assert_eq!(found, per_unknown);
+            assert!(correction.iter().all(|u| (u - 3.0).abs() < 1e-3), "{correction:?}");
+        }
+        let (_, correction) = solve((0..groups).map(|row| vec![(row, diagonal(-1.0))]).collect());
+        assert!(correction.iter().all(|&u| u == 0.0), "an indefinite matrix corrects nothing");
+    }
 }

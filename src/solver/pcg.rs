@@ -241,7 +241,7 @@ impl Pcg {
                     let start = recorder.before_kernels();
                     let (scalars, restricted) = (&mut self.chunk_sums, &mut self.own_restricted);
                     schwarz.sums(executor, inverse_diagonal, &mut v.w, &v.u, own, scalars, restricted);
-                    let bytes = v.w.bytes() * if schwarz.updates() { 2 } else { 5 };
+                    let bytes = schwarz.sums_bytes(v.w.bytes());
                     recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, v.w.len() as u64 * 3);
                 }
             }

@@ -253,6 +253,11 @@ impl Schwarz {
         }
     }
 
+    /// Bytes that [`Schwarz::sums`] moves for a vector of `vector_bytes`: w and u, by colour also w again and the diagonal.
+    pub(super) fn sums_bytes(&self, vector_bytes: u64) -> u64 {
+        vector_bytes * if self.updates() { 2 } else { 5 }
+    }
+
     /// Bytes that a sweep moves.
     pub(super) fn sweep_bytes(&self) -> u64 {
         match &self.smoother {

@@ -85,19 +85,13 @@ fn fetch<T>(at: *const T) {
 }
 
 /// Working vectors of a chunk.
+#[derive(Default)]
 struct Scratch {
-    ahead: Ahead,
     /// Residual, then (D' + L)^-1 r.
     y: Vec<[f32; 4]>,
     /// v and u of each row, each padded with a zero.
     vu: Vec<[f32; 8]>,
     w: Vec<[f32; 4]>,
-}
-
-impl Scratch {
-    fn new(vectors: [Shared; 6]) -> Scratch {
-        Scratch { ahead: Ahead { rows: 0..0, vectors }, y: Vec::new(), vu: Vec::new(), w: Vec::new() }
-    }
 }
 
 /// `update` = (alpha, beta): first p = u + beta p, s = w + beta s, x += alpha p, r -= alpha s (0 on pinned rows). Then u and w
@@ -123,21 +117,21 @@ pub fn sweep(
     let vectors = [w, u, p, s, x, r].map(|v| Shared(v.as_mut_ptr()));
     let rows_of = |chunk: usize| (chunk * blocks.chunk_rows).min(rows)..((chunk + 1) * blocks.chunk_rows).min(rows);
     cpu.for_ranges_mut(sums, 1, 1, |range, sums| {
-        let mut scratch = Scratch::new(vectors);
+        let mut scratch = Scratch::default();
         for (chunk, sum) in range.clone().zip(sums) {
             let rows = rows_of(chunk);
             let next = if chunk + 1 < range.end { rows_of(chunk + 1) } else { 0..0 };
-            scratch.ahead = Ahead { rows: next, vectors };
+            let ahead = Ahead { rows: next, vectors };
             // SAFETY: chunks are disjoint and within the vectors.
             let parts = vectors.map(|v| unsafe { v.part(rows.start * 3, rows.len() * 3) });
             let correction = [coarse[chunk * 3], coarse[chunk * 3 + 1], coarse[chunk * 3 + 2]];
             #[cfg(target_arch = "x86_64")]
             if std::arch::is_x86_feature_detected!("avx2") {
                 // SAFETY: the feature is there.
-                *sum = unsafe { sweep_avx2(blocks, rows, update, correction, parts, &mut scratch) };
+                *sum = unsafe { sweep_avx2(blocks, rows, update, correction, parts, &ahead, &mut scratch) };
                 continue;
             }
-            *sum = sweep_chunk::<Plain>(blocks, rows, update, correction, parts, &mut scratch);
+            *sum = sweep_chunk::<Plain>(blocks, rows, update, correction, parts, &ahead, &mut scratch);
         }
     });
 }
@@ -151,9 +145,10 @@ fn sweep_avx2(
     update: Option<(f32, f32)>,
     correction: [f32; 3],
     parts: [&mut [f32]; 6],
+    ahead: &Ahead,
     scratch: &mut Scratch,
 ) -> [f64; 2] {
-    sweep_chunk::<avx2::Vectors>(blocks, rows, update, correction, parts, scratch)
+    sweep_chunk::<avx2::Vectors>(blocks, rows, update, correction, parts, ahead, scratch)
 }
 
 /// What a row does with its blocks above the diagonal.
@@ -260,6 +255,7 @@ fn sweep_chunk<K: RowKernel>(
     update: Option<(f32, f32)>,
     correction: [f32; 3],
     [w, u, p, s, x, r]: [&mut [f32]; 6],
+    ahead: &Ahead,
     scratch: &mut Scratch,
 ) -> [f64; 2] {
     let inverses = &blocks.inverse_diagonal.as_chunks::<6>().0[rows.clone()];
@@ -283,7 +279,7 @@ fn sweep_chunk<K: RowKernel>(
     scratch.vu.resize(rows.len(), [0.0; 8]);
     scratch.w.clear();
     scratch.w.resize(rows.len(), [0.0; 4]);
-    backward::<K>(blocks, rows, inverses, correction, scratch);
+    backward::<K>(blocks, rows, inverses, correction, ahead, scratch);
     for ((w, u), (new_w, new_vu)) in
         w.as_chunks_mut::<3>().0.iter_mut().zip(u.as_chunks_mut::<3>().0).zip(scratch.w.iter().zip(&scratch.vu))
     {
@@ -316,9 +312,10 @@ fn backward<K: RowKernel>(
     rows: Range<usize>,
     inverses: &[[f32; 6]],
     correction: [f32; 3],
+    ahead: &Ahead,
     scratch: &mut Scratch,
 ) {
-    let Scratch { ahead, y, vu, w } = scratch;
+    let Scratch { y, vu, w } = scratch;
     let last = rows.len().saturating_sub(1);
     for (i, row) in rows.enumerate().rev() {
         ahead.fetch(blocks, last - i);

@@ -4,6 +4,7 @@
 use thiserror::Error;
 
 use super::patches::cut;
+use crate::mesh::pieces;
 use crate::partition::chunk_rows;
 
 /// Why triangles do not make a [`CollisionMesh`].
@@ -170,27 +171,4 @@ impl CollisionMesh {
         let lists = size_of_val(&self.triangles[..]) + size_of_val(&self.edges[..]) + size_of_val(&self.owned[..]);
         (lists + size_of_val(&self.pieces[..]) + size_of_val(&self.patches[..])) as u64
     }
-}
-
-/// Per vertex the smallest vertex that triangles connect it with.
-fn pieces(vertices: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
-    let mut parent: Vec<u32> = (0..vertices as u32).collect();
-    fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
-        while parent[vertex as usize] != vertex {
-            parent[vertex as usize] = parent[parent[vertex as usize] as usize];
-            vertex = parent[vertex as usize];
-        }
-        vertex
-    }
-    for &[a, b, c] in triangles {
-        for other in [b, c] {
-            let (one, other) = (root(&mut parent, a), root(&mut parent, other));
-            parent[one.max(other) as usize] = one.min(other);
-        }
-    }
-    // Parents are never larger than their children, so they are final when a child asks.
-    for vertex in 0..vertices {
-        parent[vertex] = parent[parent[vertex] as usize];
-    }
-    parent
 }
