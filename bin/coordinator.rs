@@ -1,20 +1,8 @@
 //! The coordinator alone: prints the run's identifier, waits for `loomtree-worker` processes, runs the scene.
+//! Becomes `loomtree coordinator`, so that a program of its own costs a few hundred kilobytes.
 
-use std::process::ExitCode;
+mod sibling;
 
-use clap::Parser;
-use loomtree::cli;
-use loomtree::coordinator::Launch;
-
-/// Coordinator of a run whose workers somebody else starts (see scripts/launch.sh).
-#[derive(Parser)]
-#[command(version)]
-struct Arguments {
-    #[command(flatten)]
-    run: cli::run::RunArgs,
-}
-
-fn main() -> ExitCode {
-    cli::start_log();
-    cli::exit_code(cli::run::run(Arguments::parse().run, Launch::Await))
+fn main() -> std::process::ExitCode {
+    sibling::become_command("coordinator")
 }

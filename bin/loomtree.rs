@@ -36,6 +36,9 @@ enum Command {
     Bench(cli::bench::BenchArgs),
     /// Test collision queries with rational coordinates against their truth
     Ccd(cli::ccd::CcdArgs),
+    /// The coordinator alone: prints the run's identifier and waits for its workers
+    #[command(hide = true)]
+    Coordinator(cli::run::RunArgs),
     /// A worker process; started by `loomtree run`
     #[command(hide = true)]
     Worker(cli::worker::WorkerArgs),
@@ -54,6 +57,7 @@ fn main() -> ExitCode {
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),
         Command::Ccd(args) => cli::ccd::run(args),
+        Command::Coordinator(args) => cli::run::run(args, Launch::Await),
         Command::Worker(args) => cli::worker::run(args),
     };
     cli::exit_code(result)

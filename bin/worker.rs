@@ -1,19 +1,8 @@
-//! One worker process: `loomtree-worker --run ID --rank R`.
+//! One worker process: `loomtree-worker --run ID --rank R`. Becomes `loomtree worker`, so that a program of its own
+//! costs a few hundred kilobytes.
 
-use std::process::ExitCode;
+mod sibling;
 
-use clap::Parser;
-use loomtree::cli;
-
-/// One rank of a run; the coordinator prints the run's identifier.
-#[derive(Parser)]
-#[command(version)]
-struct Arguments {
-    #[command(flatten)]
-    worker: cli::worker::WorkerArgs,
-}
-
-fn main() -> ExitCode {
-    cli::start_log();
-    cli::exit_code(cli::worker::run(Arguments::parse().worker))
+fn main() -> std::process::ExitCode {
+    sibling::become_command("worker")
 }
