@@ -1,0 +1,12 @@
+//! Files: scenes and meshes read, frames, reports, traces and pictures written.
+
+mod files;
+mod mesh_files;
+mod pictures;
+mod records;
+mod scene_any_input;
+mod scene_arcsim;
+mod scene_contact;
+mod scene_files;
+mod scene_obstacles;
+mod trace;

@@ -1,0 +1,133 @@
+//! The trace file: valid at any time, on a common time axis, with tracks whose slices do not overlap.
+
+use std::collections::HashMap;
+use std::fs;
+use std::path::Path;
+
+use loomtree::output::{RankEvents, TraceWriter};
+use loomtree::telemetry::{Activity, Event, EventName};
+use serde_json::Value;
+
+fn event(name: EventName, activity: Activity, span_ns: (u64, u64), route: (u32, u32, u32)) -> Event {
+    Event { bytes: 64, flops: 7, ..support::event(name, activity, span_ns, route) }
+}
+
+fn load(path: &Path) -> Vec<Value> {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+/// Nanoseconds of a time in the file.
+fn ns(value: &Value) -> i64 {
+    (value.as_f64().unwrap() * 1000.0).round() as i64
+}
+
+fn write_two_ranks(path: &Path) {
+    let names = ["cpu".to_string(), "odd \"name\"\\".to_string()];
+    let mut writer = TraceWriter::create(path, &names, 1_000_000).unwrap();
+    assert_eq!(load(path).len(), 4, "valid before the first step");
+    let rank0 = [
+        event(EventName::Step, Activity::Compute, (0, 9_000), (0, 0, 0)),
+        event(EventName::Publish, Activity::Transfer, (100, 200), (1, 0, 0)),
+        // Handed over out of order, nested and overlapping: each must find a track of its own.
+        event(EventName::SpmvRemote, Activity::Compute, (3_000, 5_000), (0, 0, 0)),
+        event(EventName::SpmvLocal, Activity::Compute, (200, 3_000), (0, 0, 0)),
+        event(EventName::ValueFill, Activity::Compute, (2_000, 4_000), (0, 0, 0)),
+        event(EventName::IndexFill, Activity::Compute, (2_500, 2_600), (0, 0, 0)),
+        event(EventName::AllReduce, Activity::Wait, (5_000, 5_000), (0, 0, 0)),
+    ];
+    let rank1 = [
+        event(EventName::Step, Activity::Compute, (0, 9_000), (0, 1, 1)),
+        event(EventName::Receive, Activity::Wait, (0, 1_500), (1, 0, 0)),
+        event(EventName::Receive, Activity::Transfer, (1_500, 1_723), (1, 0, 0)),
+    ];
+    // Rank 1 started its clock 500 ns after rank 0.
+    let both = [
+        RankEvents { rank: 0, epoch_unix_ns: 1_000_000, events: &rank0 },
+        RankEvents { rank: 1, epoch_unix_ns: 1_000_500, events: &rank1 },
+    ];
+    writer.append(&both).unwrap();
+    load(path);
+    writer.append(&[]).unwrap();
+    // A step that began before the last one ended.
+    writer.append(&[RankEvents { rank: 0, epoch_unix_ns: 1_000_000, events: &rank0[..3] }]).unwrap();
+}
+
+#[test]
+fn slices_are_on_one_axis_and_do_not_overlap() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("trace.json");
+    write_two_ranks(&path);
+    let entries = load(&path);
+    let mut tracks: HashMap<(i64, i64), Vec<(i64, i64)>> = HashMap::new();
+    for slice in entries.iter().filter(|e| e["ph"] == "X") {
+        let start = ns(&slice["ts"]);
+        let track = (slice["pid"].as_i64().unwrap(), slice["tid"].as_i64().unwrap());
+        tracks.entry(track).or_default().push((start, start + ns(&slice["dur"])));
+    }
+    assert_eq!(tracks.values().map(Vec::len).sum::<usize>(), 13);
+    for (track, mut slices) in tracks {
+        let named = entries.iter().any(|e| e["name"] == "thread_name" && e["pid"] == track.0 && e["tid"] == track.1);
+        assert!(named, "track {track:?} has no name");
+        slices.sort();
+        assert!(slices.windows(2).all(|pair| pair[0].1 <= pair[1].0), "track {track:?} overlaps: {slices:?}");
+    }
+    let receive = entries.iter().find(|e| e["cat"] == "transfer" && e["pid"] == 1).unwrap();
+    assert_eq!((ns(&receive["ts"]), ns(&receive["dur"])), (2_000, 223));
+    assert_eq!(receive["name"], "receive sub-vector");
+    assert_eq!(
+        receive["args"],
+        serde_json::json!({"step": 1, "stage": 1, "source": 0, "vector": 0, "bytes": 64, "flops": 7})
+    );
+    let process = entries.iter().find(|e| e["name"] == "process_name" && e["pid"] == 1).unwrap();
+    assert_eq!(process["args"]["name"], "rank 1 (odd \"name\"\\)");
+}
+
+#[test]
+fn an_arrow_leads_from_the_publication_to_the_reception() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("trace.json");
+    write_two_ranks(&path);
+    let entries = load(&path);
+    let arrows: Vec<_> = entries.iter().filter(|e| e["ph"] == "s" || e["ph"] == "f").collect();
+    assert_eq!(arrows.len(), 2);
+    for (arrow, (pid, from_ns, to_ns)) in arrows.iter().zip([(0, 100, 200), (1, 2_000, 2_223)]) {
+        assert_eq!(arrow["pid"], pid);
+        assert!((from_ns..to_ns).contains(&ns(&arrow["ts"])), "{arrow} is outside its slice");
+        let slice =
+            |e: &&Value| e["ph"] == "X" && e["pid"] == pid && e["tid"] == arrow["tid"] && ns(&e["ts"]) == from_ns;
+        assert!(entries.iter().any(|e| slice(&e)));
+    }
+    assert_eq!(arrows[0]["id"], arrows[1]["id"]);
+}
+
+#[test]
+fn no_arrow_is_drawn_when_an_event_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("trace.json");
+    let mut writer = TraceWriter::create(&path, &[], 0).unwrap();
+    let publish = [event(EventName::Publish, Activity::Transfer, (0, 10), (1, 0, 0))];
+    let receive = [(10, 20), (30, 40)].map(|span| event(EventName::Receive, Activity::Transfer, span, (1, 0, 0)));
+    writer
+        .append(&[
+            RankEvents { rank: 0, epoch_unix_ns: 0, events: &publish },
+            RankEvents { rank: 1, epoch_unix_ns: 0, events: &receive },
+        ])
+        .unwrap();
+    assert_eq!(load(&path).iter().filter(|e| e["ph"] == "s").count(), 0);
+}
+
+#[test]
+fn what_a_device_ran_later_is_read_back_in_the_order_in_which_it_was_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("trace.json");
+    // Asked for at 100, begun while the host already published.
+    let mut kernel = event(EventName::VectorUpdate, Activity::Compute, (400, 900), (0, 0, 0));
+    kernel.asked_ns = 100;
+    let publish = event(EventName::Publish, Activity::Transfer, (200, 950), (0, 0, 0));
+    let mut writer = TraceWriter::create(&path, &["gpu".to_string()], 0).unwrap();
+    writer.append(&[RankEvents { rank: 0, epoch_unix_ns: 0, events: &[publish, kernel] }]).unwrap();
+    let steps = loomtree::output::read_trace(&path).unwrap();
+    let read: Vec<_> = steps[&1][0].iter().map(|e| (e.name, e.asked_ns, e.start_ns, e.end_ns)).collect();
+    let (kernel, publish) = (EventName::VectorUpdate as u32, EventName::Publish as u32);
+    assert_eq!(read, [(kernel, 100, 400, 900), (publish, 200, 200, 950)]);
+}

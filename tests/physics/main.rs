@@ -1,0 +1,11 @@
+//! Motion with known answers, with and without contact.
+
+mod air;
+mod contact_curved;
+mod contact_energy;
+mod contact_friction;
+mod contact_scenes;
+mod motion;
+mod pins;
+mod rest;
+mod system;

@@ -1,0 +1,13 @@
+//! The real programs: runs, solves, benchmarks, faults, and the transport between processes.
+
+mod bad_input;
+mod bench_commands;
+mod cores;
+mod faults;
+mod launch;
+mod resume;
+mod same_bits;
+mod solve_command;
+mod transport_conformance;
+mod transport_control;
+mod transport_processes;
