@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::interconnect::RankLinks;
 use crate::linear_system::{RankSystem, SolveParams, SolveRecord, SolveStats};
 use crate::model::RankModel;
-use crate::step::{ExchangePlan, Imposed, StepStats};
+use crate::step::{ExchangePlan, Failure, StepStats};
 
 /// Which executor a worker uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -80,7 +80,7 @@ pub enum ToCoordinator {
     /// A linear solve is done; arrays: the solution on the own rows, f64, and the record's events.
     Solved { stats: SolveStats, executor: String, record: SolveRecord },
     /// This rank cannot go on.
-    Failed(WorkerFailure),
+    Failed(Failure),
 }
 
 /// What a worker says of itself once it is set up.
@@ -98,19 +98,4 @@ pub struct WorkerReady {
     pub memory_bytes: u64,
     /// Preconditioner in use.
     pub preconditioner: crate::scene::PreconditionerKind,
-}
-
-/// Why a worker cannot go on.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub enum WorkerFailure {
-    /// Another rank is gone or silent: not this worker's fault.
-    Transport(String),
-    /// A value is not finite; `row` counts in the global order.
-    NotFinite { step: u32, row: u32, quantity: String, cause: String, suspect: String },
-    /// What the scene moves left the cloth no room; rows count in the global order.
-    Squeezed { step: u32, imposed: Vec<Imposed> },
-    /// Bad input that only the worker could see.
-    BadInput(String),
-    /// Anything else.
-    Other(String),
 }

@@ -35,7 +35,7 @@ use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
 use collisions::{Collisions, Resolved, Span};
-pub use error::{Imposed, SetupError, StepError};
+pub use error::{Failure, Imposed, SetupError};
 use own_state::{OwnState, StateCopy};
 pub use stats::{QueryStats, StageSeconds, StepStats, ZoneCounts};
 use stats::{StageClock, peak_resident_bytes};
@@ -220,7 +220,7 @@ impl Simulation {
     }
 
     /// Advances the own rows from step `step - 1` to `step` (counted from 1). `record`: keep the events of this step.
-    pub fn step(&mut self, transport: &mut dyn Transport, step: u32, record: bool) -> Result<StepStats, StepError> {
+    pub fn step(&mut self, transport: &mut dyn Transport, step: u32, record: bool) -> Result<StepStats, Failure> {
         self.recorder.begin_step(step, record);
         let clock = StageClock::start();
         let step_s = self.settings.step_s;
@@ -229,7 +229,7 @@ impl Simulation {
         self.spmv.traffic = TrafficCounter::default();
         self.advance_over(transport, span, 0, &mut stats)?;
         if let Some(fault) = self.executor.take_fault() {
-            return Err(StepError::Device { step, message: fault.to_string() });
+            return Err(Failure::in_step(step, fault));
         }
         stats.seconds.total = clock.total();
         stats.spmv_bytes = self.spmv.traffic.received_bytes;
@@ -246,7 +246,7 @@ impl Simulation {
         span: Span,
         halvings: u32,
         stats: &mut StepStats,
-    ) -> Result<(), StepError> {
+    ) -> Result<(), Failure> {
         let before = self.collisions.is_some().then(|| (self.recorded_state(), self.pins.clone()));
         let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
         let imposed = match self.solve_over(transport, span, rounds_most, stats)? {
@@ -255,7 +255,7 @@ impl Simulation {
             Resolved::Squeezed(imposed) => imposed,
         };
         let (Some((state, pins)), true) = (before, halvings < HALVINGS_MAX) else {
-            return Err(StepError::Squeezed { step: stats.step, imposed });
+            return Err(Failure::Squeezed { step: stats.step, imposed });
         };
         self.set_own_state(state);
         self.pins = pins;
@@ -273,7 +273,7 @@ impl Simulation {
         span: Span,
         rounds_most: u32,
         stats: &mut StepStats,
-    ) -> Result<Resolved, StepError> {
+    ) -> Result<Resolved, Failure> {
         let clock = StageClock::start();
 
         // 1. Pins and obstacles at t1.
@@ -327,7 +327,7 @@ impl Simulation {
         transport: &mut dyn Transport,
         span: Span,
         stats: &mut StepStats,
-    ) -> Result<(), StepError> {
+    ) -> Result<(), Failure> {
         if self.collisions.is_none() {
             return Ok(());
         }
@@ -364,7 +364,7 @@ impl Simulation {
                 .then_some(SubVectors { rows_of: &self.rows_of, order: &self.order }),
         };
         let built = self.contacts.build(&self.executor, &found.elements, &numbering, &self.matrix);
-        built.map_err(|error| StepError::Solve { step: stats.step, cause: error.to_string() })?;
+        built.map_err(|error| Failure::in_step(stats.step, error))?;
         self.spmv.halo().set_plan(found.plan);
         self.recorder.end(EventName::IndexFill, Activity::Compute, start, self.contacts.bytes(), 0);
         clock.lap_kernels(&self.executor, &mut stats.seconds.index_fill);
@@ -457,7 +457,7 @@ impl Simulation {
         self.recorder.end(EventName::ValueFill, Activity::Compute, start, bytes, self.matrix.blocks as u64 * 90);
     }
 
-    fn solve(&mut self, transport: &mut dyn Transport, stats: &mut StepStats) -> Result<(), StepError> {
+    fn solve(&mut self, transport: &mut dyn Transport, stats: &mut StepStats) -> Result<(), Failure> {
         let params = PcgParams {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,
@@ -513,19 +513,19 @@ impl Simulation {
         span: Span,
         rounds_most: u32,
         stats: &mut StepStats,
-    ) -> Result<Resolved, StepError> {
+    ) -> Result<Resolved, Failure> {
         if self.collisions.is_none() {
             return Ok(Resolved::Free(Vec::new()));
         }
         let own = self.recorded_state();
         let Some(collisions) = &mut self.collisions else { return Ok(Resolved::Free(Vec::new())) };
         if let Some(at) = own.positions.iter().position(|x| !x.is_finite()) {
-            return Err(StepError::NotFinite {
+            return Err(Failure::NotFinite {
                 step: stats.step,
-                vertex: (self.rows_start + at / 3) as u32,
-                quantity: "position",
+                row: (self.rows_start + at / 3) as u32,
+                quantity: "position".into(),
                 cause: "after the step".into(),
-                suspect: "simulation.step_s or a velocity",
+                suspect: "simulation.step_s or a velocity".into(),
             });
         }
         let resolved =

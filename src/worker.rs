@@ -9,10 +9,10 @@ use std::time::Duration;
 use thiserror::Error;
 
 use crate::gpu::Executor;
-use crate::linear_system::{RankSystem, RankSystemArrays, SolveError, SolveParams, solve_rank};
+use crate::linear_system::{RankSystem, RankSystemArrays, SolveParams, solve_rank};
 use crate::model::RankModel;
-use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
-use crate::step::{ExchangePlan, SetupError, Simulation, StepError};
+use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
+use crate::step::{ExchangePlan, Failure, Simulation};
 use crate::transport::{
     ControlError, ControlWorker, EmulatedTransport, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName,
     SoloTransport, Transport, TransportError, decode, encode, share_cores,
@@ -82,16 +82,12 @@ impl Inbox {
     }
 
     /// What is left to do after a failed transfer: nothing if it failed because the run is over, else report it.
-    fn interrupted(&self, failure: WorkerFailure) -> Result<(), WorkerError> {
+    fn interrupted(&self, failure: Failure) -> Result<(), WorkerError> {
         if self.told_to_stop.get() { Ok(()) } else { Err(self.fail(failure)) }
     }
 
-    fn fail(&self, failure: WorkerFailure) -> WorkerError {
-        let text = match &failure {
-            WorkerFailure::Transport(text) | WorkerFailure::BadInput(text) | WorkerFailure::Other(text) => text.clone(),
-            WorkerFailure::NotFinite { quantity, step, .. } => format!("step {step}: {quantity} is not finite"),
-            WorkerFailure::Squeezed { step, .. } => format!("step {step}: no room for the cloth"),
-        };
+    fn fail(&self, failure: Failure) -> WorkerError {
+        let text = failure.to_string();
         if let Err(error) = self.send(&ToCoordinator::Failed(failure), &[]) {
             return error;
         }
@@ -121,19 +117,19 @@ fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
     let (message, arrays) = decode::<ToWorker>(&bytes)?;
     match message {
         ToWorker::Simulate { setup, exchange, mut model } => {
-            model.set_arrays(&arrays).map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
+            model.set_arrays(&arrays).map_err(|error| inbox.fail(Failure::Other(error.to_string())))?;
             drop(arrays);
             drop(bytes);
             simulate(run, rank, &inbox, &setup, &exchange, *model)
         }
         ToWorker::Solve { setup, exchange, params, mut system } => {
             let arrays = RankSystemArrays::from_bytes(&arrays, system.double_precision);
-            system.arrays = arrays.map_err(|error| inbox.fail(WorkerFailure::Other(error.to_string())))?;
+            system.arrays = arrays.map_err(|error| inbox.fail(Failure::Other(error.to_string())))?;
             drop(bytes);
             solve(run, rank, &inbox, &setup, &exchange, &params, &system)
         }
         ToWorker::Stop => Ok(()),
-        other => Err(inbox.fail(WorkerFailure::Other(format!("{other:?} before this worker was set up")))),
+        other => Err(inbox.fail(Failure::Other(format!("{other:?} before this worker was set up")))),
     }
 }
 
@@ -145,15 +141,12 @@ fn simulate(
     exchange: &ExchangePlan,
     model: RankModel,
 ) -> Result<(), WorkerError> {
-    let executor = make_executor(setup, rank).map_err(|message| inbox.fail(WorkerFailure::BadInput(message)))?;
+    let executor = make_executor(setup, rank).map_err(|message| inbox.fail(Failure::BadInput(message)))?;
     let (name, device) = (executor.name().to_string(), executor.device_name());
-    let mut simulation = Simulation::new(executor, model, exchange).map_err(|error| match error {
-        SetupError::Preconditioner(text) => inbox.fail(WorkerFailure::BadInput(text)),
-        other => inbox.fail(WorkerFailure::Other(other.to_string())),
-    })?;
+    let mut simulation = Simulation::new(executor, model, exchange).map_err(|error| inbox.fail(error.into()))?;
     let mut transport = match connect(run, rank, inbox, setup) {
         Ok(transport) => transport,
-        Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),
+        Err(error) => return inbox.interrupted(error.into()),
     };
     let ready = WorkerReady {
         executor: name,
@@ -173,7 +166,7 @@ fn simulate(
                         let events = simulation.recorder.take();
                         inbox.send(&ToCoordinator::StepDone(Box::new(stats)), &[bytemuck::cast_slice(&events)])?;
                     }
-                    Err(error) => return inbox.interrupted(failure_of(error)),
+                    Err(error) => return inbox.interrupted(error),
                 }
             }
             ToWorker::SendState => {
@@ -185,7 +178,7 @@ fn simulate(
             }
             ToWorker::Stop => return Ok(()),
             ToWorker::Simulate { .. } | ToWorker::Solve { .. } => {
-                return Err(inbox.fail(WorkerFailure::Other("this worker is set up already".into())));
+                return Err(inbox.fail(Failure::Other("this worker is set up already".into())));
             }
         }
     }
@@ -201,10 +194,10 @@ fn solve(
     params: &SolveParams,
     system: &RankSystem,
 ) -> Result<(), WorkerError> {
-    let executor = make_executor(setup, rank).map_err(|message| inbox.fail(WorkerFailure::BadInput(message)))?;
+    let executor = make_executor(setup, rank).map_err(|message| inbox.fail(Failure::BadInput(message)))?;
     let mut transport = match connect(run, rank, inbox, setup) {
         Ok(transport) => transport,
-        Err(error) => return inbox.interrupted(WorkerFailure::Transport(error.to_string())),
+        Err(error) => return inbox.interrupted(error.into()),
     };
     match solve_rank(&executor, transport.as_mut(), system, exchange.mode, &exchange.queue, params) {
         Ok(mut result) => {
@@ -214,20 +207,7 @@ fn solve(
             inbox.send(&solved, &[bytemuck::cast_slice(&result.x), bytemuck::cast_slice(&events)])?;
             Ok(inbox.control.borrow_mut().flush()?)
         }
-        Err(SolveError::Transport(error)) => inbox.interrupted(WorkerFailure::Transport(error.to_string())),
-        Err(SolveError::Preconditioner(text)) => Err(inbox.fail(WorkerFailure::BadInput(text))),
-        Err(error) => Err(inbox.fail(WorkerFailure::Other(error.to_string()))),
-    }
-}
-
-fn failure_of(error: StepError) -> WorkerFailure {
-    match error {
-        StepError::Transport(error) => WorkerFailure::Transport(error.to_string()),
-        StepError::NotFinite { step, vertex, quantity, cause, suspect } => {
-            WorkerFailure::NotFinite { step, row: vertex, quantity: quantity.into(), cause, suspect: suspect.into() }
-        }
-        StepError::Squeezed { step, imposed } => WorkerFailure::Squeezed { step, imposed },
-        other => WorkerFailure::Other(other.to_string()),
+        Err(error) => inbox.interrupted(error.into()),
     }
 }
 

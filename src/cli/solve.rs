@@ -15,8 +15,8 @@ use crate::linear_system::{
 };
 use crate::math::DIM;
 use crate::partition::RowPartition;
-use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerSetup};
-use crate::step::ExchangePlan;
+use crate::protocol::{ToCoordinator, ToWorker, WorkerSetup};
+use crate::step::{ExchangePlan, Failure};
 use crate::telemetry::Event;
 use crate::transport::{RANKS_MAX, check_shared_memory, shared_memory_space};
 
@@ -226,8 +226,8 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
         check_shared_memory(ranks, max_message_values, free).map_err(CliError::bad_input)?;
     }
     let named = |error: CrewError| match error {
-        CrewError::Failed { failure: WorkerFailure::BadInput(text), .. } => CliError::bad_input(text),
-        CrewError::Failed { failure: WorkerFailure::Other(text), .. } => {
+        CrewError::Failed { failure: Failure::BadInput(text), .. } => CliError::bad_input(text),
+        CrewError::Failed { failure: Failure::Other(text), .. } => {
             CliError::failed(format!("{}: {text}", args.matrix.display()))
         }
         other => CliError::failed(other),

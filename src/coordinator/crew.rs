@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure};
+use crate::protocol::{ToCoordinator, ToWorker};
+use crate::step::Failure;
 use crate::transport::{ControlCoordinator, ControlError, MessageError, RunError, RunMember, RunName, decode, encode};
 
 /// How long workers get to leave by themselves before they are killed.
@@ -40,8 +41,8 @@ pub enum CrewError {
     #[error("worker {rank} did not start within {waited_s:.0} s")]
     Missing { rank: usize, waited_s: f64 },
     /// A worker reported that it cannot go on.
-    #[error("worker {rank}: {}", failure_text(.failure))]
-    Failed { rank: usize, failure: WorkerFailure },
+    #[error("worker {rank}: {failure}")]
+    Failed { rank: usize, failure: Failure },
     /// A worker process could not be started.
     #[error("cannot start worker {rank}: {source}")]
     Spawn { rank: usize, source: std::io::Error },
@@ -59,13 +60,19 @@ pub enum CrewError {
     Run(#[from] RunError),
 }
 
-fn failure_text(failure: &WorkerFailure) -> String {
-    match failure {
-        WorkerFailure::Transport(text) | WorkerFailure::BadInput(text) | WorkerFailure::Other(text) => text.clone(),
-        WorkerFailure::NotFinite { step, row, quantity, cause, suspect } => {
-            format!("step {step}: {quantity} of row {row} is not finite ({cause}); likely too large: {suspect}")
+impl CrewError {
+    /// The sentence for the user; `vertex_name` names the vertex of a global row.
+    pub fn sentence(&self, vertex_name: &dyn Fn(u32) -> String) -> String {
+        match self {
+            // About the scene, whichever rank saw it.
+            CrewError::Failed { failure, .. } if weight(self) == 2 => failure.sentence(vertex_name),
+            other => other.to_string(),
         }
-        WorkerFailure::Squeezed { step, .. } => format!("step {step}: the cloth cannot be kept free of penetration"),
+    }
+
+    /// True if the user can mend it before the run starts.
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, CrewError::Failed { failure: Failure::BadInput(_), .. })
     }
 }
 
@@ -179,7 +186,7 @@ impl Crew {
     }
 
     /// Remembers that a worker cannot go on, and why, unless another one has explained it better.
-    fn note_failure(&mut self, rank: usize, failure: WorkerFailure) {
+    fn note_failure(&mut self, rank: usize, failure: Failure) {
         self.gave_up[rank] = true;
         let new = CrewError::Failed { rank, failure };
         self.reported = Some(match self.reported.take() {
@@ -304,8 +311,8 @@ fn kill(pid: u32) {
 /// How much a failure explains: a lost connection (0) is only the echo of something else.
 fn weight(error: &CrewError) -> u8 {
     match error {
-        CrewError::Failed { failure: WorkerFailure::Transport(_), .. } => 0,
-        CrewError::Failed { failure: WorkerFailure::Other(_), .. } => 1,
+        CrewError::Failed { failure: Failure::Transport(_), .. } => 0,
+        CrewError::Failed { failure: Failure::Step { .. } | Failure::Other(_), .. } => 1,
         _ => 2,
     }
 }

@@ -27,9 +27,9 @@ use recorder::Recorder;
 use crate::math::Vec3;
 use crate::model::RankModel;
 use crate::output::{Checkpoint, Status};
-use crate::protocol::{ToCoordinator, ToWorker, WorkerFailure, WorkerReady, WorkerSetup};
+use crate::protocol::{ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
 use crate::scene::Scene;
-use crate::step::{ExchangePlan, Imposed, StepStats};
+use crate::step::{ExchangePlan, Failure, StepStats};
 use crate::telemetry::Event;
 use crate::transport::{STAMP_VALUES, check_shared_memory, shared_memory_space};
 
@@ -160,61 +160,24 @@ enum DriveError {
     #[error(transparent)]
     Record(#[from] RecordError),
     /// Seen in the collected state; what a solve runs into is seen by a worker.
-    #[error(
-        "step {step}: the {quantity} of {vertex} is not finite; likely too large: simulation.step_s, the start velocity or a force"
-    )]
-    NotFinite { step: u32, vertex: String, quantity: &'static str },
+    #[error(transparent)]
+    State(Failure),
 }
 
 impl DriveError {
     fn is_bad_input(&self) -> bool {
-        matches!(self, DriveError::Crew(CrewError::Failed { failure: WorkerFailure::BadInput(_), .. }))
+        matches!(self, DriveError::Crew(error) if error.is_bad_input())
     }
 
     /// The sentence for the user, with vertices by their piece and their number in it.
     fn explain(&self, scene: &Scene, original_from_global: &[u32]) -> String {
         let name = |row: u32| scene.vertex_name(original_from_global.get(row as usize).copied().unwrap_or(row));
         match self {
-            DriveError::Crew(CrewError::Failed {
-                failure: WorkerFailure::NotFinite { step, row, quantity, cause, suspect },
-                ..
-            }) => {
-                let vertex = name(*row);
-                format!("step {step}: the {quantity} of {vertex} is not finite ({cause}); likely too large: {suspect}")
-            }
-            DriveError::Crew(CrewError::Failed { failure: WorkerFailure::Squeezed { step, imposed }, .. }) => {
-                squeezed(*step, imposed, &name)
-            }
-            DriveError::Crew(CrewError::Failed { failure: WorkerFailure::BadInput(text), .. }) => text.clone(),
-            other => other.to_string(),
+            DriveError::Crew(error) => error.sentence(&name),
+            DriveError::State(failure) => failure.sentence(&name),
+            DriveError::Record(error) => error.to_string(),
         }
     }
-}
-
-/// Names at most this many culprits of each kind.
-const NAMED_MOST: usize = 3;
-
-/// The sentence for a step that has no end without penetration.
-fn squeezed(step: u32, imposed: &[Imposed], vertex_name: &dyn Fn(u32) -> String) -> String {
-    let mut obstacles: Vec<&str> = Vec::new();
-    let mut pins: Vec<String> = Vec::new();
-    for one in imposed {
-        match one {
-            Imposed::Obstacle(name) => obstacles.push(name),
-            Imposed::Pin(row) => pins.push(vertex_name(*row)),
-        }
-    }
-    let mut culprits: Vec<String> =
-        obstacles.iter().take(NAMED_MOST).map(|name| format!("the obstacle `{name}`")).collect();
-    culprits.extend(pins.iter().take(NAMED_MOST).map(|vertex| format!("the pin of {vertex}")));
-    let unnamed = obstacles.len().saturating_sub(NAMED_MOST) + pins.len().saturating_sub(NAMED_MOST);
-    if unnamed > 0 {
-        culprits.push(format!("{unnamed} more"));
-    }
-    let who = if culprits.is_empty() { "what moves in the scene".to_string() } else { culprits.join(", ") };
-    format!(
-        "step {step}: the cloth cannot be kept free of penetration, {who} left it no room; move them less or more slowly, or shorten simulation.step_s"
-    )
 }
 
 /// Drives the workers of one run.
@@ -358,8 +321,14 @@ impl Driver<'_> {
     fn check_state(&self, step: u32) -> Result<(), DriveError> {
         for (quantity, values) in [("position", &self.state.positions), ("velocity", &self.state.velocities)] {
             if let Some(vertex) = values.iter().position(|value| !value.is_finite()) {
-                let vertex = self.plan.scene.vertex_name(vertex as u32);
-                return Err(DriveError::NotFinite { step, vertex, quantity });
+                let row = self.original_from_global.iter().position(|&original| original as usize == vertex);
+                return Err(DriveError::State(Failure::NotFinite {
+                    step,
+                    row: row.unwrap_or(vertex) as u32,
+                    quantity: quantity.into(),
+                    cause: "after the step".into(),
+                    suspect: "simulation.step_s, the start velocity or a force".into(),
+                }));
             }
         }
         Ok(())

@@ -15,7 +15,7 @@ use crate::scene::Obstacles;
 use crate::telemetry::{EventName, Recorder};
 use crate::transport::{TracedTransport, Transport, TransportError, share_lists, share_ranges};
 
-use super::error::{Imposed, SetupError, StepError};
+use super::error::{Failure, Imposed, SetupError};
 use super::stats::{StageClock, StepStats};
 
 /// Time of a step or of a part of one, seconds.
@@ -159,7 +159,7 @@ impl Collisions {
         span: Span,
         stats: &mut StepStats,
         recorder: &mut Recorder,
-    ) -> Result<RankContacts, StepError> {
+    ) -> Result<RankContacts, Failure> {
         let clock = StageClock::start();
         let (query, share) = (EventName::ProximityQuery, EventName::SharePositions);
         let mut traced = TracedTransport::new(transport, recorder, query, share);
@@ -172,15 +172,15 @@ impl Collisions {
             self.obstacles.positions_at(time_s, &mut self.obstacle_positions);
             x[cloth..].copy_from_slice(&self.obstacle_positions);
         }
-        self.set_step(span).map_err(|error| StepError::Collision { step: stats.step, message: error.to_string() })?;
+        self.set_step(span).map_err(|error| detection(stats.step, error))?;
         let ahead = self.heading_for(own, gravity_m_s2, span);
         if let Some(at) = ahead.iter().position(|x| !x.is_finite()) {
-            return Err(StepError::NotFinite {
+            return Err(Failure::NotFinite {
                 step: stats.step,
-                vertex: (self.partition.rows_of(self.plan.rank).start + at / 3) as u32,
-                quantity: "position",
+                row: (self.partition.rows_of(self.plan.rank).start + at / 3) as u32,
+                quantity: "position".into(),
                 cause: "where its velocity takes it".into(),
-                suspect: "simulation.step_s or a velocity",
+                suspect: "simulation.step_s or a velocity".into(),
             });
         }
         share_positions(&mut traced, &self.partition, &ahead, &mut self.x_t1)?;
@@ -224,7 +224,7 @@ impl Collisions {
         transport: &mut dyn Transport,
         found: &[ContactElement],
         stats: &mut StepStats,
-    ) -> Result<Vec<ContactElement>, StepError> {
+    ) -> Result<Vec<ContactElement>, Failure> {
         let own = self.partition.rows_of(self.plan.rank);
         let mut lists = vec![Vec::new(); transport.ranks()];
         share_lists(transport, found, &mut |source, part: &[ContactElement]| {
@@ -251,7 +251,7 @@ impl Collisions {
         transport: &mut dyn Transport,
         mut elements: Vec<ContactElement>,
         span: Span,
-    ) -> Result<RankContacts, StepError> {
+    ) -> Result<RankContacts, Failure> {
         let rows = self.partition.rows() as u32;
         let vertices = || elements.iter().flat_map(|c| c.vertices).filter(|&v| v != NO_VERTEX);
         let sorted = |mut list: Vec<u32>| {
@@ -294,7 +294,7 @@ impl Collisions {
         rounds_most: u32,
         stats: &mut StepStats,
         recorder: &mut Recorder,
-    ) -> Result<Resolved, StepError> {
+    ) -> Result<Resolved, Failure> {
         let clock = StageClock::start();
         let (query, share) = (EventName::ContinuousQuery, EventName::SharePositions);
         let mut traced = TracedTransport::new(transport, recorder, query, share);
@@ -378,7 +378,7 @@ impl Collisions {
         touched: Option<&[bool]>,
         stats: &mut StepStats,
         recorder: &mut Recorder,
-    ) -> Result<Vec<Impact>, StepError> {
+    ) -> Result<Vec<Impact>, Failure> {
         let (query, share) = (EventName::ContinuousQuery, EventName::ShareQuery);
         let mut traced = TracedTransport::new(transport, recorder, query, share);
         let mut found = Vec::new();
@@ -414,25 +414,31 @@ fn share_positions(
     share_ranges(transport, all, values)
 }
 
+fn detection(step: u32, cause: impl std::fmt::Display) -> Failure {
+    Failure::in_step(step, format_args!("collision detection: {cause}"))
+}
+
 /// Says which vertex of which mesh detection cannot work with; `rows` of the cloth precede the obstacles' vertices.
-fn detection_failed(step: u32, obstacles: &Obstacles, rows: usize, error: BroadError) -> StepError {
+fn detection_failed(step: u32, obstacles: &Obstacles, rows: usize, error: BroadError) -> Failure {
     let (which, vertex, value_m) = match error {
         BroadError::Position { which, vertex, value_m } => (which, vertex, value_m),
-        BroadError::Transport(error) => return StepError::Transport(error),
-        error => return StepError::Collision { step, message: error.to_string() },
+        BroadError::Transport(error) => return error.into(),
+        error => return detection(step, error),
     };
     match vertex.checked_sub(rows) {
-        None => StepError::NotFinite {
+        None => Failure::NotFinite {
             step,
-            vertex: vertex as u32,
-            quantity: "position",
+            row: vertex as u32,
+            quantity: "position".into(),
             cause: format!("{value_m} m at the {which} of the step, more than collisions are computed for"),
-            suspect: "simulation.step_s or a velocity",
+            suspect: "simulation.step_s or a velocity".into(),
         },
         Some(at) => {
             let name = obstacles.name(obstacles.obstacle_of_vertex(at));
-            let message = format!("the obstacle `{name}` is {value_m} m from the origin at the {which} of the step");
-            StepError::Collision { step, message }
+            detection(
+                step,
+                format_args!("the obstacle `{name}` is {value_m} m from the origin at the {which} of the step"),
+            )
         }
     }
 }

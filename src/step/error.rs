@@ -1,8 +1,13 @@
-//! Why a rank could not be set up, or could not make a step.
+//! Why a rank could not be set up, and why it cannot go on. A [`Failure`] is made on the rank, travels to the coordinator as
+//! it is and is put into words in one place, [`Failure::sentence`].
+
+use std::borrow::Cow;
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::linear_system::SolveError;
 use crate::transport::TransportError;
 
 /// Why a rank could not be set up.
@@ -34,25 +39,123 @@ pub enum Imposed {
     Pin(u32),
 }
 
-/// Why a step failed.
-#[derive(Debug, Error)]
-pub enum StepError {
-    /// A transfer failed: another rank is gone, or the run was told to stop.
-    #[error(transparent)]
-    Transport(#[from] TransportError),
-    /// A value that is not finite; `vertex` is a global row.
-    #[error("step {step}: {quantity} of vertex {vertex} is not finite ({cause}); likely too large: {suspect}")]
-    NotFinite { step: u32, vertex: u32, quantity: &'static str, cause: String, suspect: &'static str },
+/// Why a rank cannot go on. Rows count in the global order.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Failure {
+    /// A transfer failed: another rank is gone or silent, or the run was told to stop. The reason lies elsewhere.
+    Transport(String),
+    /// Bad input that only a rank could see.
+    BadInput(String),
+    /// A value that is not finite; `suspect` names the fields of the scene that usually cause it.
+    NotFinite { step: u32, row: u32, quantity: Cow<'static, str>, cause: String, suspect: Cow<'static, str> },
     /// No state without penetration was found at the end of the step.
-    #[error("step {step}: the cloth cannot be kept free of penetration")]
     Squeezed { step: u32, imposed: Vec<Imposed> },
-    /// Collision detection could not be made.
-    #[error("step {step}: collision detection: {message}")]
-    Collision { step: u32, message: String },
-    /// The solve failed for another reason.
-    #[error("step {step}: {cause}")]
-    Solve { step: u32, cause: String },
-    /// The device failed.
-    #[error("step {step}: {message}")]
-    Device { step: u32, message: String },
+    /// A step failed for another reason: collision detection, the solve, the device.
+    Step { step: u32, cause: String },
+    /// Anything else.
+    Other(String),
+}
+
+/// [`Failure::Squeezed`] names at most this many culprits of each kind.
+const NAMED_MOST: usize = 3;
+
+impl Failure {
+    /// A failure of step `step`.
+    pub fn in_step(step: u32, cause: impl fmt::Display) -> Failure {
+        Failure::Step { step, cause: cause.to_string() }
+    }
+
+    /// The sentence for the user; `vertex_name` names the vertex of a global row.
+    pub fn sentence(&self, vertex_name: &dyn Fn(u32) -> String) -> String {
+        match self {
+            Failure::Transport(text) | Failure::BadInput(text) | Failure::Other(text) => text.clone(),
+            Failure::NotFinite { step, row, quantity, cause, suspect } => {
+                let vertex = vertex_name(*row);
+                format!("step {step}: the {quantity} of {vertex} is not finite ({cause}); likely too large: {suspect}")
+            }
+            Failure::Squeezed { step, imposed } => squeezed(*step, imposed, vertex_name),
+            Failure::Step { step, cause } => format!("step {step}: {cause}"),
+        }
+    }
+}
+
+/// [`Failure::sentence`] with rows instead of vertices.
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.sentence(&|row| format!("row {row}")))
+    }
+}
+
+impl std::error::Error for Failure {}
+
+impl From<TransportError> for Failure {
+    fn from(error: TransportError) -> Failure {
+        Failure::Transport(error.to_string())
+    }
+}
+
+impl From<SetupError> for Failure {
+    fn from(error: SetupError) -> Failure {
+        match error {
+            SetupError::Preconditioner(text) => Failure::BadInput(text),
+            other => Failure::Other(other.to_string()),
+        }
+    }
+}
+
+impl From<SolveError> for Failure {
+    fn from(error: SolveError) -> Failure {
+        match error {
+            SolveError::Transport(error) => error.into(),
+            SolveError::Preconditioner(text) => Failure::BadInput(text),
+            other => Failure::Other(other.to_string()),
+        }
+    }
+}
+
+fn squeezed(step: u32, imposed: &[Imposed], vertex_name: &dyn Fn(u32) -> String) -> String {
+    let mut obstacles: Vec<&str> = Vec::new();
+    let mut pins: Vec<String> = Vec::new();
+    for one in imposed {
+        match one {
+            Imposed::Obstacle(name) => obstacles.push(name),
+            Imposed::Pin(row) => pins.push(vertex_name(*row)),
+        }
+    }
+    let mut culprits: Vec<String> =
+        obstacles.iter().take(NAMED_MOST).map(|name| format!("the obstacle `{name}`")).collect();
+    culprits.extend(pins.iter().take(NAMED_MOST).map(|vertex| format!("the pin of {vertex}")));
+    let unnamed = obstacles.len().saturating_sub(NAMED_MOST) + pins.len().saturating_sub(NAMED_MOST);
+    if unnamed > 0 {
+        culprits.push(format!("{unnamed} more"));
+    }
+    let who = if culprits.is_empty() { "what moves in the scene".to_string() } else { culprits.join(", ") };
+    format!(
+        "step {step}: the cloth cannot be kept free of penetration, {who} left it no room; move them less or more slowly, or shorten simulation.step_s"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sentences_name_step_vertex_and_culprits() {
+        let name = |row: u32| format!("vertex {} of `sheet`", row + 100);
+        let (quantity, suspect) = ("velocity".into(), "air.wind".into());
+        let failure = Failure::NotFinite { step: 7, row: 3, quantity, cause: "p'Ap = NaN".into(), suspect };
+        let expected =
+            "step 7: the velocity of vertex 103 of `sheet` is not finite (p'Ap = NaN); likely too large: air.wind";
+        assert_eq!(failure.sentence(&name), expected);
+        assert!(failure.to_string().contains("the velocity of row 3 is"), "{failure}");
+        let pins = (0..5).map(Imposed::Pin);
+        let imposed = std::iter::once(Imposed::Obstacle("ball".into())).chain(pins).collect();
+        let text = Failure::Squeezed { step: 2, imposed }.sentence(&name);
+        let culprits = "the obstacle `ball`, the pin of vertex 100 of `sheet`, the pin of vertex 101 of `sheet`, \
+                        the pin of vertex 102 of `sheet`, 2 more left it no room";
+        assert!(text.starts_with("step 2: ") && text.contains(culprits), "{text}");
+        let nobody = Failure::Squeezed { step: 2, imposed: Vec::new() }.to_string();
+        assert!(nobody.contains("what moves in the scene left it no room"), "{nobody}");
+        assert_eq!(Failure::in_step(4, "the device is gone").to_string(), "step 4: the device is gone");
+    }
 }

@@ -1,6 +1,6 @@
 //! What others may ask a simulation: its state, its memory, and why a solve failed.
 
-use super::{Simulation, StepError};
+use super::{Failure, Simulation};
 use crate::scene::PreconditionerKind;
 use crate::solver::{PcgError, Schwarz};
 
@@ -46,13 +46,13 @@ impl Simulation {
     }
 
     /// Finds the vertex behind a failed solve and names what usually causes it.
-    pub(super) fn explain(&self, step: u32, error: PcgError) -> StepError {
+    pub(super) fn explain(&self, step: u32, error: PcgError) -> Failure {
         let cause = match error {
-            PcgError::Transport(error) => return StepError::Transport(error),
+            PcgError::Transport(error) => return error.into(),
             other => other.to_string(),
         };
         if let Some(fault) = self.executor.take_fault() {
-            return StepError::Device { step, message: fault.to_string() };
+            return Failure::in_step(step, fault);
         }
         let own = self.own_state();
         let rhs = self.rhs.read(&self.executor);
@@ -63,15 +63,15 @@ impl Simulation {
         ];
         for (quantity, values, suspect) in suspects {
             if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-                return StepError::NotFinite {
+                return Failure::NotFinite {
                     step,
-                    vertex: (self.rows_start + at / 3) as u32,
-                    quantity,
+                    row: (self.rows_start + at / 3) as u32,
+                    quantity: quantity.into(),
                     cause,
-                    suspect,
+                    suspect: suspect.into(),
                 };
             }
         }
-        StepError::Solve { step, cause }
+        Failure::Step { step, cause }
     }
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::collisions::Span;
 use super::stats::StepStats;
-use super::{SetupError, Simulation, StepError, system};
+use super::{Failure, SetupError, Simulation, system};
 use crate::gpu::{DeviceVec, Executor};
 use crate::solver::ExchangeMode;
 use crate::telemetry::Event;
@@ -32,7 +32,7 @@ impl Simulation {
 
     /// Stages 1 to 4 of step `step` (from 1) [Li et al. 2020, Fig. 2]: contacts, element records, matrix, right-hand side.
     /// Positions and velocities stay. Returns the number of contacts over all ranks.
-    pub fn assemble(&mut self, transport: &mut dyn Transport, step: u32) -> Result<u64, StepError> {
+    pub fn assemble(&mut self, transport: &mut dyn Transport, step: u32) -> Result<u64, Failure> {
         let step_s = self.settings.step_s;
         let span = Span { start_s: (step - 1) as f64 * step_s, end_s: step as f64 * step_s, length_s: step_s };
         let mut stats = StepStats { step, ..StepStats::default() };
@@ -42,7 +42,7 @@ impl Simulation {
         self.element_records(span);
         self.fill_matrix(span);
         match self.executor.take_fault() {
-            Some(fault) => Err(StepError::Device { step, message: fault.to_string() }),
+            Some(fault) => Err(Failure::in_step(step, fault)),
             None => Ok(stats.contacts),
         }
     }

@@ -8,7 +8,7 @@ use loomtree::mesh::TriangleMesh;
 use loomtree::model::GlobalModel;
 use loomtree::scene::{Pin, PreconditionerKind, Scene};
 use loomtree::solver::ExchangeMode;
-use loomtree::step::StepError;
+use loomtree::step::Failure;
 use support::contact::{Watched, assert_free, ball, contact_scene, floor, plate, rolled, together, watch};
 use support::physics::DOWN;
 use support::{cpu, on_ranks, sheet};
@@ -193,10 +193,8 @@ fn a_vertex_out_of_range_is_named() {
         simulation.step(transport, 1, false).map(|_| ()).unwrap_err()
     });
     for error in errors {
-        let StepError::NotFinite { step: 1, vertex, quantity: "position", cause, .. } = &error else {
-            panic!("{error}")
-        };
-        assert_eq!(model.original_from_global[*vertex as usize], 20, "{error}");
+        let Failure::NotFinite { step: 1, row, quantity, cause, .. } = &error else { panic!("{error}") };
+        assert_eq!((model.original_from_global[*row as usize], quantity.as_ref()), (20, "position"), "{error}");
         assert!(cause.contains("at the end of the step"), "{cause}");
     }
 }
