@@ -1,7 +1,7 @@
 //! Loomtree: a distributed simulator for very large cloth.
 //!
 //! The order of the modules below is the flow of the data and the order of imports: a module uses only modules above
-//! it (`tests/tidy.rs` fails on an upward import). `ARCHITECTURE.md` draws the house.
+//! it (`tests/tidy/` fails on an upward import). `ARCHITECTURE.md` draws the house.
 
 pub mod math;
 pub mod telemetry;
@@ -26,3 +26,8 @@ pub mod protocol;
 pub mod worker;
 pub mod coordinator;
 pub mod cli;
+
+#[cfg(test)]
+mod test_support;
+#[cfg(test)]
+extern crate self as loomtree;

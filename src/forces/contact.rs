@@ -73,7 +73,8 @@ impl Contact {
 mod tests {
     use super::*;
     use crate::forces::NO_VERTEX;
-    use crate::gpu::test_support::{self, Seeded};
+    use crate::test_support::device;
+    use crate::test_support::seeded::Seeded;
 
     #[test]
     fn shader_and_structs_agree() {
@@ -82,7 +83,7 @@ mod tests {
 
     #[test]
     fn device_equals_the_native_twin() {
-        let Some(gpu) = test_support::executor_binding(1 << 16) else { return };
+        let Some(gpu) = device::executor_binding(1 << 16) else { return };
         let mut seeded = Seeded::new(5);
         let vertices = 300;
         let velocities: Vec<f32> = (0..vertices * 3).map(|_| seeded.uniform(-0.5, 0.5)).collect();

@@ -5,6 +5,7 @@ use super::*;
 use crate::gpu::CpuExecutor;
 use crate::math::{Vec2, Vec3};
 use crate::scene::Fabric;
+use crate::test_support::seeded::Seeded;
 
 /// An isotropic fabric: Young's modulus times thickness `eh` (N/m), Poisson's ratio `nu`, bending sample `bending` (N m).
 pub fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
@@ -22,11 +23,6 @@ pub fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
 
 fn still_air(step_s: f32, count: u32) -> StepParams {
     StepParams { step_s, air_density: 0.0, air_drag: 0.0, count, wind: [0.0; 3], padding: 0.0 }
-}
-
-fn random(seed: &mut u64) -> f32 {
-    *seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-    ((*seed >> 40) as f32) / (1u64 << 23) as f32 - 1.0
 }
 
 fn flat<const N: usize>(x: [Vec3; N]) -> Vec<f32> {
@@ -55,13 +51,13 @@ fn stretch_record(
 
 #[test]
 fn stretch_force_is_the_negative_gradient_of_the_energy() {
-    let mut seed = 7;
+    let mut random = Seeded::new(7);
     let fabric = isotropic(500.0, 0.3, 0.0);
     for _ in 0..50 {
         let element = triangle_element([0, 1, 2], 0, [Vec2::ZERO, Vec2::new(0.02, 0.003), Vec2::new(0.004, 0.015)]);
         let x: [Vec3; 3] = std::array::from_fn(|i| {
             let uv = [Vec2::ZERO, Vec2::new(0.02, 0.003), Vec2::new(0.004, 0.015)][i];
-            Vec3::new(uv.x, uv.y, 0.0) + Vec3::new(random(&mut seed), random(&mut seed), random(&mut seed)) * 0.004
+            Vec3::new(uv.x, uv.y, 0.0) + random.vector() * 0.004
         });
         let record = stretch_record(&still_air(0.0, 1), fabric, &element, x, [Vec3::ZERO; 3]);
         let forces = triangle_forces(&element, &record);
@@ -88,9 +84,9 @@ fn stretch_force_is_the_negative_gradient_of_the_energy() {
 
 #[test]
 fn forces_of_a_free_element_balance() {
-    let mut seed = 3;
+    let mut random = Seeded::new(3);
     let fabric = isotropic(300.0, 0.2, 1e-4);
-    let mut point = || Vec3::new(random(&mut seed), random(&mut seed), random(&mut seed)) * 0.01;
+    let mut point = || random.vector() * 0.01;
     let element = triangle_element([0, 1, 2], 0, [Vec2::ZERO, Vec2::new(0.01, 0.0), Vec2::new(0.0, 0.01)]);
     let record =
         stretch_record(&still_air(0.01, 1), fabric, &element, [point(), point(), point()], [point(), point(), point()]);
@@ -130,10 +126,10 @@ fn stretch_jacobian_of_a_tensioned_triangle_matches_finite_differences() {
 
 #[test]
 fn dihedral_gradient_matches_finite_differences() {
-    let mut seed = 11;
+    let mut random = Seeded::new(11);
     for _ in 0..100 {
         let base = [Vec3::ZERO, Vec3::X, Vec3::new(0.4, 0.9, 0.0), Vec3::new(0.6, -0.8, 0.2)];
-        let x = base.map(|p| p + Vec3::new(random(&mut seed), random(&mut seed), random(&mut seed)) * 0.15);
+        let x = base.map(|p| p + random.vector() * 0.15);
         let (_, g) = dihedral_angle(x);
         for corner in 0..4 {
             for axis in 0..3 {
@@ -172,11 +168,11 @@ fn bending_moment_is_the_derivative_of_the_energy() {
 
 #[test]
 fn measured_tables_give_a_positive_semidefinite_stiffness_at_every_strain() {
-    let mut seed = 5;
+    let mut random = Seeded::new(5);
     for _ in 0..1000 {
         let row = || [0.0; 4];
         let mut rows = [row(); 6];
-        rows.iter_mut().flatten().for_each(|k| *k = 200.0 * random(&mut seed) as f64);
+        rows.iter_mut().flatten().for_each(|k| *k = 200.0 * random.signed() as f64);
         let fabric = FabricTable::from(&Fabric {
             name: "random".into(),
             density_kg_m2: 0.1,
@@ -185,7 +181,7 @@ fn measured_tables_give_a_positive_semidefinite_stiffness_at_every_strain() {
             damping_s: 0.0,
         });
         let [warp, cross, weft, shear] =
-            stretch_stiffness(&fabric, [random(&mut seed) * 0.4, random(&mut seed) * 0.4, random(&mut seed) * 0.4]);
+            stretch_stiffness(&fabric, [random.signed() * 0.4, random.signed() * 0.4, random.signed() * 0.4]);
         assert!(warp >= 0.0 && weft >= 0.0 && shear >= 0.0);
         assert!(cross * cross <= warp * weft);
     }

@@ -115,7 +115,7 @@ mod tests {
         COPY.check().unwrap();
         READ.check().unwrap();
         let mut executors = vec![Executor::cpu(1), Executor::cpu(2)];
-        executors.extend(crate::gpu::test_support::executor());
+        executors.extend(crate::test_support::device::executor());
         for executor in &executors {
             let found = bandwidth_gb_s(executor, 1 << 20).unwrap();
             assert!(found.copy_gb_s > 0.0 && found.read_gb_s > 0.0, "{}: {found:?}", executor.device_name());

@@ -92,11 +92,12 @@ impl DeviceClock for StampClock {
 mod tests {
     use std::time::Instant;
 
-    use crate::gpu::{DeviceVec, primitives, test_support};
+    use crate::gpu::{DeviceVec, primitives};
+    use crate::test_support::device;
 
     #[test]
     fn stamps_stand_where_the_host_saw_the_work() {
-        let Some(executor) = test_support::executor() else { return };
+        let Some(executor) = device::executor() else { return };
         let clock = executor.clock().expect("a device has a clock");
         let epoch = Instant::now();
         let host_ns = || epoch.elapsed().as_nanos() as u64;

@@ -70,7 +70,7 @@ pub struct Binding<'a> {
 impl GpuExecutor {
     /// Opens adapter number `adapter`, or the default one of `rank`, and tests that it computes what kernels rely on.
     /// Kernels see at most `binding_bytes` bytes of an array at once, fewer if that is the adapter's limit.
-    pub(super) fn open(adapter: Option<usize>, rank: usize, binding_bytes: u64) -> Result<GpuExecutor, GpuError> {
+    pub fn open(adapter: Option<usize>, rank: usize, binding_bytes: u64) -> Result<GpuExecutor, GpuError> {
         let (adapter, summary) = adapter::select(adapter, rank)?;
         let mut limits = adapter.limits();
         limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(binding_bytes);
@@ -273,7 +273,8 @@ fn one_line(error: &wgpu::Error) -> String {
 
 #[cfg(test)]
 mod tests {
-    use crate::gpu::{DeviceVec, Executor, test_support};
+    use crate::gpu::{DeviceVec, Executor};
+    use crate::test_support::device;
 
     fn device(executor: &Executor) -> &super::GpuExecutor {
         let Executor::Gpu(gpu) = executor else { panic!("not a device") };
@@ -282,7 +283,7 @@ mod tests {
 
     #[test]
     fn a_lost_device_is_reported_and_nothing_hangs() {
-        let Some(executor) = test_support::executor() else { return };
+        let Some(executor) = device::executor() else { return };
         let mut values = DeviceVec::upload(&executor, &[1u32, 2, 3]);
         assert_eq!(values.read(&executor), [1, 2, 3]);
         device(&executor).device.destroy();
@@ -299,7 +300,7 @@ mod tests {
 
     #[test]
     fn an_array_too_large_is_a_sentence() {
-        let Some(executor) = test_support::executor() else { return };
+        let Some(executor) = device::executor() else { return };
         let most = device(&executor).limits.max_buffer_size;
         let huge = DeviceVec::<[u32; 4]>::zeros(&executor, (most / 16 + 1) as usize);
         let mut first = [[1u32; 4]];
@@ -311,7 +312,7 @@ mod tests {
 
     #[test]
     fn windows_start_where_they_can_be_bound() {
-        let Some(executor) = test_support::executor() else { return };
+        let Some(executor) = device::executor() else { return };
         let gpu = device(&executor);
         for item_bytes in [4, 12, 16, 36, 100] {
             let items = gpu.window_items(item_bytes);
@@ -326,7 +327,7 @@ mod tests {
 
     #[test]
     fn arrays_that_are_gone_leave_nothing_behind() {
-        let Some(executor) = test_support::executor() else { return };
+        let Some(executor) = device::executor() else { return };
         let values = DeviceVec::upload(&executor, &[1u32, 2, 3]);
         let before = super::locked(&device(&executor).bind_groups.0).len();
         let mut sums = DeviceVec::zeros(&executor, 3);

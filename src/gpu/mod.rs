@@ -16,7 +16,6 @@ mod layout;
 mod offscreen;
 pub mod primitives;
 mod self_test;
-pub mod test_support;
 mod vec;
 
 pub use adapter::{AdapterKind, AdapterSummary, adapters};

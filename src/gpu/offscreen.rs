@@ -392,7 +392,8 @@ fn row_bytes(width: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::{GpuStruct, kernel, layout, test_support};
+    use crate::gpu::{GpuStruct, kernel, layout};
+    use crate::test_support::device;
 
     #[test]
     fn the_shader_is_valid_and_laid_out_like_rust() {
@@ -434,7 +435,7 @@ mod tests {
 
     #[test]
     fn the_nearest_surface_is_seen_in_every_tile() {
-        let Some(executor) = test_support::executor() else { return };
+        let Some(executor) = device::executor() else { return };
         // Two tiles along each side, the second ones cut off.
         let (width, height) = (TILE + 77, TILE + 30);
         let mut place = Offscreen::new(&executor, width, height).unwrap().unwrap();

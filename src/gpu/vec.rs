@@ -263,10 +263,10 @@ impl<'a> ReadBatch<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::test_support;
+    use crate::test_support::device;
 
     fn executors() -> impl Iterator<Item = Executor> {
-        std::iter::once(Executor::cpu(2)).chain(test_support::executor())
+        std::iter::once(Executor::cpu(2)).chain(device::executor())
     }
 
     #[test]

@@ -63,11 +63,12 @@ impl Gather {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::test_support::{self, Seeded};
+    use crate::test_support::device;
+    use crate::test_support::seeded::Seeded;
 
     #[test]
     fn device_equals_the_native_twin() {
-        let Some(gpu) = test_support::executor() else { return };
+        let Some(gpu) = device::executor() else { return };
         let mut seeded = Seeded::new(3);
         let (a, b): (Vec<f32>, Vec<f32>) =
             (0..1500).map(|_| (seeded.uniform(-1.0, 1.0), seeded.uniform(-1.0, 1.0))).unzip();

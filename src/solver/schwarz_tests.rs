@@ -4,10 +4,11 @@ use super::super::sweep::outer_layout;
 use super::*;
 use crate::assembly::SellLayout;
 use crate::assembly::sell::value_index;
-use crate::gpu::test_support::{self, Seeded};
 use crate::partition::halo_plans;
 use crate::solver::PipelinedSpmv;
 use crate::solver::pcg::{Pcg, PcgParams, PcgVectors};
+use crate::test_support::device;
+use crate::test_support::seeded::Seeded;
 use crate::transport::InProcessTransport;
 
 const SIDE: usize = 96;
@@ -268,7 +269,7 @@ fn it_is_symmetric_positive_and_zero_on_pins() {
     };
     on_ranks(1, ExchangeMode::Halo, By::Chain(1), check);
     on_ranks(1, ExchangeMode::Halo, By::Colors, check);
-    if test_support::executor().is_some() {
+    if device::executor().is_some() {
         on_ranks(1, ExchangeMode::Halo, By::Device, check);
     }
 }
@@ -322,7 +323,7 @@ fn sweeps_by_color_solve_what_they_should() {
 
 #[test]
 fn a_device_sweeps_and_sums_as_the_native_twin() {
-    if test_support::executor().is_none() {
+    if device::executor().is_none() {
         return;
     }
     let run = |by: By| {
@@ -440,7 +441,7 @@ fn the_bits_are_those_of_one_rank_whatever_the_ranks_and_threads() {
     }
     let one = solve(1, By::Colors);
     assert!(solve(3, By::Colors) == one, "by colour");
-    if test_support::executor().is_some() {
+    if device::executor().is_some() {
         let device = solve(1, By::Device);
         assert!(device.1.abs_diff(one.1) <= 2, "{} and {} iterations", device.1, one.1);
         for ranks in [2, 3] {

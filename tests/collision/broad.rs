@@ -7,7 +7,8 @@ use loomtree::collision::{Candidate, CandidateKind};
 use loomtree::gpu::CpuExecutor;
 use loomtree::math::Vec3;
 use proptest::prelude::*;
-use support::collision::{Model, Random, folded, sphere};
+use support::collision::{Model, folded, sphere};
+use support::seeded::Seeded;
 
 fn run(
     broad: &mut Broad,
@@ -118,10 +119,10 @@ fn every_feature_has_one_owner() {
 
 #[test]
 fn folded_sheets_moving() {
-    let mut random = Random(1);
+    let mut random = Seeded::new(1);
     for (n, m) in [(5, 3), (17, 13), (31, 23)] {
         let mut model = Model::default();
-        model.sheet(n, m, folded, |x| x + 0.01 * random.vec());
+        model.sheet(n, m, folded, |x| x + 0.01 * random.vector());
         model.sheet(m, n, |u, v| folded(v, u) + Vec3::new(0.013, 0.011, 0.002), |x| x - Vec3::new(0.02, 0.0, 0.01));
         check_ranks(&model, 0.0);
         check_ranks(&model, 0.003);
@@ -130,7 +131,7 @@ fn folded_sheets_moving() {
 
 #[test]
 fn proximity_of_layers_in_any_order_of_triangles() {
-    let mut random = Random(2);
+    let mut random = Seeded::new(2);
     let mut model = Model::default();
     for layer in 0..3 {
         model.sheet(19, 17, |u, v| Vec3::new(u, v, 0.002 * layer as f32 + 0.001 * (u * 30.0).sin()), |x| x);
@@ -345,9 +346,9 @@ fn sampled_distance(candidate: &Candidate, at: impl Fn(u32) -> Vec3) -> f32 {
 #[test]
 fn no_pair_within_the_radius_is_left_out() {
     // Not through boxes: any pair that comes within the radius at a sampled time must be among the candidates.
-    let mut random = Random(5);
+    let mut random = Seeded::new(5);
     let mut model = Model::default();
-    model.sheet(8, 7, folded, |x| x + 0.05 * random.vec());
+    model.sheet(8, 7, folded, |x| x + 0.05 * random.vector());
     model.sheet(6, 7, |u, v| folded(u, v) + Vec3::splat(0.03), |x| x - Vec3::splat(0.04));
     let radius_m = 0.02;
     let mesh = model.mesh();
@@ -383,20 +384,20 @@ proptest! {
     #[test]
     fn random_soups(seed in any::<u64>(), vertices in 3usize..90, triangles in 0usize..140, obstacle in 0usize..40,
                     spread in -3i32..3, speed in -4i32..1, radius in -5i32..0, ranks in 1usize..9, threads in 1usize..3) {
-        let mut random = Random(seed);
+        let mut random = Seeded::new(seed);
         let mut model = Model::default();
         let cloth = vertices + 3;
         let total = cloth + obstacle;
         for _ in 0..total {
-            let x = random.vec() * if random.next().is_multiple_of(7) { 10f32.powi(spread) } else { 1.0 };
+            let x = random.vector() * if random.bits64().is_multiple_of(7) { 10f32.powi(spread) } else { 1.0 };
             model.x0.push(x);
-            model.x1.push(x + random.vec() * 10f32.powi(speed));
+            model.x1.push(x + random.vector() * 10f32.powi(speed));
         }
         model.cloth = Some(cloth);
         for _ in 0..triangles {
-            let (start, len) = if obstacle >= 3 && random.next().is_multiple_of(3) { (cloth, obstacle) } else { (0, cloth) };
-            let near = (random.next() % len as u64) as usize;
-            let corners = [0, 1, 2].map(|k| (start + (near + k * (1 + random.next() as usize % 3)) % len) as u32);
+            let (start, len) = if obstacle >= 3 && random.bits64().is_multiple_of(3) { (cloth, obstacle) } else { (0, cloth) };
+            let near = (random.bits64() % len as u64) as usize;
+            let corners = [0, 1, 2].map(|k| (start + (near + k * (1 + random.bits64() as usize % 3)) % len) as u32);
             if !model.triangles.contains(&corners) && corners[0] != corners[1] && corners[1] != corners[2] && corners[0] != corners[2] {
                 model.triangles.push(corners);
             }

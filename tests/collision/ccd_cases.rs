@@ -6,6 +6,7 @@ use loomtree::collision::elementary::{
     DecidedBy, Filtered, StencilKind, ccd, ccd_fallback, ccd_filter, closest_points, proximity,
 };
 use loomtree::math::Vec3;
+use support::seeded::Seeded;
 
 const FACE: [[f32; 3]; 3] = [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.]];
 /// Gaps around touching. Around 1, f32 resolves 6e-8; around 0 much less.
@@ -269,11 +270,8 @@ fn closest_points_of_edges() {
 
 #[test]
 fn proximity_gives_the_offset_as_weights_and_normal() {
-    let mut random = 12345u32;
-    let mut number = || {
-        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (random >> 8) as f32 / (1 << 24) as f32
-    };
+    let mut random = Seeded::new(12345);
+    let mut number = || random.uniform(0.0, 1.0);
     let mut met = 0;
     for round in 0..20_000 {
         let mut x: [Vec3; 4] = std::array::from_fn(|_| Vec3::new(number(), number(), number()));

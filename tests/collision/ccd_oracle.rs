@@ -9,6 +9,7 @@ use loomtree::collision::elementary::StencilKind::{self, EdgeEdge, VertexFace};
 use loomtree::collision::elementary::{DecidedBy, ccd};
 use loomtree::math::Vec3;
 use support::exact::{Grid, first_contact};
+use support::seeded::Seeded;
 
 /// Random queries; the referee is fast where most queries are far from touching.
 const RANDOM: u32 = 1_000_000;
@@ -22,29 +23,17 @@ fn asked() -> Option<u32> {
     std::env::var("LOOMTREE_CCD_QUERIES").ok().map(|text| text.parse().expect("a number of queries"))
 }
 
-/// SplitMix64 [Steele et al. 2014].
-struct Random(u64);
+/// From -limit to limit.
+fn integer(random: &mut Seeded, limit: i64) -> i64 {
+    (random.bits64() % (2 * limit as u64 + 1)) as i64 - limit
+}
 
-impl Random {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
+fn point(random: &mut Seeded, limit: i64) -> [i64; 3] {
+    std::array::from_fn(|_| integer(random, limit))
+}
 
-    /// From -limit to limit.
-    fn integer(&mut self, limit: i64) -> i64 {
-        (self.bits() % (2 * limit as u64 + 1)) as i64 - limit
-    }
-
-    fn point(&mut self, limit: i64) -> [i64; 3] {
-        std::array::from_fn(|_| self.integer(limit))
-    }
-
-    fn stencil(&mut self, limit: i64) -> Grid {
-        std::array::from_fn(|_| self.point(limit))
-    }
+fn stencil(random: &mut Seeded, limit: i64) -> Grid {
+    std::array::from_fn(|_| point(random, limit))
 }
 
 #[derive(Debug, Default)]
@@ -58,7 +47,7 @@ struct Tally {
 
 impl Tally {
     /// Asks `count` queries on several threads; what is asked does not depend on how many there are.
-    fn series(count: u32, seed: u64, ask: impl Fn(&mut Tally, &mut Random, u32) + Sync) -> Tally {
+    fn series(count: u32, seed: u64, ask: impl Fn(&mut Tally, &mut Seeded, u32) + Sync) -> Tally {
         let next = AtomicU32::new(0);
         let all = Mutex::new(Tally::default());
         let threads = std::thread::available_parallelism().map_or(1, |threads| threads.get()).min(PARTS as usize);
@@ -70,7 +59,7 @@ impl Tally {
                         if part >= PARTS {
                             break;
                         }
-                        let (mut tally, mut random) = (Tally::default(), Random(seed + (u64::from(part) << 32)));
+                        let (mut tally, mut random) = (Tally::default(), Seeded::new(seed + (u64::from(part) << 32)));
                         (count * part / PARTS..count * (part + 1) / PARTS)
                             .for_each(|i| ask(&mut tally, &mut random, i));
                         all.lock().expect("no part failed").add(&tally);
@@ -119,14 +108,14 @@ impl Tally {
 fn random_stencils() {
     let tally = Tally::series(asked().unwrap_or(RANDOM), 1, |tally, random, i| {
         let kind = if i % 2 == 0 { VertexFace } else { EdgeEdge };
-        let limit = 1 << (1 + random.bits() % 24);
-        let x_t0 = random.stencil(limit);
+        let limit = 1 << (1 + random.bits64() % 24);
+        let x_t0 = stencil(random, limit);
         let x_t1 = if i % 3 == 0 {
             // A step of cloth: small beside the shape.
-            let step = random.stencil((limit / 8).max(1));
+            let step = stencil(random, (limit / 8).max(1));
             std::array::from_fn(|v| std::array::from_fn(|c| (x_t0[v][c] + step[v][c]).clamp(-limit, limit)))
         } else {
-            random.stencil(limit)
+            stencil(random, limit)
         };
         tally.ask(kind, x_t0, x_t1);
     });
@@ -136,7 +125,7 @@ fn random_stencils() {
 }
 
 /// Runs the queries of `make` for both kinds.
-fn family(name: &str, seed: u64, make: impl Fn(&mut Random, StencilKind) -> (Grid, Grid) + Sync) {
+fn family(name: &str, seed: u64, make: impl Fn(&mut Seeded, StencilKind) -> (Grid, Grid) + Sync) {
     let tally = Tally::series(asked().map_or(FAMILY, |random| random / 10), seed, |tally, random, i| {
         let kind = if i % 2 == 0 { VertexFace } else { EdgeEdge };
         let (x_t0, x_t1) = make(random, kind);
@@ -146,28 +135,28 @@ fn family(name: &str, seed: u64, make: impl Fn(&mut Random, StencilKind) -> (Gri
     assert!(tally.hits * 50 > tally.queries, "hits must occur: {tally:?}");
 }
 
-fn jitter(random: &mut Random, x: Grid, by: i64) -> Grid {
-    x.map(|p| p.map(|c| c + random.integer(by)))
+fn jitter(random: &mut Seeded, x: Grid, by: i64) -> Grid {
+    x.map(|p| p.map(|c| c + integer(random, by)))
 }
 
 #[test]
 fn small_grids_full_of_exact_touching() {
     // On a grid of few points vertices on faces, parallel edges, collapsed faces and coplanar motion are common.
     for (seed, limit) in [(10, 1), (11, 2), (12, 4)] {
-        family("small grid", seed, |random, _| (random.stencil(limit), random.stencil(limit)));
+        family("small grid", seed, |random, _| (stencil(random, limit), stencil(random, limit)));
     }
 }
 
 #[test]
 fn coplanar_motion() {
     family("coplanar", 20, |random, _| {
-        let limit = 1 << (2 + random.bits() % 16);
-        let mut flat = || random.stencil(limit).map(|[x, y, _]| [x, y, x + 2 * y]);
+        let limit = 1 << (2 + random.bits64() % 16);
+        let mut flat = || stencil(random, limit).map(|[x, y, _]| [x, y, x + 2 * y]);
         (flat(), flat())
     });
     family("nearly coplanar", 21, |random, _| {
         let mut flat = || {
-            let x = random.stencil(1 << 20).map(|[x, y, _]| [x, y, x + 2 * y]);
+            let x = stencil(random, 1 << 20).map(|[x, y, _]| [x, y, x + 2 * y]);
             jitter(random, x, 1)
         };
         (flat(), flat())
@@ -178,10 +167,10 @@ fn coplanar_motion() {
 fn parallel_edges_and_needles() {
     family("nearly parallel", 30, |random, _| {
         // Both run along the same direction and pass through each other at t = 1/2, half of them up to one unit.
-        let (along, offset, slide) = (random.point(1 << 16), random.point(1 << 12), random.integer(3));
-        let off = random.integer(1).abs();
+        let (along, offset, slide) = (point(random, 1 << 16), point(random, 1 << 12), integer(random, 3));
+        let off = integer(random, 1).abs();
         let mut x = |sign: i64| {
-            let start = random.point(1 << 20);
+            let start = point(random, 1 << 20);
             let at =
                 |times: i64, side: i64| std::array::from_fn(|c| start[c] + times * along[c] + side * sign * offset[c]);
             let x = [at(0, 0), at(5, 0), at(slide, 1), at(slide + 7, 1)];
@@ -196,8 +185,8 @@ fn aimed_at_a_common_point() {
     // At t = 1/2 the closest points coincide, or miss by one unit of the grid.
     for (seed, off) in [(40, 0), (41, 1)] {
         family("aimed", seed, |random, kind| {
-            let mut middle = random.stencil(1 << 18);
-            let [s, t] = [random.integer(4).abs(), random.integer(4).abs()];
+            let mut middle = stencil(random, 1 << 18);
+            let [s, t] = [integer(random, 4).abs(), integer(random, 4).abs()];
             match kind {
                 VertexFace => {
                     let t = t.min(4 - s);
@@ -217,7 +206,7 @@ fn aimed_at_a_common_point() {
                     }
                 }
             }
-            let motion = random.stencil(1 << 18);
+            let motion = stencil(random, 1 << 18);
             let start = std::array::from_fn(|v| std::array::from_fn(|c| middle[v][c] - motion[v][c]));
             let end: Grid = std::array::from_fn(|v| std::array::from_fn(|c| middle[v][c] + motion[v][c]));
             (start, jitter(random, end, off))
@@ -229,16 +218,16 @@ fn aimed_at_a_common_point() {
 fn grazing() {
     // Coplanarity has a double root: the vertex of a parabola in time touches the face, or misses by little.
     family("grazing", 50, |random, _| {
-        let (reach, lift) = (1 << 12, random.integer(1));
+        let (reach, lift) = (1 << 12, integer(random, 1));
         let x = |sign: i64, height: i64| {
             [[0, 0, height], [-reach, -reach, sign * -reach], [reach, -reach, sign * reach], [0, reach, 0]]
         };
-        let slope = random.integer(64);
+        let slope = integer(random, 64);
         let mut start = x(1, lift);
         let mut end = x(-1, lift);
         for (grid, sign) in [(&mut start, 1), (&mut end, -1)] {
             grid[0][0] += sign * slope;
-            grid[0][2] += slope * random.integer(1);
+            grid[0][2] += slope * integer(random, 1);
         }
         (start, end)
     });

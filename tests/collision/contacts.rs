@@ -7,7 +7,8 @@ use loomtree::collision::{Candidate, ContactParams, Detector, DetectorError, mer
 use loomtree::forces::{ContactElement, NO_VERTEX};
 use loomtree::gpu::CpuExecutor;
 use loomtree::math::{DVec3, Vec3};
-use support::collision::{Model, Random, flat, folded, sphere};
+use support::collision::{Model, flat, folded, sphere};
+use support::seeded::Seeded;
 
 const STEP_S: f32 = 0.005;
 
@@ -234,7 +235,7 @@ fn a_fine_sheet_does_not_repel_itself() {
 
 #[test]
 fn folded_layers_and_obstacles() {
-    let mut random = Random(11);
+    let mut random = Seeded::new(11);
     let mut model = Model::default();
     model.sheet(19, 13, folded, |x| x);
     model.sheet(13, 15, |u, v| folded(v, u) + Vec3::new(0.013, 0.011, 0.002), |x| x);
@@ -242,7 +243,7 @@ fn folded_layers_and_obstacles() {
     model.obstacles_follow();
     model.sheet(12, 12, sphere(Vec3::new(0.0, 0.5, 0.1), 0.12), |x| x);
     model.sheet(2, 2, |u, v| Vec3::new(20.0 * (u - 0.5), 30.0 * (v - 0.4), 0.02), |x| x);
-    model.x0.iter_mut().for_each(|x| *x += 1e-3 * random.vec());
+    model.x0.iter_mut().for_each(|x| *x += 1e-3 * random.vector());
     for thickness_m in [0.0, 0.004, 0.02] {
         let contacts = check(&model, thickness_m);
         let with_obstacle =

@@ -8,7 +8,8 @@ use loomtree::collision::elementary::{StencilKind, closest_points};
 use loomtree::gpu::CpuExecutor;
 use loomtree::math::Vec3;
 use loomtree::transport::InProcessTransport;
-use support::collision::{Model, Random, folded, ordered, sphere};
+use support::collision::{Model, folded, ordered, sphere};
+use support::seeded::Seeded;
 
 struct Found(Vec<Candidate>);
 
@@ -149,13 +150,13 @@ fn a_notch_that_closes() {
 fn random_shapes_and_motions() {
     let (mut count, mut kept) = (0, 0);
     for seed in 0..150 {
-        let mut random = Random(seed);
+        let mut random = Seeded::new(seed);
         let mut unit = || 0.5 + 0.5 * random.signed();
         let (bend, wave, lift, spin) = (unit() * 9.0, unit() * 0.2, unit() - 0.5, unit() * 2.0);
         let (noise, shake, radius) = (0.1f32.powf(1.0 + 3.0 * unit()), 0.1f32.powf(1.0 + 3.0 * unit()), unit());
         let (n, m) = (3 + (unit() * 16.0) as usize, 3 + (unit() * 12.0) as usize);
-        let mut jitter = Random(seed + 1000);
-        let axis = jitter.vec();
+        let mut jitter = Seeded::new(seed + 1000);
+        let axis = jitter.vector();
         // Rolled up by `bend`, waving, lifted into a spiral.
         let place = |u: f32, v: f32| {
             let (sin, cos) = (bend * u).sin_cos();
@@ -163,9 +164,9 @@ fn random_shapes_and_motions() {
                 / bend.max(1.0)
         };
         let mut model = sheet(n, m, place, |x| x);
-        model.x0.iter_mut().for_each(|x| *x += noise * jitter.vec() / n as f32);
+        model.x0.iter_mut().for_each(|x| *x += noise * jitter.vector() / n as f32);
         let shake = shake * if seed % 2 == 0 { 1.0 } else { 0.01 };
-        model.x1 = model.x0.iter().map(|x| turned(*x, axis, spin) + shake * jitter.vec()).collect();
+        model.x1 = model.x0.iter().map(|x| turned(*x, axis, spin) + shake * jitter.vector()).collect();
         let radius_m = if seed % 3 == 0 { 0.0 } else { radius / (n.max(m) as f32 * bend.max(1.0)) };
         let (more, less) = dropped(&model, radius_m);
         (count, kept) = (count + more, kept + less);
@@ -205,8 +206,8 @@ fn odd_meshes_are_left_alone() {
 #[test]
 fn ranks_together_find_what_they_find_alone_and_hold_their_share() {
     let place = |u: f32, v: f32| folded(u, v) + Vec3::new(0.0, 2.0 * v, 0.0);
-    let mut random = Random(7);
-    let mut model = sheet(90, 70, place, |x| x + 0.001 * random.vec());
+    let mut random = Seeded::new(7);
+    let mut model = sheet(90, 70, place, |x| x + 0.001 * random.vector());
     model.obstacles_follow();
     model.sheet(12, 12, sphere(Vec3::new(0.0, 1.0, 0.1), 0.4), |x| x);
     let radius_m = 0.002;

@@ -8,34 +8,40 @@ use loomtree::collision::broad::{BroadError, BroadStats, Choice, DeviceBroad, Fi
 use loomtree::collision::{
     Candidate, ContactParams, Detector, RunsOn, merge_contacts, merge_impacts, smallest_altitudes,
 };
-use loomtree::gpu::test_support;
 use loomtree::gpu::{CpuExecutor, Executor};
 use loomtree::math::Vec3;
 use loomtree::scene::{Overrides, parse};
 use loomtree::solver::ExchangeMode;
-use support::collision::{Model, Random, flat, folded, sphere};
+use support::collision::{Model, flat, folded, sphere};
+use support::device;
+use support::seeded::Seeded;
 use support::{Outcome, simulate};
 
 /// Twins, and the device if there is one.
 fn executors() -> Vec<Executor> {
-    std::iter::once(Executor::cpu(1)).chain(test_support::executor()).collect()
+    std::iter::once(Executor::cpu(1)).chain(device::executor()).collect()
 }
 
 /// A folded sheet and another one through it, both moving, one lone large triangle of cloth, a finer and a coarser obstacle,
 /// a floor of two triangles, and a piece far away.
 fn scene(n: usize, seed: u64) -> Model {
-    let mut random = Random(seed);
+    let mut random = Seeded::new(seed);
     let mut model = Model::default();
-    model.sheet(n, n + 3, folded, |x| x + 0.01 * random.vec());
-    let mut random = Random(seed + 1);
-    model.sheet(n, n, |u, v| Vec3::new(0.4 * u - 0.2, v, 0.05 + 0.02 * (9.0 * u).sin()), |x| x + 0.03 * random.vec());
+    model.sheet(n, n + 3, folded, |x| x + 0.01 * random.vector());
+    let mut random = Seeded::new(seed + 1);
+    model.sheet(
+        n,
+        n,
+        |u, v| Vec3::new(0.4 * u - 0.2, v, 0.05 + 0.02 * (9.0 * u).sin()),
+        |x| x + 0.03 * random.vector(),
+    );
     model.sheet(2, 2, |u, v| Vec3::new(3.0 * u - 1.0, 2.0 * v - 0.5, 0.08 + 0.01 * u), |x| x - 0.05 * Vec3::Z);
     model.sheet(3, 3, |u, v| Vec3::new(500.0 + u, v, 300.0), |x| x);
     model.obstacles_follow();
     model.sheet(17, 13, sphere(Vec3::new(0.05, 0.4, 0.1), 0.2), |x| x + 0.02 * Vec3::Y);
     model.sheet(5, 4, sphere(Vec3::new(-0.05, 0.7, 0.0), 0.4), |x| x);
     model.sheet(2, 2, |u, v| Vec3::new(40.0 * u - 20.0, 40.0 * v - 20.0, 0.03), |x| x + 0.01 * Vec3::Z);
-    model.shuffle(&mut Random(seed + 2));
+    model.shuffle(&mut Seeded::new(seed + 2));
     model
 }
 
@@ -94,8 +100,8 @@ fn every_number_of_ranks_finds_what_brute_force_finds_each_once() {
 fn a_cell_with_thousands_of_triangles_is_shared_by_ranks() {
     for executor in executors() {
         let mut model = Model::default();
-        let mut random = Random(8);
-        model.sheet(60, 60, |u, v| Vec3::new(u, v, 0.02), |x| x + 0.021 * random.vec());
+        let mut random = Seeded::new(8);
+        model.sheet(60, 60, |u, v| Vec3::new(u, v, 0.02), |x| x + 0.021 * random.vector());
         model.obstacles_follow();
         model.sheet(2, 2, |u, v| Vec3::new(30.0 * u - 9.0, 30.0 * v - 11.0, 0.0), |x| x);
         let query = model.query(0.0);
@@ -222,14 +228,14 @@ fn contacts_ahead_do_not_depend_on_the_number_of_ranks() {
 fn nothing_near_the_reach_is_dropped() {
     // Pairs around the reach within roundoffs, far from the origin and of bad shape: what the filter drops must be apart.
     for executor in executors() {
-        let mut random = Random(77);
+        let mut random = Seeded::new(77);
         for case in 0..12 {
-            let offset = random.vec() * [0.0, 1.0, 300.0][case % 3];
+            let offset = random.vector() * [0.0, 1.0, 300.0][case % 3];
             let size = [1.0, 0.01, 1e-4][case / 4];
             let mut model = Model::default();
             for _ in 0..60 {
-                let (place, flatness) = (offset + 30.0 * size * random.vec(), [1.0, 1e-3][case % 2]);
-                let (u, v) = (random.vec() * size, random.vec() * size * flatness);
+                let (place, flatness) = (offset + 30.0 * size * random.vector(), [1.0, 1e-3][case % 2]);
+                let (u, v) = (random.vector() * size, random.vector() * size * flatness);
                 let normal = u.cross(v).normalize_or_zero();
                 let gap = size * 0.1 * (1.0 + 1e-6 * random.signed());
                 model.sheet(2, 2, |a, b| place + a * u + b * v, |x| x);
@@ -300,7 +306,7 @@ motion = [{ time_s = 0.0 }, { time_s = 0.1, translate_m = [0.0, 0.25, 0.0] }]
 
 #[test]
 fn a_scene_with_contacts_has_the_same_bits_for_every_rank_count_on_devices() {
-    if test_support::executor().is_none() {
+    if device::executor().is_none() {
         return;
     }
     let overrides = Overrides { resolution: None, frames: None };

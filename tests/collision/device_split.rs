@@ -7,11 +7,12 @@ use loomtree::collision::Candidate;
 use loomtree::collision::broad::{
     Broad, BroadError, BroadStats, Choice, DeviceBroad, Filter, Query, Sink, Split, brute_force,
 };
-use loomtree::gpu::test_support;
 use loomtree::gpu::{CpuExecutor, Executor};
 use loomtree::math::Vec3;
 use loomtree::transport::InProcessTransport;
-use support::collision::{Model, Random, folded, ordered, sphere};
+use support::collision::{Model, folded, ordered, sphere};
+use support::device;
+use support::seeded::Seeded;
 
 const CULL: Choice = Choice { touched: None, piece_radius_m: None, cull: true };
 
@@ -21,7 +22,7 @@ type Kind = fn(usize) -> Executor;
 /// Twins, and devices if there are some.
 fn kinds() -> Vec<Kind> {
     let mut kinds: Vec<Kind> = vec![|_| Executor::cpu(1)];
-    if test_support::executor().is_some() {
+    if device::executor().is_some() {
         kinds.push(|rank| Executor::gpu(None, rank).expect("a device"));
     }
     kinds
@@ -95,10 +96,10 @@ fn sorted(lists: &[(Vec<Candidate>, BroadStats)]) -> Vec<Candidate> {
 /// A folded sheet that moves, a waving one far from it that culling leaves out, one large triangle of cloth, a ball of about
 /// the cloth's size and a floor of two triangles.
 fn scene(n: usize) -> Model {
-    let mut random = Random(7);
+    let mut random = Seeded::new(7);
     let mut model = Model::default();
     let place = |u: f32, v: f32| folded(u, v) + Vec3::new(0.0, 2.0 * v, 0.0);
-    model.sheet(n, n - 9, place, |x| x + 0.001 * random.vec());
+    model.sheet(n, n - 9, place, |x| x + 0.001 * random.vector());
     model.sheet(n, n / 2, |u, v| Vec3::new(1.0 + 2.0 * u, 3.0 * v, 0.1 * (9.0 * u).sin()), |x| x - 0.01 * Vec3::Z);
     model.sheet(2, 2, |u, v| Vec3::new(2.0 * u - 1.0, v, 0.3 + 0.1 * v), |x| x - 0.05 * Vec3::Z);
     let places = model.x0.clone();
@@ -139,9 +140,9 @@ fn tests_are_even_and_tables_shrink() {
     let radius_m = 0.002;
     for kind in kinds() {
         let mut model = Model::default();
-        let mut random = Random(9);
+        let mut random = Seeded::new(9);
         let place = |u: f32, v: f32| folded(u, v) + Vec3::new(0.0, 2.0 * v, 0.0);
-        model.sheet(100, 80, place, |x| x + 0.001 * random.vec());
+        model.sheet(100, 80, place, |x| x + 0.001 * random.vector());
         let mut model = ordered(&model, |v| Vec3::new((v % 100) as f32, (v / 100) as f32, 0.0));
         model.obstacles_follow();
         model.sheet(12, 12, sphere(Vec3::new(0.0, 1.0, 0.1), 0.4), |x| x);
@@ -216,10 +217,10 @@ fn a_waving_sheet_takes_no_part_on_a_device() {
 fn everything_in_one_place_and_less_than_there_are_ranks() {
     for kind in kinds() {
         // One layer has all tests; and two triangles that meet.
-        let mut random = Random(3);
+        let mut random = Seeded::new(3);
         let mut heap = Model::default();
         for _ in 0..40 {
-            let place = 0.01 * random.vec();
+            let place = 0.01 * random.vector();
             heap.sheet(2, 2, |u, v| place + 0.02 * Vec3::new(u, v, u * v), |x| x);
         }
         let mut two = Model::default();

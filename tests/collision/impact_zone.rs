@@ -5,9 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use loomtree::collision::{Candidate, Impact};
 use loomtree::gpu::Executor;
-use loomtree::gpu::test_support::{self, Seeded};
 use loomtree::impact_zone::{Batch, ImpactZones, Row, Stage, StepPositions, ZoneSettings, solve};
 use loomtree::math::{Mat3, Vec3};
+use support::device;
+use support::seeded::Seeded;
 use support::zones::{World, settings};
 
 fn v(x: f32, y: f32, z: f32) -> Vec3 {
@@ -134,7 +135,7 @@ fn results_do_not_depend_on_the_number_of_ranks() {
     }
     let executors = [Executor::cpu(1), Executor::cpu(3)].into_iter().map(|e| (e, "cpu"));
     let mut seen: BTreeMap<&str, (Vec<f32>, u64)> = BTreeMap::new();
-    for (executor, name) in executors.chain(test_support::executor().map(|e| (e, "gpu"))) {
+    for (executor, name) in executors.chain(device::executor().map(|e| (e, "gpu"))) {
         for ranks in [1, 2, 3, 7] {
             let outcome = world.resolve(&executor, settings(), ranks).unwrap();
             assert!(outcome.counts.zones >= 3 && world.is_free(&outcome.x_t1));
@@ -392,7 +393,7 @@ fn random_batch() -> Batch {
 
 #[test]
 fn device_and_native_solve_agree() {
-    let Some(gpu) = test_support::executor() else { return };
+    let Some(gpu) = device::executor() else { return };
     let batch = random_batch();
     let (device, native) = (solve::solve(&gpu, &batch, 20_000), solve::solve(&cpu(), &batch, 20_000));
     assert_eq!(gpu.take_fault(), None);
@@ -418,7 +419,7 @@ fn device_and_native_solve_agree() {
 
 #[test]
 fn the_device_resolves_a_pile() {
-    let Some(gpu) = test_support::executor() else { return };
+    let Some(gpu) = device::executor() else { return };
     let world = pile(5, 5, 0.012, 1);
     let outcome = world.resolve(&gpu, settings(), 1).unwrap();
     println!("{:?}, {} iterations", outcome.counts, outcome.iterations);

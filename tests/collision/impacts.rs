@@ -8,7 +8,8 @@ use loomtree::collision::{Candidate, ContactParams, Detector, Impact, merge_impa
 use loomtree::gpu::CpuExecutor;
 use loomtree::math::Vec3;
 use proptest::prelude::*;
-use support::collision::{Model, Random, flat, folded, sphere};
+use support::collision::{Model, flat, folded, sphere};
+use support::seeded::Seeded;
 
 fn detector(model: &Model, separation_m: f32) -> Detector {
     let vertices = model.x0.len();
@@ -84,9 +85,9 @@ fn check(model: &Model, separation_m: f32) -> Vec<Impact> {
 }
 
 fn crumpled(seed: u64, speed: f32) -> Model {
-    let mut random = Random(seed);
+    let mut random = Seeded::new(seed);
     let mut model = Model::default();
-    model.sheet(17, 13, folded, |x| x + speed * random.vec());
+    model.sheet(17, 13, folded, |x| x + speed * random.vector());
     model.sheet(13, 17, |u, v| folded(v, u) + Vec3::new(0.013, 0.011, 0.002), |x| x - Vec3::new(0.02, 0.0, 0.01));
     model.obstacles_follow();
     model.sheet(12, 12, sphere(Vec3::new(0.0, 0.5, 0.1), 0.12), |x| x + Vec3::X * 0.03);
@@ -166,13 +167,13 @@ fn lanes(x: [Vec3; 4]) -> [Lanes; 4] {
     })
 }
 
-fn random_stencil(random: &mut Random) -> ([Vec3; 4], [Vec3; 4]) {
-    let scale = 10f32.powi((random.next() % 9) as i32 - 4);
-    let flatten = if random.next().is_multiple_of(3) { Vec3::new(1.0, 1.0, 1e-4) } else { Vec3::ONE };
-    let shift = random.vec() * if random.next().is_multiple_of(2) { 1.0 } else { 0.0 };
-    let x_t0 = std::array::from_fn(|_| (shift + random.vec() * flatten) * scale);
-    let speed = 10f32.powi((random.next() % 5) as i32 - 4) * scale;
-    (x_t0, x_t0.map(|x| x + speed * random.vec()))
+fn random_stencil(random: &mut Seeded) -> ([Vec3; 4], [Vec3; 4]) {
+    let scale = 10f32.powi((random.bits64() % 9) as i32 - 4);
+    let flatten = if random.bits64().is_multiple_of(3) { Vec3::new(1.0, 1.0, 1e-4) } else { Vec3::ONE };
+    let shift = random.vector() * if random.bits64().is_multiple_of(2) { 1.0 } else { 0.0 };
+    let x_t0 = std::array::from_fn(|_| (shift + random.vector() * flatten) * scale);
+    let speed = 10f32.powi((random.bits64() % 5) as i32 - 4) * scale;
+    (x_t0, x_t0.map(|x| x + speed * random.vector()))
 }
 
 proptest! {
@@ -181,12 +182,12 @@ proptest! {
     /// What four lanes reject, the tests proper (in f64, and rounded closest points) reject.
     #[test]
     fn lanes_reject_only_what_is_apart(seed in any::<u64>()) {
-        let mut random = Random(seed);
+        let mut random = Seeded::new(seed);
         let mut rejected = [0; 2];
         for kind in [StencilKind::VertexFace, StencilKind::EdgeEdge] {
             for _ in 0..200 {
                 let (x_t0, x_t1) = random_stencil(&mut random);
-                let separation = if random.next().is_multiple_of(2) { 0.0 } else { 0.1 * random.signed().abs() };
+                let separation = if random.bits64().is_multiple_of(2) { 0.0 } else { 0.1 * random.signed().abs() };
                 let left = undecided(kind, &lanes(x_t0), &lanes(x_t1), Vec4::splat(separation));
                 prop_assert_eq!(left & 1, left >> 3 & 1);
                 if left & 1 == 0 {

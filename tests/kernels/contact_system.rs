@@ -6,13 +6,14 @@ use loomtree::assembly::{
     ContactSystem, LANES, NO_ROW, Numbering, RowTooLong, SellLayout, SellMatrix, SubVectors, SystemMatrix,
 };
 use loomtree::forces::{ContactElement, FACET_SLOPE, NO_VERTEX, RELEASE_STEPS};
-use loomtree::gpu::test_support::{self, Seeded};
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::partition::{HaloPlan, RowPartition, halo_plans};
 use loomtree::solver::{ExchangeMode, HaloExchange, PipelinedSpmv};
 use loomtree::telemetry::Recorder;
 use loomtree::transport::InProcessTransport;
+use support::device;
 use support::direct_queue;
+use support::seeded::Seeded;
 
 const STIFFNESS_RATIO: f64 = 8.0;
 const STEP_S: f32 = 0.004;
@@ -353,14 +354,14 @@ fn whole_sub_vectors_give_the_same_products() {
 
 #[test]
 fn the_device_fills_the_same_tables() {
-    if test_support::executor().is_none() {
+    if device::executor().is_none() {
         return;
     }
     // Tables, records and values in several windows; more rows than a workgroup.
     let case = Case::new(701, 2200, 5);
     for (ranks, mode) in [(2, ExchangeMode::Halo), (3, ExchangeMode::Full)] {
         let native = results(&case, ranks, mode, native);
-        let small = || test_support::executor_binding(64 << 10).expect("there is an adapter, see above");
+        let small = || device::executor_binding(64 << 10).expect("there is an adapter, see above");
         let device = results(&case, ranks, mode, small);
         for (native, device) in native.iter().zip(&device) {
             assert!(device.index == native.index);

@@ -6,7 +6,6 @@ use loomtree::assembly::{ElementRows, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS};
-use loomtree::gpu::test_support::{self, Seeded};
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::integrator::advance::Advance;
 use loomtree::integrator::scatter::Scatter;
@@ -15,6 +14,8 @@ use loomtree::model::{GlobalModel, RankModel};
 use loomtree::partition::RowPartition;
 use loomtree::solver::spmv::Spmv;
 use loomtree::solver::vector::VectorOps;
+use support::device;
+use support::seeded::Seeded;
 use support::{isotropic_fabric, scene, sheet};
 
 /// Rank 1 of 3 of a crumpled sheet with a fabric whose stiffness depends on strain, direction and curvature.
@@ -156,7 +157,7 @@ fn assert_close(what: &str, found: &[f32], expected: &[f32], width: usize, toler
 
 #[test]
 fn assembly_equals_the_native_twins() {
-    let Some(gpu) = test_support::executor() else { return };
+    let Some(gpu) = device::executor() else { return };
     let part = crumpled_rank(41);
     let (expected, found) = (assemble(&Executor::cpu(1), &part), assemble(&gpu, &part));
     assert_close("triangle records", &found.triangle_records, &expected.triangle_records, TRIANGLE_RECORD_FLOATS, 1e-5);
@@ -175,7 +176,7 @@ fn assembly_equals_the_native_twins() {
 fn splitting_arrays_does_not_change_a_bit() {
     let part = crumpled_rank(65);
     // Small enough that records, values and columns are seen in several windows.
-    let (Some(whole), Some(split)) = (test_support::executor(), test_support::executor_binding(192 << 10)) else {
+    let (Some(whole), Some(split)) = (device::executor(), device::executor_binding(192 << 10)) else {
         return;
     };
     let (expected, found) = (assemble(&whole, &part), assemble(&split, &part));
@@ -212,7 +213,7 @@ fn products(executor: &Executor, part: &RankModel, values: &[f32], x: &[f32]) ->
 
 #[test]
 fn products_equal_the_native_twin() {
-    let Some(gpu) = test_support::executor() else { return };
+    let Some(gpu) = device::executor() else { return };
     let (part, cpu) = (crumpled_rank(41), Executor::cpu(1));
     let values = assemble(&cpu, &part).values;
     let mut seeded = Seeded::new(7);
@@ -224,7 +225,7 @@ fn products_equal_the_native_twin() {
 
 #[test]
 fn vector_work_equals_the_native_twin() {
-    let Some(gpu) = test_support::executor() else { return };
+    let Some(gpu) = device::executor() else { return };
     // Chunks longer than a workgroup, the last one short; own rows in the middle of u.
     let (rows, chunk_rows, first, local) = (1003, 300, 17, 1100);
     let run = |executor: &Executor| {
@@ -264,7 +265,7 @@ fn vector_work_equals_the_native_twin() {
 
 #[test]
 fn advancing_and_scattering_equal_the_native_twins() {
-    let Some(gpu) = test_support::executor() else { return };
+    let Some(gpu) = device::executor() else { return };
     let (rows, first) = (777, 31);
     let run = |executor: &Executor| {
         let mut seeded = Seeded::new(13);

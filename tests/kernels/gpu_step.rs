@@ -1,9 +1,10 @@
 //! Steps on a device: close to the native executor, and the same bits for every worker count.
 
-use loomtree::gpu::{Executor, test_support};
+use loomtree::gpu::Executor;
 use loomtree::math::Vec3;
 use loomtree::scene::Scene;
 use loomtree::solver::{ExchangeMode, PreconditionerKind};
+use support::device;
 use support::{Outcome, cpu, isotropic_fabric, scene, sheet, simulate};
 
 /// A sheet hung by two corners in the wind.
@@ -38,7 +39,7 @@ fn largest_distance(a: &Outcome, b: &Outcome) -> f32 {
 
 #[test]
 fn a_device_follows_the_native_executor() {
-    if test_support::executor().is_none() {
+    if device::executor().is_none() {
         return;
     }
     let scene = hanging(21);
@@ -55,7 +56,7 @@ fn a_device_follows_the_native_executor() {
 
 #[test]
 fn halo_mode_on_devices_gives_the_same_bits_for_every_rank_count() {
-    if test_support::executor().is_none() {
+    if device::executor().is_none() {
         return;
     }
     let scene = hanging(21);
@@ -69,7 +70,7 @@ fn halo_mode_on_devices_gives_the_same_bits_for_every_rank_count() {
 
 #[test]
 fn schwarz_on_devices_needs_fewer_iterations_and_gives_the_same_bits_for_every_rank_count() {
-    if test_support::executor().is_none() {
+    if device::executor().is_none() {
         return;
     }
     // 2,500 vertices: chunks of six rows.

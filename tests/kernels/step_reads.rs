@@ -1,7 +1,7 @@
 //! How often a step reads the state of the own rows back from its executor, and that what is kept of it is what the executor
 //! holds: on the native executor and on a device.
 
-use loomtree::gpu::{Executor, test_support};
+use loomtree::gpu::Executor;
 use loomtree::math::Vec3;
 use loomtree::model::GlobalModel;
 use loomtree::scene::Scene;
@@ -9,6 +9,7 @@ use loomtree::solver::ExchangeMode;
 use loomtree::step::StepStats;
 use loomtree::telemetry::{Activity, EventName};
 use support::contact::{contact_scene, floor, together};
+use support::device;
 use support::{cpu, on_ranks, sheet};
 
 /// Steps of every run.
@@ -53,7 +54,7 @@ fn reads(scene: &Scene, ranks: usize, executor: fn(usize) -> Executor) -> Vec<Ve
 #[test]
 fn a_step_with_collisions_reads_the_state_once() {
     let mut executors: Vec<fn(usize) -> Executor> = vec![cpu];
-    if test_support::executor().is_some() {
+    if device::executor().is_some() {
         executors.push(gpu);
     }
     for executor in executors {
@@ -99,7 +100,7 @@ fn states(executor: fn(usize) -> Executor, each_anew: bool) -> (Vec<f32>, Vec<f3
 fn what_is_kept_is_what_the_executor_holds() {
     let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     let mut executors: Vec<fn(usize) -> Executor> = vec![cpu];
-    if test_support::executor().is_some() {
+    if device::executor().is_some() {
         executors.push(gpu);
     }
     for executor in executors {

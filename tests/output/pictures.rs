@@ -8,10 +8,10 @@ use std::path::Path;
 use clap::Parser;
 use loomtree::cli::CliError;
 use loomtree::cli::render::{self, RenderArgs};
-use loomtree::gpu::test_support;
 use loomtree::math::Vec3;
 use loomtree::mesh::TriangleMesh;
 use loomtree::output::{Existing, FrameFormat, FrameWriter, ReportHeader, ReportWriter, RunDirectory, Status};
+use support::device;
 
 #[derive(Parser)]
 struct Cli {
@@ -334,7 +334,7 @@ fn difference(one: &Picture, other: &Picture) -> Option<String> {
 
 #[test]
 fn device_and_processor_draw_the_same() {
-    if test_support::executor().is_none() {
+    if device::executor().is_none() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

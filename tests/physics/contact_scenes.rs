@@ -2,7 +2,7 @@
 //! speed and thickness, ten times as fast, a tenth as thick. Every step is looked at by the exact check of `mesh`, which
 //! knows nothing of contacts and impacts; what could pass as a whole within a step is found by the side it is on.
 
-use loomtree::gpu::{Executor, test_support};
+use loomtree::gpu::Executor;
 use loomtree::math::{DVec3, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::GlobalModel;
@@ -10,6 +10,7 @@ use loomtree::scene::{Pin, PreconditionerKind, Scene};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::Failure;
 use support::contact::{Watched, assert_free, ball, contact_scene, floor, plate, rolled, together, watch};
+use support::device;
 use support::physics::DOWN;
 use support::{cpu, on_ranks, sheet};
 
@@ -156,7 +157,7 @@ fn squeezed_between_plates() {
 /// All of the above, smaller, on a device: lavapipe where there is no better one.
 #[test]
 fn every_scene_on_a_device() {
-    if test_support::executor().is_none() {
+    if device::executor().is_none() {
         return;
     }
     let gpu = |rank: usize| Executor::gpu(None, rank).unwrap();

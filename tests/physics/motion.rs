@@ -7,7 +7,8 @@ use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::scene::Scene;
 use loomtree::solver::ExchangeMode;
-use support::physics::{DOWN, GRAVITY_M_S2, OneRank, Random, TIGHT, uniform_fabric};
+use support::physics::{DOWN, GRAVITY_M_S2, OneRank, TIGHT, uniform_fabric};
+use support::seeded::Seeded;
 use support::{cpu, isotropic_fabric, scene, sheet, simulate};
 
 /// A free horizontal sheet of `n` x `n` vertices and 0.4 m, centre at the origin.
@@ -86,7 +87,7 @@ fn momentum_is_constant_without_external_force() {
     let mut scene = free_sheet(12, 0.004);
     scene.settings.relative_tolerance = 1e-7;
     scene.fabrics[0].damping_s = 0.001;
-    let mut random = Random(4);
+    let mut random = Seeded::new(4);
     scene.velocities.iter_mut().for_each(|v| *v = random.vector() + Vec3::new(0.1, 0.2, 0.3));
     let mut cloth = OneRank::new(&scene);
     let start = cloth.momentum();

@@ -17,7 +17,8 @@ use loomtree::model::{GlobalModel, RankModel};
 use loomtree::partition::RowPartition;
 use loomtree::scene::{Keyframe, Motion, Pin, Scene};
 use loomtree::solver::ExchangeMode;
-use support::physics::{DOWN, Random, uniform_fabric};
+use support::physics::{DOWN, uniform_fabric};
+use support::seeded::Seeded;
 use support::{cpu, scene, sheet, simulate};
 
 const STEP_S: f64 = 1.0 / 256.0;
@@ -35,7 +36,7 @@ const PINNED: [u32; 3] = [0, 3, 10];
 /// 5 x 4 vertices, crumpled, moving; two corners turn, an inner vertex is brought to a stop.
 fn crumpled() -> Scene {
     let mut mesh = sheet(5, 4, [0.08, 0.06], Vec3::ZERO, Vec3::X, Vec3::Y);
-    let mut random = Random(9);
+    let mut random = Seeded::new(9);
     mesh.positions.iter_mut().for_each(|x| *x += random.vector() * 0.006);
     let mut fabric = uniform_fabric(STRETCHING, BENDING_N_M, 0.2);
     fabric.damping_s = DAMPING_S;
@@ -285,7 +286,7 @@ const OBSTACLE: [Vec3; 3] = [Vec3::new(0.2, 0.0, 0.1), Vec3::ZERO, Vec3::new(-0.
 
 /// Contacts of all kinds between any vertices of the model, in ascending order of their keys; some do not repel.
 fn contacts(model: &GlobalModel) -> Vec<ContactElement> {
-    let (mut random, rows) = (Random(77), model.rows() as u32);
+    let (mut random, rows) = (Seeded::new(77), model.rows() as u32);
     let mut contacts: Vec<ContactElement> = (0..40u32)
         .map(|i| {
             let v = |k: u32| (i * 7 + k * (3 + i % 4)) % rows;

@@ -127,7 +127,7 @@ fn full_exchange_repeats_its_bits() {
 #[test]
 fn workers_with_a_device_each_give_the_bits_of_one() {
     // Prints why and stops here where there is no adapter.
-    if loomtree::gpu::test_support::executor().is_none() {
+    if support::device::executor().is_none() {
         return;
     }
     let place = Place::new();

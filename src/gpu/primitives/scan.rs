@@ -67,7 +67,8 @@ fn windows(gpu: &GpuExecutor, count_in: usize, count_out: usize) -> impl Iterato
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::test_support::{self, Seeded};
+    use crate::test_support::device;
+    use crate::test_support::seeded::Seeded;
 
     #[test]
     fn shader_and_wrapper_agree() {
@@ -77,7 +78,7 @@ mod tests {
 
     #[test]
     fn device_equals_the_reference_at_odd_lengths() {
-        let Some(executor) = test_support::executor() else { return };
+        let Some(executor) = device::executor() else { return };
         let mut seeded = Seeded::new(1);
         // Around a block, around two levels, and one that needs three.
         for len in [0, 1, 2, 255, 2047, 2048, 2049, 4095, 100_003, 2048 * 2048 - 1, 2048 * 2048 + 5] {
@@ -97,7 +98,7 @@ mod tests {
 
     #[test]
     fn arrays_larger_than_a_binding_are_scanned_in_windows() {
-        let Some(executor) = test_support::executor() else { return };
+        let Some(executor) = device::executor() else { return };
         // Two windows on adapters that bind 128 MiB.
         let len = (1 << 25) + 5;
         let values: Vec<u32> = (0..len as u32).map(|i| i % 3).collect();

@@ -5,26 +5,7 @@ use loomtree::math::Vec3;
 use loomtree::mesh::{TriangleMesh, vertex_order};
 use loomtree::partition::chunk_rows;
 
-/// Random numbers with a seed (splitmix64).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// In [-1, 1).
-    pub fn signed(&mut self) -> f32 {
-        (self.next() >> 40) as f32 / (1u64 << 23) as f32 - 1.0
-    }
-
-    pub fn vec(&mut self) -> Vec3 {
-        Vec3::new(self.signed(), self.signed(), self.signed())
-    }
-}
+use crate::seeded::Seeded;
 
 /// Cloth, then obstacles, growing piece by piece.
 #[derive(Clone, Default)]
@@ -75,9 +56,9 @@ impl Model {
     }
 
     /// The same triangles in another order.
-    pub fn shuffle(&mut self, random: &mut Random) {
+    pub fn shuffle(&mut self, random: &mut Seeded) {
         for i in (1..self.triangles.len()).rev() {
-            self.triangles.swap(i, (random.next() % (i as u64 + 1)) as usize);
+            self.triangles.swap(i, (random.bits64() % (i as u64 + 1)) as usize);
         }
     }
 }

@@ -2,9 +2,11 @@
 
 pub mod collision;
 pub mod contact;
+pub mod device;
 pub mod exact;
 pub mod physics;
 pub mod process;
+pub mod seeded;
 pub mod zones;
 
 use loomtree::gpu::Executor;

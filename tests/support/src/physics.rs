@@ -164,17 +164,3 @@ impl OneRank {
         self.masses().iter().zip(x.iter().zip(v)).map(|(&m, (x, v))| x.as_dvec3().cross(v.as_dvec3()) * m).sum()
     }
 }
-
-/// Numbers in -1..1 that are the same on every machine.
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn value(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        ((self.0 >> 40) as f32) / (1u64 << 23) as f32 - 1.0
-    }
-
-    pub fn vector(&mut self) -> Vec3 {
-        Vec3::new(self.value(), self.value(), self.value())
-    }
-}

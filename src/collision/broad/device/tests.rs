@@ -6,7 +6,8 @@ use super::hash::{Entries, HashParams, Shapes, Table};
 use super::pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
 use super::space::{Space, Window};
 use super::*;
-use crate::gpu::test_support::{self, Seeded};
+use crate::test_support::device;
+use crate::test_support::seeded::Seeded;
 
 /// Cloth triangles of sizes from 1 to 1000 in one place, some of them neighbours, then obstacles.
 fn mesh(triangles: usize, seed: u64) -> (CollisionMesh, Vec<f32>, Vec<f32>) {
@@ -159,7 +160,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
 
 #[test]
 fn kernels_equal_their_twins() {
-    let Some(device) = test_support::executor() else { return };
+    let Some(device) = device::executor() else { return };
     for (triangles, part) in [(1, 0), (129, 0), (1001, 0), (1001, 1), (2500, 2)] {
         let (found, expected) = (made(&device, triangles, part), made(&Executor::cpu(1), triangles, part));
         assert!(found.boxes == expected.boxes, "boxes of {triangles}");
@@ -192,7 +193,7 @@ fn parts_of_space_are_counted_in_full() {
         x_t0[moved..].iter_mut().chain(&mut x_t1[moved..]).for_each(|x| *x += away);
         let query = Query { x_t0: &x_t0, x_t1: &x_t1, radius_m: 0.01 };
         let case = Case::new(&mesh, &query);
-        for executor in std::iter::once(Executor::cpu(1)).chain(test_support::executor()) {
+        for executor in std::iter::once(Executor::cpu(1)).chain(device::executor()) {
             let whole = case.count(&executor, 0..case.space.layers()).2.counts.read(&executor);
             assert_eq!(whole.len(), case.space.buckets());
             assert!(whole.iter().map(|load| load[0] + load[1]).sum::<u32>() as usize > triangles / 2);
@@ -213,7 +214,7 @@ fn tests_beyond_32_bits_are_counted() {
     // A bucket of 200,000 residents of cloth and 70,000 visitors.
     let load = [200_000, 3, 70_000, 9];
     let expected = 200_000u64 * 199_999 / 2 + 200_000 * (3 + 70_000 + 9) + 3 * 70_000;
-    for executor in std::iter::once(Executor::cpu(1)).chain(test_support::executor()) {
+    for executor in std::iter::once(Executor::cpu(1)).chain(device::executor()) {
         let mut table = Table::new(&executor);
         table.counts.resize(&executor, 40);
         table.counts.fill_zero(&executor);

@@ -1,0 +1,6 @@
+//! What unit tests share with the test binaries: the same files, compiled into the library under test.
+
+#[path = "../tests/support/src/device.rs"]
+pub mod device;
+#[path = "../tests/support/src/seeded.rs"]
+pub mod seeded;
