@@ -123,7 +123,8 @@ mod tests {
             }
         };
         assert!(matches!(stopped, Stopped::TimedOut { waited_s } if waited_s >= 0.2));
-        assert_eq!(yields, YIELDS);
+        // A busy machine may hold this thread back between two yields until the hook is due.
+        assert!((1..=YIELDS).contains(&yields));
         assert!(calls.get() >= 2);
     }
 
