@@ -8,6 +8,7 @@ pub mod telemetry;
 pub mod gpu;
 pub mod interconnect;
 pub mod transport;
+pub mod context;
 pub mod mesh;
 pub mod scene;
 pub mod partition;

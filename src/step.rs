@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::assembly::fill::{Fill, FillParams, FillTables};
 use crate::assembly::{ContactSystem, ElementRows, Numbering, SellMatrix, SubVectors};
+use crate::context::RankContext;
 use crate::forces::bend::Bend;
 use crate::forces::stretch::Stretch;
 use crate::forces::{
@@ -28,9 +29,8 @@ use crate::integrator::scatter::Scatter;
 use crate::interconnect::QueueNode;
 use crate::model::RankModel;
 use crate::scene::{Motion, Settings};
-use crate::solver::{
-    ExchangeMode, HaloExchange, Pcg, PcgParams, PcgVectors, PipelinedSpmv, RankPattern, Schwarz, TrafficCounter,
-};
+use crate::solver::comparison::{MatrixFree, MatrixFreeProduct};
+use crate::solver::{ExchangeMode, LinearSolver, LinearSystem, PcgParams, RankPattern, Schwarz, TrafficCounter};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
@@ -57,24 +57,23 @@ pub struct ExchangePlan {
     pub queue: Vec<QueueNode>,
 }
 
-/// The matrix of a step, stored or as element records; borrows only what it is made of.
-macro_rules! system {
-    ($simulation:ident) => {
-        $crate::assembly::SystemMatrix {
-            elements: $simulation.matrix_free.then(|| $crate::assembly::ElementMatrix {
-                lists: $simulation.fill_tables.lists(),
-                triangles: &$simulation.triangles,
-                hinges: &$simulation.hinges,
-                triangle_records: &$simulation.triangle_records,
-                hinge_records: &$simulation.hinge_records,
-                masses: &$simulation.masses,
-                contacts: $simulation.contacts.contact_records(),
-            }),
-            ..$simulation.contacts.system(&$simulation.matrix)
+/// The matrix of a step as element records; borrows only what it is made of.
+macro_rules! element_matrix {
+    ($simulation:ident) => {{
+        let [triangle_lists, hinge_lists] = $simulation.fill_tables.lists();
+        $crate::solver::comparison::ElementMatrix {
+            triangle_lists,
+            hinge_lists,
+            triangles: &$simulation.triangles,
+            hinges: &$simulation.hinges,
+            triangle_records: &$simulation.triangle_records,
+            hinge_records: &$simulation.hinge_records,
+            masses: &$simulation.masses,
+            contacts: $simulation.contacts.contact_records(),
         }
-    };
+    }};
 }
-use system;
+use element_matrix;
 
 /// One rank's simulation.
 pub struct Simulation {
@@ -100,8 +99,8 @@ pub struct Simulation {
 
     fill_tables: FillTables,
     matrix: SellMatrix,
-    /// True: `matrix` stays empty and products are made from the element records.
-    matrix_free: bool,
+    /// If set, `matrix` stays empty and products are made from the element records.
+    matrix_free: Option<MatrixFree>,
     contacts: ContactSystem,
     /// Row blocks of all ranks, and the order in which their sub-vectors arrive.
     rows_of: Vec<Range<usize>>,
@@ -110,14 +109,11 @@ pub struct Simulation {
     collisions: Option<Collisions>,
     rhs: DeviceVec<f32>,
     inverse_diagonal: DeviceVec<f32>,
-    schwarz: Option<Schwarz>,
-    vectors: PcgVectors,
+    solver: LinearSolver,
 
     stretch: Stretch,
     bend: Bend,
     fill: Fill,
-    spmv: PipelinedSpmv,
-    pcg: Pcg,
     advance: Advance,
     scatter: Scatter,
     /// Slots over stored blocks of the matrix.
@@ -131,7 +127,7 @@ impl Simulation {
     /// Sets a rank up on `executor`.
     pub fn new(executor: Executor, model: RankModel, exchange: &ExchangePlan) -> Result<Simulation, SetupError> {
         let RankModel { partition, plan, pins, motions, settings, pins_move, collision, arrays } = model;
-        let (own, rank) = (plan.own.clone(), plan.rank);
+        let own = plan.own.clone();
         let triangle_vertices: Vec<[u32; 3]> = arrays.triangles.iter().map(|e| e.vertices).collect();
         let hinge_vertices: Vec<[u32; 4]> = arrays.hinges.iter().map(|e| e.vertices).collect();
         let triangle_rows = ElementRows::new(own.clone(), &triangle_vertices);
@@ -150,7 +146,7 @@ impl Simulation {
         };
         let (fill_tables, matrix) =
             FillTables::new(&executor, &numbering, (&triangle_rows, &triangles), (&hinge_rows, &hinges))?;
-        let (rows, local_len) = (own.len(), plan.local_rows * 3);
+        let rows = own.len();
         let ex = &executor;
         let collisions = collision
             .map(|model| {
@@ -179,7 +175,7 @@ impl Simulation {
             fill_tables,
             padding_ratio: matrix.padding_ratio(),
             matrix,
-            matrix_free: false,
+            matrix_free: None,
             contacts: ContactSystem::new(ex),
             collisions,
             rows_of,
@@ -187,24 +183,15 @@ impl Simulation {
             mode: exchange.mode,
             rhs: DeviceVec::zeros(ex, rows * 3),
             inverse_diagonal: DeviceVec::zeros(ex, rows * 6),
-            schwarz,
-            vectors: PcgVectors::new(ex, rows, local_len),
+            rows_start: partition.rows_of(plan.rank).start,
+            solver: LinearSolver::new(ex, &partition, plan, exchange.mode, &exchange.queue, schwarz),
             stretch: Stretch::new(ex),
             bend: Bend::new(ex),
             fill: Fill::new(ex),
-            pcg: Pcg::new(ex, &partition, rank),
             advance: Advance::new(ex),
             scatter: Scatter::new(ex),
-            rows_start: partition.rows_of(rank).start,
             own_rows: rows,
             own_start: own.start * 3,
-            spmv: PipelinedSpmv::new(
-                ex,
-                exchange.mode,
-                HaloExchange::new(plan, exchange.queue.clone()),
-                exchange.queue.clone(),
-                partition.sub_vector_rows(),
-            ),
             pins: Pins::new(pins),
             pins_move,
             motions,
@@ -226,13 +213,13 @@ impl Simulation {
         let step_s = self.settings.step_s;
         let span = Span { start_s: (step - 1) as f64 * step_s, end_s: step as f64 * step_s, length_s: step_s };
         let mut stats = StepStats { step, converged: true, ..StepStats::default() };
-        self.spmv.traffic = TrafficCounter::default();
+        self.solver.spmv.traffic = TrafficCounter::default();
         self.advance_over(transport, span, 0, &mut stats)?;
         if let Some(fault) = self.executor.take_fault() {
             return Err(Failure::in_step(step, fault));
         }
         stats.seconds.total = clock.total();
-        stats.spmv_bytes = self.spmv.traffic.received_bytes;
+        stats.spmv_bytes = self.solver.spmv.traffic.received_bytes;
         stats.state_bytes += std::mem::take(&mut self.state_traffic).received_bytes;
         stats.memory_bytes = self.memory_bytes();
         stats.resident_bytes = peak_resident_bytes();
@@ -296,8 +283,8 @@ impl Simulation {
         transport.alive()?;
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
-        self.vectors.x.fill_zero(&self.executor);
-        self.scatter.apply(&self.executor, &targets.rows, &targets.velocity_changes, 0, &mut self.vectors.x);
+        self.solver.vectors.x.fill_zero(&self.executor);
+        self.scatter.apply(&self.executor, &targets.rows, &targets.velocity_changes, 0, &mut self.solver.vectors.x);
         self.solve(transport, stats)?;
         clock.lap_kernels(&self.executor, &mut stats.seconds.solve);
 
@@ -355,7 +342,7 @@ impl Simulation {
             }
             local.write_range(&self.executor, rows * 3, obstacles);
         }
-        self.vectors.grow(&self.executor, rows * 3);
+        self.solver.vectors.grow(&self.executor, rows);
         let numbering = Numbering {
             own: found.plan.own.clone(),
             columns: rows,
@@ -365,7 +352,7 @@ impl Simulation {
         };
         let built = self.contacts.build(&self.executor, &found.elements, &numbering, &self.matrix);
         built.map_err(|error| Failure::in_step(stats.step, error))?;
-        self.spmv.halo().set_plan(found.plan);
+        self.solver.spmv.halo().set_plan(found.plan);
         self.recorder.end(EventName::IndexFill, Activity::Compute, start, self.contacts.bytes(), 0);
         clock.lap_kernels(&self.executor, &mut stats.seconds.index_fill);
         Ok(())
@@ -374,7 +361,7 @@ impl Simulation {
     /// Halo positions and velocities of the state at t0.
     fn exchange_state(&mut self, transport: &mut dyn Transport) -> Result<(), TransportError> {
         let start = self.recorder.now();
-        let halo = self.spmv.halo();
+        let halo = self.solver.spmv.halo();
         halo.publish(&self.executor, transport, &[&self.positions, &self.velocities], &mut self.recorder)?;
         halo.receive(
             &self.executor,
@@ -461,26 +448,23 @@ impl Simulation {
         let params = PcgParams {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,
+            nonzero_start: self.pins_move,
         };
-        let system = system!(self);
-        if let Some(schwarz) = &mut self.schwarz {
-            let (executor, halo, flags) = (&self.executor, self.spmv.halo(), &mut self.vectors.u);
-            let inverse = &self.inverse_diagonal;
-            schwarz.set_up(executor, transport, halo, &system, inverse, flags, &mut self.recorder)?;
-        }
-        let solved = self.pcg.solve(
-            &self.executor,
-            transport,
-            &mut self.spmv,
-            &system,
-            &self.inverse_diagonal,
-            self.schwarz.as_mut(),
-            &self.rhs,
-            &mut self.vectors,
-            self.pins_move,
-            &params,
-            &mut self.recorder,
-        );
+        let rank = &mut RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
+        let solved = match &mut self.matrix_free {
+            None => {
+                let matrix = self.contacts.system(&self.matrix);
+                let system = LinearSystem { matrix, inverse_diagonal: &self.inverse_diagonal, rhs: &self.rhs };
+                self.solver.set_up(rank, &system)?;
+                self.solver.solve(rank, &system, &params)
+            }
+            Some(kernel) => {
+                let elements = element_matrix!(self);
+                let (inverse, rhs) = (&self.inverse_diagonal, &self.rhs);
+                let solver = &mut self.solver;
+                solver.solve_with(rank, |spmv| MatrixFreeProduct { spmv, elements, kernel }, inverse, rhs, &params)
+            }
+        };
         let info = solved.map_err(|error| self.explain(stats.step, error))?;
         stats.iterations += info.iterations;
         stats.products += info.products;
@@ -495,7 +479,7 @@ impl Simulation {
         self.advance.advance(
             &self.executor,
             span.length_s as f32,
-            &self.vectors.x,
+            &self.solver.vectors.x,
             self.own_start,
             &mut self.velocities,
             &mut self.positions,

@@ -9,7 +9,7 @@
 
 use super::contact_fill::{self, ContactLists, ContactSums, SUMS};
 use super::contact_rows::ContactRows;
-use super::element_matrix::ContactRecords;
+use super::element_rows::RowLists;
 use super::index_fill::{Elements, IndexFill, IndexRows, Kind, Numbering, RowTooLong};
 use super::layout::Placement;
 use super::sell::{SellMatrix, SystemMatrix};
@@ -18,6 +18,19 @@ use crate::forces::{CONTACT_RECORD_FLOATS, ContactElement};
 use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 
 pub use super::contact_rows::NO_SLOT;
+
+/// The contacts of a step as elements.
+#[derive(Clone, Copy)]
+pub struct ContactRecords<'a> {
+    /// Local vertices; those past the cloth's rows are obstacles.
+    pub elements: &'a DeviceVec<ContactElement>,
+    /// As `forces::contact` lays them out.
+    pub records: &'a DeviceVec<f32>,
+    /// Number of every own row among the touched ones, or [`NO_SLOT`].
+    pub slots: &'a DeviceVec<u32>,
+    /// Which contacts a touched row gathers.
+    pub lists: RowLists<'a>,
+}
 
 /// The contacts of one step of one rank. Memory grows with the largest step and is kept.
 pub struct ContactSystem {
@@ -146,17 +159,16 @@ impl ContactSystem {
 
     /// The matrix of the step.
     pub fn system<'a>(&'a self, elastic: &'a SellMatrix) -> SystemMatrix<'a> {
-        SystemMatrix { elastic, contact: self.matrix(), elements: None }
+        SystemMatrix { elastic, contact: self.matrix() }
     }
 
-    /// What products are made from where no matrix is stored; None without contacts.
+    /// The elements and what rows gather from them; None without contacts.
     pub fn contact_records(&self) -> Option<ContactRecords<'_>> {
         (!self.elements.is_empty()).then_some(ContactRecords {
             elements: &self.elements,
             records: &self.records,
             slots: &self.slots,
-            offsets: &self.offsets,
-            entries: &self.entries,
+            lists: RowLists { offsets: &self.offsets, entries: &self.entries },
         })
     }
 

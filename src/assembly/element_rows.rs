@@ -1,5 +1,7 @@
 //! Row -> element lists: which corners of which elements contribute to a row, in ascending element order.
 
+use crate::gpu::DeviceVec;
+
 /// Contributions of one kind of element (triangles or hinges) to a rank's own rows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ElementRows {
@@ -7,6 +9,15 @@ pub struct ElementRows {
     pub offsets: Vec<u32>,
     /// Element and the row's corner in it, packed as `element << 2 | corner`.
     pub entries: Vec<u32>,
+}
+
+/// [`ElementRows`] in the executor's memory.
+#[derive(Clone, Copy)]
+pub struct RowLists<'a> {
+    /// See [`ElementRows::offsets`].
+    pub offsets: &'a DeviceVec<u32>,
+    /// See [`ElementRows::entries`].
+    pub entries: &'a DeviceVec<u32>,
 }
 
 impl ElementRows {

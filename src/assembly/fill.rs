@@ -5,8 +5,7 @@
 use std::borrow::Cow;
 
 use super::contact_fill::ContactSums;
-use super::element_matrix::ElementLists;
-use super::element_rows::ElementRows;
+use super::element_rows::{ElementRows, RowLists};
 use super::fill_cpu::{self, FillInputs};
 use super::index_fill::{Elements, IndexFill, IndexRows, Kind, Numbering, RowTooLong};
 use super::layout::{LANES, Placement};
@@ -138,14 +137,12 @@ impl FillTables {
         Ok((tables, matrix))
     }
 
-    /// Row lists of the elastic elements.
-    pub fn lists(&self) -> ElementLists<'_> {
-        ElementLists {
-            triangle_offsets: &self.triangle_offsets,
-            triangle_entries: &self.triangle_entries,
-            hinge_offsets: &self.hinge_offsets,
-            hinge_entries: &self.hinge_entries,
-        }
+    /// Which triangles, and which hinges, an own row gathers.
+    pub fn lists(&self) -> [RowLists<'_>; 2] {
+        [
+            RowLists { offsets: &self.triangle_offsets, entries: &self.triangle_entries },
+            RowLists { offsets: &self.hinge_offsets, entries: &self.hinge_entries },
+        ]
     }
 
     /// Gives everything but the row lists up: then [`Fill::apply`] fills right-hand side

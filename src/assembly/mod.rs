@@ -1,7 +1,6 @@
 //! Dynamic matrix assembly into sliced block ELL [Li et al. 2020, Sec. 3.2]: element records -> Index Table -> Value Table,
 //! right-hand side and preconditioner of a rank's rows. Gathers per row, so no atomics and a fixed order of every sum.
 
-pub mod element_matrix;
 mod element_rows;
 pub mod fill;
 mod fill_cpu;
@@ -14,9 +13,8 @@ mod contact_rows;
 pub mod contact_system;
 pub mod sell;
 
-pub use contact_system::ContactSystem;
-pub use element_matrix::{ContactRecords, ElementLists, ElementMatrix};
-pub use element_rows::ElementRows;
+pub use contact_system::{ContactRecords, ContactSystem};
+pub use element_rows::{ElementRows, RowLists};
 pub use index_fill::{NO_POSITION, Numbering, RowTooLong, SubVectors};
 pub use layout::{LANES, NO_ROW, SORT_WINDOW, SellLayout};
 pub use sell::{SellMatrix, SystemMatrix};

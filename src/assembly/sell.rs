@@ -6,7 +6,6 @@
 
 use std::ops::Range;
 
-use super::element_matrix::ElementMatrix;
 use super::layout::{LANES, NO_ROW, Placement, SellLayout};
 use crate::gpu::{DeviceVec, Executor};
 
@@ -212,13 +211,11 @@ pub struct SystemMatrix<'a> {
     pub elastic: &'a SellMatrix,
     /// Blocks off the diagonal of the rows that contacts touch; sections as those of `elastic`. None without contacts.
     pub contact: Option<&'a SellMatrix>,
-    /// In place of both, where no matrix is stored: the records that its blocks would be made of.
-    pub elements: Option<ElementMatrix<'a>>,
 }
 
 impl<'a> From<&'a SellMatrix> for SystemMatrix<'a> {
     fn from(elastic: &'a SellMatrix) -> SystemMatrix<'a> {
-        SystemMatrix { elastic, contact: None, elements: None }
+        SystemMatrix { elastic, contact: None }
     }
 }
 

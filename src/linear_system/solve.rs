@@ -15,12 +15,12 @@ use super::rank_system::{RankSystem, power_of_two};
 use super::residual::Residual;
 use crate::assembly::sell::{BLOCK, value_index};
 use crate::assembly::{SellLayout, SellMatrix};
+use crate::context::RankContext;
 use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::math::DIM;
 use crate::solver::{
-    ExchangeMode, HaloExchange, Pcg, PcgError, PcgParams, PcgVectors, PipelinedSpmv, PreconditionerKind, RankPattern,
-    Schwarz,
+    ExchangeMode, LinearSolver, LinearSystem, PcgError, PcgParams, PreconditionerKind, RankPattern, Schwarz,
 };
 use crate::telemetry::{Activity, Event, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
@@ -181,10 +181,7 @@ struct RankSolver<'a> {
     matrix: SellMatrix,
     inverse_diagonal: DeviceVec<f32>,
     rhs: DeviceVec<f32>,
-    schwarz: Option<Schwarz>,
-    vectors: PcgVectors,
-    spmv: PipelinedSpmv,
-    pcg: Pcg,
+    solver: LinearSolver,
     residual: Residual<'a>,
     recorder: Recorder,
     slots: usize,
@@ -213,17 +210,13 @@ impl<'a> RankSolver<'a> {
         let mut matrix = SellMatrix::new(executor, rows, &layout);
         let (values, inverse_diagonal) = device_values(system, &layout);
         matrix.values = DeviceVec::upload(executor, &values);
-        let halo = HaloExchange::new(plan.clone(), queue.to_vec());
         let pattern =
             RankPattern { offsets: &arrays.offsets, columns: &arrays.columns, block_address: &layout.block_address };
         let schwarz = schwarz.then(|| Schwarz::new(executor, partition, plan, mode, queue, pattern));
         RankSolver {
             inverse_diagonal: DeviceVec::upload(executor, &inverse_diagonal),
-            schwarz,
             rhs: DeviceVec::zeros(executor, rows * DIM),
-            vectors: PcgVectors::new(executor, rows, plan.local_rows * DIM),
-            spmv: PipelinedSpmv::new(executor, mode, halo, queue.to_vec(), partition.sub_vector_rows()),
-            pcg: Pcg::new(executor, partition, plan.rank),
+            solver: LinearSolver::new(executor, partition, plan.clone(), mode, queue, schwarz),
             residual: Residual::new(system, queue.to_vec(), params.host_threads),
             recorder: Recorder::new(executor.clock().filter(|_| params.record_solves > 0)),
             slots: layout.slots(),
@@ -232,13 +225,23 @@ impl<'a> RankSolver<'a> {
         }
     }
 
+    /// The solver, the system that is solved, and the rank's context.
+    fn parts<'b>(
+        &'b mut self,
+        transport: &'b mut dyn Transport,
+    ) -> (&'b mut LinearSolver, LinearSystem<'b>, RankContext<'b>) {
+        let system =
+            LinearSystem { matrix: (&self.matrix).into(), inverse_diagonal: &self.inverse_diagonal, rhs: &self.rhs };
+        let rank = RankContext { executor: self.executor, transport, recorder: &mut self.recorder };
+        (&mut self.solver, system, rank)
+    }
+
     fn record(&mut self) -> SolveRecord {
         let arrays = [&self.inverse_diagonal, &self.rhs].map(DeviceVec::bytes).iter().sum::<u64>();
-        let schwarz = self.schwarz.as_ref().map_or(0, Schwarz::bytes);
         SolveRecord {
             device: self.executor.device_name(),
             epoch_unix_ns: self.recorder.epoch_unix_ns,
-            memory_bytes: self.matrix.bytes() + arrays + self.vectors.bytes() + self.spmv.scratch_bytes() + schwarz,
+            memory_bytes: self.matrix.bytes() + arrays + self.solver.bytes(),
             events: self.recorder.take(),
         }
     }
@@ -259,22 +262,16 @@ impl<'a> RankSolver<'a> {
         seconds: &mut f64,
     ) -> Result<SolveStats, SolveError> {
         self.residual.reset();
-        self.spmv.traffic = Default::default();
-        let preconditioner = match self.schwarz {
-            None => PreconditionerKind::Jacobi,
-            Some(_) => PreconditionerKind::Schwarz,
-        };
+        self.solver.spmv.traffic = Default::default();
+        let preconditioner = self.solver.preconditioner();
         let (blocks, slots) = (self.matrix.blocks as u64, self.slots as u64);
         let mut stats = SolveStats { blocks, slots, preconditioner, ..Default::default() };
         let b_norm = self.norm(transport)?;
         let mut norm = b_norm;
         stats.converged = b_norm == 0.0;
         let mut clock = Instant::now();
-        if let Some(schwarz) = &mut self.schwarz {
-            let (executor, halo) = (self.executor, self.spmv.halo());
-            let (inverse, flags) = (&self.inverse_diagonal, &mut self.vectors.u);
-            schwarz.set_up(executor, transport, halo, &(&self.matrix).into(), inverse, flags, &mut self.recorder)?;
-        }
+        let (solver, system, mut rank) = self.parts(transport);
+        solver.set_up(&mut rank, &system)?;
         while !stats.converged {
             let relative = norm / b_norm;
             let wanted = params.relative_tolerance / relative;
@@ -283,6 +280,7 @@ impl<'a> RankSolver<'a> {
             let inner = PcgParams {
                 relative_tolerance: wanted.max(INNER_TOLERANCE),
                 max_iterations: params.max_iterations - stats.iterations,
+                nonzero_start: false,
             };
             let stop = self.correct(transport, norm, &inner, &mut stats)?;
             *seconds += clock.elapsed().as_secs_f64();
@@ -307,7 +305,7 @@ impl<'a> RankSolver<'a> {
                 _ => stats.refinements += 1,
             }
         }
-        stats.product_bytes = self.spmv.traffic.received_bytes;
+        stats.product_bytes = self.solver.spmv.traffic.received_bytes;
         stats.bytes_exchanged = stats.product_bytes + self.residual.traffic.received_bytes;
         Ok(stats)
     }
@@ -324,21 +322,9 @@ impl<'a> RankSolver<'a> {
         let scale = power_of_two(norm);
         let rhs: Vec<f32> = self.residual.r.iter().map(|r| (r / scale) as f32).collect();
         self.rhs.write_range(self.executor, 0, &rhs);
-        self.vectors.x.fill_zero(self.executor);
-        let (inverse, vectors) = (&self.inverse_diagonal, &mut self.vectors);
-        let solved = self.pcg.solve(
-            self.executor,
-            transport,
-            &mut self.spmv,
-            &(&self.matrix).into(),
-            inverse,
-            self.schwarz.as_mut(),
-            &self.rhs,
-            vectors,
-            false,
-            params,
-            &mut self.recorder,
-        );
+        self.solver.vectors.x.fill_zero(self.executor);
+        let (solver, system, mut rank) = self.parts(transport);
+        let solved = solver.solve(&mut rank, &system, params);
         let mut stop = None;
         match solved {
             Ok(info) => {
@@ -356,7 +342,7 @@ impl<'a> RankSolver<'a> {
             }
             Err(PcgError::Transport(error)) => return Err(error.into()),
         }
-        self.residual.add(scale, &self.vectors.x.read(self.executor));
+        self.residual.add(scale, &self.solver.vectors.x.read(self.executor));
         Ok(stop)
     }
 
@@ -368,14 +354,8 @@ impl<'a> RankSolver<'a> {
         for _ in 0..TIMED_PRODUCTS {
             transport.barrier()?;
             let clock = Instant::now();
-            self.spmv.apply(
-                self.executor,
-                transport,
-                &(&self.matrix).into(),
-                &mut self.vectors.u,
-                &mut y,
-                &mut self.recorder,
-            )?;
+            let (solver, system, mut rank) = self.parts(transport);
+            solver.spmv.apply(&mut rank, &system.matrix, &mut solver.vectors.u, &mut y)?;
             // On a device this waits for the product.
             y.read_range(self.executor, 0, &mut one);
             best = best.min(all_max(transport, clock.elapsed().as_secs_f64())?);

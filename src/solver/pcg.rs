@@ -1,36 +1,36 @@
-//! Preconditioned conjugate gradients with one reduction per iteration [Chronopoulos and Gear 1989], 3x3-block Jacobi.
+//! Preconditioned conjugate gradients with one reduction per iteration [Chronopoulos and Gear 1989].
 //!
-//! Per iteration and row: one SpMV (`spmv`), one fused vector pass (156 bytes), one dot product (24 bytes); one halo
-//! exchange and one all-gather of at most 54 numbers per rank. The residual is the recursive one: in f32 it follows the
-//! true residual down to about 1e-5 of the start; below that callers correct with a residual in f64 (`cli::solve`).
+//! The residual is the recursive one: in f32 it follows the true residual down to about 1e-5 of the start; below that callers
+//! correct with a residual in f64 (`linear_system::solve`).
 
 use thiserror::Error;
 
-use super::pipelined::PipelinedSpmv;
-use super::reduction::ReductionTree;
-use super::schwarz::Schwarz;
-use super::vector::{ChunkSums, VectorOps};
-use crate::assembly::SystemMatrix;
-use crate::gpu::{DeviceVec, Executor};
+use super::operator::Operator;
+use super::preconditioner::{IterationSums, Preconditioner};
+use super::vector::{PcgVectors, Scalars};
+use crate::context::RankContext;
+use crate::gpu::DeviceVec;
 use crate::partition::RowPartition;
-use crate::telemetry::{Activity, EventName, Recorder};
-use crate::transport::{Transport, TransportError};
+use crate::telemetry::{Activity, EventName};
+use crate::transport::TransportError;
 
 /// Size of rounding errors in p'Ap relative to its terms: f32 vectors, recurrences over hundreds of iterations.
 const ROUNDING: f64 = 1e-4;
-/// Down to this part of the start the recursive residual follows the true one; below, it is all rounding.
+/// Down to this fraction of its start the recursive residual follows the true one; below, it is rounding.
 const FOLLOWED: f64 = 1e-5;
-/// Part of its start to which a descent that broke off must have brought the residual for another one of its kind to be worth
-/// while.
+/// A descent that breaks off is restarted with the same preconditioner only if it reduced the residual to this fraction of its
+/// start.
 const PROGRESS: f64 = 0.1;
 
-/// When to stop.
+/// Where to begin and when to stop; the same on all ranks.
 #[derive(Clone, Copy, Debug)]
 pub struct PcgParams {
     /// Stop when |r| <= this * |b - A x0| (2-norms over free rows).
     pub relative_tolerance: f64,
     /// Stop after this many iterations, converged or not.
     pub max_iterations: u32,
+    /// True if x0 may differ from zero on some rank.
+    pub nonzero_start: bool,
 }
 
 /// How it ended.
@@ -62,258 +62,152 @@ pub enum PcgError {
     NotPositiveDefinite { iteration: u32, curvature: f64 },
 }
 
-/// Vectors of a solve on the own rows (xyz per row); `u` also holds halo rows.
-pub struct PcgVectors {
-    /// Preconditioned residual, local rows.
-    pub u: DeviceVec<f32>,
-    /// Start value in, solution out.
-    pub x: DeviceVec<f32>,
-    r: DeviceVec<f32>,
-    w: DeviceVec<f32>,
-    p: DeviceVec<f32>,
-    s: DeviceVec<f32>,
-}
-
-impl PcgVectors {
-    /// Zero vectors for `rows` own rows and `local_len` values of a local vector.
-    pub fn new(executor: &Executor, rows: usize, local_len: usize) -> PcgVectors {
-        let own = || DeviceVec::zeros(executor, rows * 3);
-        PcgVectors { u: DeviceVec::zeros(executor, local_len), x: own(), r: own(), w: own(), p: own(), s: own() }
-    }
-
-    /// Makes room for local vectors of `local_len` values. Never shrinks; halo rows of `u` are received anew in every
-    /// product, so nothing of it needs to be kept.
-    pub fn grow(&mut self, executor: &Executor, local_len: usize) {
-        if local_len > self.u.len() {
-            self.u.resize(executor, local_len);
-        }
-    }
-
-    /// Device bytes.
-    pub fn bytes(&self) -> u64 {
-        self.u.held_bytes() + 5 * self.x.bytes()
-    }
-}
-
-/// Why a descent went no further.
-struct Broken {
-    /// p' A p.
-    curvature: f64,
-    /// Its last residual over its first.
-    progress: f64,
-    /// True if that is what f32 makes of a positive definite matrix.
-    rounding: bool,
+/// How a descent ended.
+enum Descent {
+    /// At the tolerance or at the last iteration allowed.
+    Done(PcgInfo),
+    /// At p' A p <= 0.
+    Broken {
+        info: PcgInfo,
+        curvature: f64,
+        /// Its last residual over its first.
+        progress: f64,
+        /// True if rounding in f32 explains the sign with a positive definite matrix.
+        rounding: bool,
+    },
 }
 
 /// The solver of one rank.
 pub struct Pcg {
-    ops: VectorOps,
-    tree: ReductionTree,
-    chunk_sums: Vec<ChunkSums>,
-    /// Sums of w over the own chunks, and over all of them.
-    own_restricted: Vec<f64>,
-    restricted: Vec<f64>,
+    sums: IterationSums,
 }
 
 impl Pcg {
-    /// A solver for rank `rank`'s rows.
-    pub fn new(executor: &Executor, partition: &RowPartition, rank: usize) -> Pcg {
-        let rows = partition.rows_of(rank).len();
-        Pcg {
-            ops: VectorOps::new(executor, rows, partition.chunk_rows()),
-            tree: ReductionTree::new(partition),
-            chunk_sums: Vec::new(),
-            own_restricted: Vec::new(),
-            restricted: Vec::new(),
-        }
+    /// A solver for the ranks of `partition`.
+    pub fn new(partition: &RowPartition) -> Pcg {
+        Pcg { sums: IterationSums::new(partition) }
     }
 
-    /// Solves A x = b for x = `vectors.x`. Rows with a zero `inverse_diagonal` keep their start value (pins). `nonzero_start`
-    /// says that x may differ from zero on some rank; all ranks must agree on it. `schwarz`: the preconditioner, set up with this
-    /// matrix; without it, block Jacobi.
+    /// Solves A x = b for x = `vectors.x`. Pinned rows keep their start value.
     ///
-    /// The coarse level sums forces that cancel, and its solution can be many times as large as what a row could do by itself: on
-    /// stiff systems rounding breaks the descent off long before it would with Jacobi. Then another one begins with the true
-    /// residual, and when that does not help, one with Jacobi.
-    pub fn solve(
+    /// A descent that breaks off is followed by another one, which begins with the true residual. It takes the next of
+    /// `preconditioners` if the last one made little progress: the coarse level sums forces that cancel, and its solution can
+    /// be many times as large as what a row could do by itself, so on stiff systems rounding breaks the descent off long
+    /// before it would with Jacobi. The last preconditioner that breaks off without progress ends the solve.
+    ///
+    /// # Errors
+    /// A transfer failed, a value is not finite, or the matrix is indefinite beyond rounding.
+    pub fn solve<A: Operator>(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
-        spmv: &mut PipelinedSpmv,
-        matrix: &SystemMatrix<'_>,
-        inverse_diagonal: &DeviceVec<f32>,
-        mut schwarz: Option<&mut Schwarz>,
+        rank: &mut RankContext<'_>,
+        operator: &mut A,
+        preconditioners: &mut [&mut dyn Preconditioner<A>],
         b: &DeviceVec<f32>,
         vectors: &mut PcgVectors,
-        nonzero_start: bool,
         params: &PcgParams,
-        recorder: &mut Recorder,
     ) -> Result<PcgInfo, PcgError> {
-        let mut before: Option<PcgInfo> = None;
+        let (mut chosen, mut before) = (0, None);
         loop {
-            let (info, broken) = self.descend(
-                executor,
-                transport,
-                spmv,
-                matrix,
-                inverse_diagonal,
-                schwarz.as_deref_mut(),
-                b,
-                vectors,
-                nonzero_start,
-                before,
-                params,
-                recorder,
-            )?;
-            let Some(Broken { curvature, progress, rounding }) = broken else { return Ok(info) };
-            if progress > PROGRESS && schwarz.take().is_none() {
-                if rounding {
-                    return Ok(info);
+            let preconditioner = &mut *preconditioners[chosen];
+            match self.descend(rank, operator, preconditioner, b, vectors, params, before)? {
+                Descent::Done(info) => return Ok(info),
+                Descent::Broken { info, curvature, progress, rounding } => {
+                    if progress > PROGRESS {
+                        chosen += 1;
+                    }
+                    if chosen == preconditioners.len() {
+                        let iteration = info.iterations;
+                        return if rounding {
+                            Ok(info)
+                        } else {
+                            Err(PcgError::NotPositiveDefinite { iteration, curvature })
+                        };
+                    }
+                    before = Some(info);
                 }
-                return Err(PcgError::NotPositiveDefinite { iteration: info.iterations, curvature });
             }
-            before = Some(info);
         }
     }
 
-    /// One descent; how it broke off, if it did. `before`: what others have reached in x, of this solve.
-    fn descend(
+    /// One descent from x. `before`: what other descents of this solve have reached.
+    ///
+    /// Bytes per row and iteration that the kernels of one rank move, as a trace counts them: flag of 20,300 vertices, no
+    /// contacts.
+    /// ```text
+    ///                 Jacobi   chain sweep          sweep by color
+    /// w = A u           529     72, between chunks    529
+    /// w.u, P' w          24     24                     60
+    /// p, s, x, r        156    in M^-1 r              156
+    /// u = M^-1 r     in r -=   439, with w in chunks  620
+    /// ```
+    /// Between ranks: the halo rows, 12 bytes each, and one all-gather of at most 54 numbers per rank; with a coarse level three
+    /// more per own chunk.
+    fn descend<A: Operator>(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
-        spmv: &mut PipelinedSpmv,
-        matrix: &SystemMatrix<'_>,
-        inverse_diagonal: &DeviceVec<f32>,
-        mut schwarz: Option<&mut Schwarz>,
+        rank: &mut RankContext<'_>,
+        operator: &mut A,
+        preconditioner: &mut dyn Preconditioner<A>,
         b: &DeviceVec<f32>,
-        vectors: &mut PcgVectors,
-        nonzero_start: bool,
-        before: Option<PcgInfo>,
+        v: &mut PcgVectors,
         params: &PcgParams,
-        recorder: &mut Recorder,
-    ) -> Result<(PcgInfo, Option<Broken>), PcgError> {
-        let own = spmv.own_start();
-        let v = vectors;
-        let (done, mut products) = before.map_or((0, 0), |info| (info.iterations, info.products));
-        self.own_restricted.clear();
-        if nonzero_start || before.is_some() {
-            // w = A x0, through u because only u has halo rows.
-            v.u.copy_range(executor, own, &v.x, 0, v.x.len());
-            spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
+        before: Option<PcgInfo>,
+    ) -> Result<Descent, PcgError> {
+        let sums = &mut self.sums;
+        let (mut iteration, mut products) = before.map_or((0, 0), |info| (info.iterations, info.products));
+        if params.nonzero_start || before.is_some() {
+            // w = A x0, through u because only u has halo rows
+            v.u.copy_range(rank.executor, v.own_start, &v.x, 0, v.x.len());
+            operator.apply(rank, &mut v.u, &mut v.w)?;
             products += 1;
         } else {
-            v.w.fill_zero(executor);
+            // w = A x0 = 0
+            v.w.fill_zero(rank.executor);
         }
-        v.p.fill_zero(executor);
-        v.s.fill_zero(executor);
-        // r = b - A x0; u = M^-1 r; gamma = r.u
-        self.ops.start(executor, b, &v.w, inverse_diagonal, &mut v.r, &mut v.u, own);
+        // p = 0; s = A p = 0; r = b - w; u = M^-1 r
+        v.p.fill_zero(rank.executor);
+        v.s.fill_zero(rank.executor);
+        preconditioner.start(rank, sums, b, v)?;
 
-        if let Some(schwarz) = schwarz.as_deref_mut() {
-            self.start_schwarz(executor, transport, schwarz, inverse_diagonal, v, own)?;
-        }
-
-        let (mut gamma_old, mut alpha_old) = (1.0, 1.0);
-        let (mut start_residual, mut own_start) = (0.0, 0.0);
-        for iteration in done.. {
-            transport.alive()?;
-            // w = A u; delta = w.u, together with gamma = r.u and r.r of the last pass: one all-reduce
-            match schwarz.as_deref_mut() {
-                None => {
-                    spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
-                    let start = recorder.before_kernels();
-                    self.ops.dot(executor, &v.w, &v.u, own);
-                    self.ops.sums(executor, &mut self.chunk_sums);
-                    let bytes = v.w.bytes() * 2;
-                    recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, v.w.len() as u64 * 2);
-                }
-                Some(schwarz) => {
-                    if let Some(elastic) = schwarz.outer() {
-                        // The sweep has left the product with the blocks inside chunks in w.
-                        spmv.accumulate = true;
-                        let outer = SystemMatrix { elastic, contact: matrix.contact, elements: None };
-                        let applied = spmv.apply(executor, transport, &outer, &mut v.u, &mut v.w, recorder);
-                        spmv.accumulate = false;
-                        applied?;
-                    } else {
-                        spmv.apply(executor, transport, matrix, &mut v.u, &mut v.w, recorder)?;
-                    }
-                    let start = recorder.before_kernels();
-                    let (scalars, restricted) = (&mut self.chunk_sums, &mut self.own_restricted);
-                    schwarz.sums(executor, inverse_diagonal, &mut v.w, &v.u, own, scalars, restricted);
-                    let bytes = schwarz.sums_bytes(v.w.bytes());
-                    recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, v.w.len() as u64 * 3);
-                }
-            }
+        let mut last: Option<(f64, f64)> = None;
+        let mut first_residual = None;
+        loop {
+            rank.transport.alive()?;
+            // w = A u
+            preconditioner.product(rank, operator, sums, v)?;
             products += 1;
-            let start = recorder.now();
-            let (tree, own_restricted) = (&mut self.tree, &self.own_restricted);
-            let [gamma, rr, delta] =
-                tree.all_reduce_and_gather(transport, &self.chunk_sums, own_restricted, &mut self.restricted)?;
-            recorder.end(EventName::AllReduce, Activity::Wait, start, 24, 0);
-            if !(gamma.is_finite() && rr.is_finite() && delta.is_finite()) {
+            // gamma = r.u; rho = r.r; delta = w.u: one all-reduce
+            let start = rank.recorder.now();
+            let [gamma, rho, delta] = sums.all_reduce(rank.transport)?;
+            rank.recorder.end(EventName::AllReduce, Activity::Wait, start, 24, 0);
+            if !(gamma.is_finite() && rho.is_finite() && delta.is_finite()) {
                 return Err(PcgError::NotFinite { iteration });
             }
-            let residual = rr.sqrt();
-            if iteration == done {
-                own_start = residual;
-                start_residual = before.map_or(residual, |info| info.start_residual);
-            }
-            let relative = if start_residual > 0.0 { residual / start_residual } else { 0.0 };
-            let converged = relative <= params.relative_tolerance;
-            let info =
-                PcgInfo { iterations: iteration, relative_residual: relative, converged, start_residual, products };
+            let residual = rho.sqrt();
+            let first = *first_residual.get_or_insert(residual);
+            let start_residual = before.map_or(first, |info| info.start_residual);
+            let relative_residual = if start_residual > 0.0 { residual / start_residual } else { 0.0 };
+            let converged = relative_residual <= params.relative_tolerance;
+            let info = PcgInfo { iterations: iteration, relative_residual, converged, start_residual, products };
             if converged || iteration >= params.max_iterations {
-                return Ok((info, None));
+                return Ok(Descent::Done(info));
             }
-            // beta = gamma / gamma_old; p'Ap = delta - beta gamma / alpha_old; alpha = gamma / p'Ap
-            let beta = if iteration == done { 0.0 } else { gamma / gamma_old };
-            let curvature = if iteration == done { delta } else { delta - beta * gamma / alpha_old };
+            // beta = gamma / gamma_old; p'Ap = delta - beta gamma / alpha_old
+            let (beta, curvature) = last.map_or((0.0, delta), |(gamma_old, alpha_old)| {
+                let beta = gamma / gamma_old;
+                (beta, delta - beta * gamma / alpha_old)
+            });
             if curvature <= 0.0 {
-                // The recurrence for p'Ap cancels; a negative value of the size of its rounding says that f32 has given what it
+                // The recurrence for p'Ap cancels: a negative value of the size of its rounding says that f32 has given what it
                 // can for this matrix, not that the matrix is indefinite.
-                let rounding = relative <= FOLLOWED || curvature.abs() <= ROUNDING * delta;
-                return Ok((info, Some(Broken { curvature, progress: residual / own_start, rounding })));
+                let rounding = relative_residual <= FOLLOWED || curvature.abs() <= ROUNDING * delta;
+                return Ok(Descent::Broken { info, curvature, progress: residual / first, rounding });
             }
+            // alpha = gamma / p'Ap
             let alpha = gamma / curvature;
-            let (alpha_f32, beta_f32) = (alpha as f32, beta as f32);
-            if schwarz.as_deref().is_none_or(|schwarz| !schwarz.updates()) {
-                let start = recorder.before_kernels();
-                let PcgVectors { u, x, r, w, p, s } = &mut *v;
-                self.ops.update(executor, alpha_f32, beta_f32, w, inverse_diagonal, u, own, p, s, x, r);
-                let (bytes, flops) = (w.bytes() * 13, w.len() as u64 * 18);
-                recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, flops);
-            }
-            if let Some(schwarz) = schwarz.as_deref_mut() {
-                let start = recorder.before_kernels();
-                schwarz.coarse.update(&self.restricted, alpha, beta);
-                let PcgVectors { u, x, r, w, p, s } = &mut *v;
-                schwarz.sweep(executor, Some((alpha_f32, beta_f32)), inverse_diagonal, w, u, own, p, s, x, r);
-                let (bytes, flops) = (schwarz.sweep_bytes(), schwarz.sweep_flops());
-                recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, flops);
-            }
-            (gamma_old, alpha_old) = (gamma, alpha);
+            // p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = M^-1 r
+            preconditioner.advance(rank, Scalars { alpha, beta }, sums, v);
+            last = Some((gamma, alpha));
+            iteration += 1;
         }
-        unreachable!("the loop ends at max_iterations")
-    }
-
-    /// First coarse correction, u and the inner part of w, from r.
-    fn start_schwarz(
-        &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
-        schwarz: &mut Schwarz,
-        inverse_diagonal: &DeviceVec<f32>,
-        v: &mut PcgVectors,
-        own: usize,
-    ) -> Result<(), TransportError> {
-        // The sums of r; r is zero on pinned rows.
-        let PcgVectors { u, x, r, w, p, s } = v;
-        schwarz.sums(executor, inverse_diagonal, r, u, own, &mut self.chunk_sums, &mut self.own_restricted);
-        let (sums, restricted) = (&self.chunk_sums, &mut self.restricted);
-        self.tree.all_reduce_and_gather(transport, sums, &self.own_restricted, restricted)?;
-        schwarz.coarse.start(restricted);
-        schwarz.sweep(executor, None, inverse_diagonal, w, u, own, p, s, x, r);
-        Ok(())
     }
 }

@@ -6,14 +6,16 @@
 //! `full`: publish the whole sub-vector; multiply A_ii v_i; then per stage receive v_j and add A_ij v_j (Eq. 5). The order of
 //! a row's sum is the order of the stages, so its bits depend on the rank count and the schedule.
 
-use crate::assembly::{ElementMatrix, SystemMatrix};
+use std::ops::Range;
+
+use crate::assembly::SystemMatrix;
+use crate::context::RankContext;
 use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
 use super::exchange::{ExchangeMode, HaloExchange, TrafficCounter};
-use super::matrix_free::MatrixFree;
 use super::spmv::Spmv;
 
 /// y = A u over all ranks; holds what is fixed while the halo is.
@@ -23,13 +25,8 @@ pub struct PipelinedSpmv {
     halo: HaloExchange,
     queue: Vec<QueueNode>,
     sub_vector_len: usize,
+    /// Own sub-vector, padded.
     staging: Vec<f32>,
-    /// True: products are added to y instead of overwriting it.
-    pub accumulate: bool,
-    /// True: `full` waits for all sub-vectors before it multiplies [Cevahir et al. 2009], the baseline that benchmarks show.
-    pub gather_first: bool,
-    gathered: Vec<Vec<f32>>,
-    matrix_free: MatrixFree,
     /// Vector bytes received by products since the last reset.
     pub traffic: TrafficCounter,
 }
@@ -50,10 +47,6 @@ impl PipelinedSpmv {
             queue,
             sub_vector_len: sub_vector_rows * 3,
             staging: Vec::new(),
-            accumulate: false,
-            gather_first: false,
-            gathered: Vec::new(),
-            matrix_free: MatrixFree::default(),
             traffic: TrafficCounter::default(),
         }
     }
@@ -61,6 +54,11 @@ impl PipelinedSpmv {
     /// Exchange of halo rows, also used for positions and velocities.
     pub fn halo(&mut self) -> &mut HaloExchange {
         &mut self.halo
+    }
+
+    /// What products exchange.
+    pub fn mode(&self) -> ExchangeMode {
+        self.mode
     }
 
     /// First value of the own rows in a local vector.
@@ -76,159 +74,205 @@ impl PipelinedSpmv {
     /// y = A u. `u` is a local vector whose own rows are valid; its halo rows are filled on the way.
     pub fn apply(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
+        rank: &mut RankContext<'_>,
         matrix: &SystemMatrix<'_>,
         u: &mut DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
-        recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
-        if let Some(elements) = &matrix.elements {
-            return self.apply_elements(executor, transport, elements, u, y, recorder);
-        }
-        match self.mode {
-            ExchangeMode::Halo => self.apply_halo(executor, transport, matrix, u, y, recorder),
-            ExchangeMode::Full => self.apply_full(executor, transport, matrix, u, y, recorder),
-        }
+        self.multiply(rank, matrix, false, u, y)
     }
 
-    fn apply_halo(
+    /// y += A u; otherwise as [`PipelinedSpmv::apply`].
+    pub fn add(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
+        rank: &mut RankContext<'_>,
         matrix: &SystemMatrix<'_>,
         u: &mut DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
-        recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
-        self.halo.publish(executor, transport, &[&*u], recorder)?;
-        let start = recorder.before_kernels();
-        self.multiply(executor, matrix, 0, u, y);
-        // A device works on these rows while the halo is received.
-        executor.flush();
-        recorder.end(EventName::SpmvLocal, Activity::Compute, start, matrix.section_bytes(0), matrix.section_flops(0));
-        self.halo.receive(executor, transport, &mut [u], recorder, &mut self.traffic)?;
-        let start = recorder.before_kernels();
-        self.multiply(executor, matrix, 1, u, y);
-        recorder.end(EventName::SpmvRemote, Activity::Compute, start, matrix.section_bytes(1), matrix.section_flops(1));
-        Ok(())
+        self.multiply(rank, matrix, true, u, y)
     }
 
-    /// Without a stored matrix: all elements need all halo rows, so nothing overlaps.
-    fn apply_elements(
+    /// Receives the halo rows of `u` and multiplies nothing meanwhile; returns the own rows and the number of local rows.
+    pub(super) fn exchange_halo(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
-        elements: &ElementMatrix<'_>,
+        rank: &mut RankContext<'_>,
         u: &mut DeviceVec<f32>,
-        y: &mut DeviceVec<f32>,
-        recorder: &mut Recorder,
-    ) -> Result<(), TransportError> {
-        self.halo.publish(executor, transport, &[&*u], recorder)?;
-        self.halo.receive(executor, transport, &mut [u], recorder, &mut self.traffic)?;
-        let start = recorder.now();
-        let (own_start, local_rows) = (self.halo.plan().own.start, self.halo.plan().local_rows);
-        self.matrix_free.apply(executor, elements, self.accumulate, own_start, local_rows, u, y);
-        let (bytes, flops) = (elements.product_bytes(), elements.product_flops());
-        recorder.end(EventName::SpmvRemote, Activity::Compute, start, bytes, flops);
-        Ok(())
+    ) -> Result<(Range<usize>, usize), TransportError> {
+        self.halo.publish(rank.executor, rank.transport, &[&*u], rank.recorder)?;
+        self.halo.receive(rank.executor, rank.transport, &mut [u], rank.recorder, &mut self.traffic)?;
+        Ok((self.halo.plan().own.clone(), self.halo.plan().local_rows))
     }
 
-    /// Bytes that products keep beside matrix and vectors.
-    pub fn scratch_bytes(&self) -> u64 {
-        self.matrix_free.bytes()
-    }
-
-    /// Rows of section `section`: the elastic sum first, then what contacts add. No row is in an earlier section of the
-    /// contact matrix than of the elastic one.
     fn multiply(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        matrix: &SystemMatrix<'_>,
+        accumulate: bool,
+        u: &mut DeviceVec<f32>,
+        y: &mut DeviceVec<f32>,
+    ) -> Result<(), TransportError> {
+        match self.mode {
+            ExchangeMode::Halo => self.multiply_halo(rank, matrix, accumulate, u, y),
+            ExchangeMode::Full => self.multiply_full(rank, matrix, accumulate, u, y),
+        }
+    }
+
+    fn multiply_halo(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        matrix: &SystemMatrix<'_>,
+        accumulate: bool,
+        u: &mut DeviceVec<f32>,
+        y: &mut DeviceVec<f32>,
+    ) -> Result<(), TransportError> {
+        self.halo.publish(rank.executor, rank.transport, &[&*u], rank.recorder)?;
+        self.multiply_rows(rank, matrix, 0, accumulate, u, y);
+        self.halo.receive(rank.executor, rank.transport, &mut [u], rank.recorder, &mut self.traffic)?;
+        self.multiply_rows(rank, matrix, 1, accumulate, u, y);
+        Ok(())
+    }
+
+    /// Rows of section 0 (without halo columns) or 1: the elastic sum first, then what contacts add. No row is in an earlier
+    /// section of the contact matrix than of the elastic one.
+    fn multiply_rows(
         &self,
-        executor: &Executor,
+        rank: &mut RankContext<'_>,
         matrix: &SystemMatrix<'_>,
         section: usize,
+        accumulate: bool,
         u: &DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
     ) {
-        self.kernel.apply(executor, matrix.elastic, section, self.accumulate, u, y);
+        let start = rank.recorder.before_kernels();
+        self.kernel.apply(rank.executor, matrix.elastic, section, accumulate, u, y);
         if let Some(contact) = matrix.contact {
-            self.kernel.apply(executor, contact, section, true, u, y);
+            self.kernel.apply(rank.executor, contact, section, true, u, y);
         }
+        let name = match section {
+            0 => {
+                // A device works on these rows while the halo is received.
+                rank.executor.flush();
+                EventName::SpmvLocal
+            }
+            _ => EventName::SpmvRemote,
+        };
+        let (bytes, flops) = (matrix.section_bytes(section), matrix.section_flops(section));
+        rank.recorder.end(name, Activity::Compute, start, bytes, flops);
     }
 
-    fn apply_full(
+    fn multiply_full(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
+        rank: &mut RankContext<'_>,
         matrix: &SystemMatrix<'_>,
+        accumulate: bool,
         u: &DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
-        recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
-        let rank = transport.rank();
-        let own = self.own_start()..self.own_start() + matrix.elastic.rows * 3;
-        let start = recorder.now();
-        self.staging.resize(self.sub_vector_len, 0.0);
-        u.read_range(executor, own.start, &mut self.staging[..own.len()]);
-        if transport.ranks() > 1 {
-            let own_sub_vector = &self.staging;
-            transport.publish(self.sub_vector_len, &mut |out| out.copy_from_slice(own_sub_vector))?;
-            recorder.end(EventName::Publish, Activity::Transfer, start, self.sub_vector_len as u64 * 4, 0);
-        }
-        if self.gather_first {
-            self.gather_all(transport, recorder)?;
-        }
-        let block = (0, rank as u32, rank as u32);
-        let start = recorder.before_kernels();
-        self.kernel.apply_host(executor, matrix.elastic, 0, self.accumulate, &self.staging, y);
-        if let Some(contact) = matrix.contact {
-            self.kernel.apply_host(executor, contact, 0, true, &self.staging, y);
-        }
-        recorder.end_transfer(
-            EventName::SpmvBlock,
-            Activity::Compute,
-            start,
-            block,
-            matrix.section_bytes(0),
-            matrix.section_flops(0),
-        );
+        self.publish_sub_vector(rank, matrix.elastic.rows, u)?;
+        self.multiply_own_block(rank, matrix, accumulate, y);
         for stage in 0..self.queue.len() {
-            let (kernel, section, len) = (&self.kernel, stage + 1, self.sub_vector_len);
-            let route = route(stage, self.queue[stage]);
-            let mut multiply = |recorder: &mut Recorder, v_j: &[f32]| {
-                let start = recorder.before_kernels();
-                for part in matrix.parts() {
-                    kernel.apply_host(executor, part, section, true, v_j, y);
-                }
-                let (bytes, flops) = (matrix.section_bytes(section), matrix.section_flops(section));
-                recorder.end_transfer(EventName::SpmvBlock, Activity::Compute, start, route, bytes, flops);
-            };
-            match self.gather_first {
-                true => multiply(recorder, &self.gathered[stage]),
-                false => receive_whole(transport, route, len, &mut self.traffic, recorder, multiply)?,
-            }
-        }
-        Ok(())
-    }
-
-    /// Copies all sub-vectors, in the order of the work queue.
-    fn gather_all(&mut self, transport: &mut dyn Transport, recorder: &mut Recorder) -> Result<(), TransportError> {
-        self.gathered.resize(self.queue.len(), Vec::new());
-        for (stage, gathered) in self.gathered.iter_mut().enumerate() {
-            let (route, len) = (route(stage, self.queue[stage]), self.sub_vector_len);
-            receive_whole(transport, route, len, &mut self.traffic, recorder, |_, v_j| {
-                gathered.clear();
-                gathered.extend_from_slice(v_j);
+            let (kernel, len, route) = (&self.kernel, self.sub_vector_len, self.route(stage));
+            let executor = rank.executor;
+            receive_whole(rank.transport, route, len, &mut self.traffic, rank.recorder, |recorder, v_j| {
+                multiply_block(kernel, executor, recorder, matrix, route, v_j, y);
             })?;
         }
         Ok(())
     }
+
+    /// Publishes the own sub-vector: the `rows` own rows of `u`, padded.
+    pub(super) fn publish_sub_vector(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        rows: usize,
+        u: &DeviceVec<f32>,
+    ) -> Result<(), TransportError> {
+        let start = rank.recorder.now();
+        self.staging.resize(self.sub_vector_len, 0.0);
+        u.read_range(rank.executor, self.own_start(), &mut self.staging[..rows * 3]);
+        if rank.transport.ranks() > 1 {
+            let own_sub_vector = &self.staging;
+            rank.transport.publish(self.sub_vector_len, &mut |out| out.copy_from_slice(own_sub_vector))?;
+            rank.recorder.end(EventName::Publish, Activity::Transfer, start, self.sub_vector_len as u64 * 4, 0);
+        }
+        Ok(())
+    }
+
+    /// y = A_ii v_i, or y += A_ii v_i, with the sub-vector that was published.
+    pub(super) fn multiply_own_block(
+        &self,
+        rank: &mut RankContext<'_>,
+        matrix: &SystemMatrix<'_>,
+        accumulate: bool,
+        y: &mut DeviceVec<f32>,
+    ) {
+        let own = rank.transport.rank() as u32;
+        let start = rank.recorder.before_kernels();
+        self.kernel.apply_host(rank.executor, matrix.elastic, 0, accumulate, &self.staging, y);
+        if let Some(contact) = matrix.contact {
+            self.kernel.apply_host(rank.executor, contact, 0, true, &self.staging, y);
+        }
+        let (bytes, flops) = (matrix.section_bytes(0), matrix.section_flops(0));
+        rank.recorder.end_transfer(EventName::SpmvBlock, Activity::Compute, start, (0, own, own), bytes, flops);
+    }
+
+    /// y += A_ij v_j with the sub-vector that arrives in stage `stage`.
+    pub(super) fn add_block(
+        &self,
+        rank: &mut RankContext<'_>,
+        matrix: &SystemMatrix<'_>,
+        stage: usize,
+        v_j: &[f32],
+        y: &mut DeviceVec<f32>,
+    ) {
+        multiply_block(&self.kernel, rank.executor, rank.recorder, matrix, self.route(stage), v_j, y);
+    }
+
+    /// Copies the sub-vector that arrives in stage `stage` to `to`.
+    pub(super) fn receive_sub_vector(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        stage: usize,
+        to: &mut Vec<f32>,
+    ) -> Result<(), TransportError> {
+        let (len, route) = (self.sub_vector_len, self.route(stage));
+        receive_whole(rank.transport, route, len, &mut self.traffic, rank.recorder, |_, v_j| {
+            to.clear();
+            to.extend_from_slice(v_j);
+        })
+    }
+
+    /// Stages of a product in `full` mode.
+    pub(super) fn stages(&self) -> usize {
+        self.queue.len()
+    }
+
+    /// (stage from 1, source, sub-vector) of an event.
+    fn route(&self, stage: usize) -> (u32, u32, u32) {
+        let node = &self.queue[stage];
+        (stage as u32 + 1, node.source as u32, node.vector as u32)
+    }
 }
 
-/// (stage from 1, source, sub-vector) of an event.
-fn route(stage: usize, node: QueueNode) -> (u32, u32, u32) {
-    (stage as u32 + 1, node.source as u32, node.vector as u32)
+/// y += A_ij v_j for the sub-vector j of `route`.
+fn multiply_block(
+    kernel: &Spmv,
+    executor: &Executor,
+    recorder: &mut Recorder,
+    matrix: &SystemMatrix<'_>,
+    route: (u32, u32, u32),
+    v_j: &[f32],
+    y: &mut DeviceVec<f32>,
+) {
+    let section = route.0 as usize;
+    let start = recorder.before_kernels();
+    for part in matrix.parts() {
+        kernel.apply_host(executor, part, section, true, v_j, y);
+    }
+    let (bytes, flops) = (matrix.section_bytes(section), matrix.section_flops(section));
+    recorder.end_transfer(EventName::SpmvBlock, Activity::Compute, start, route, bytes, flops);
 }
-
 /// Receives the sub-vector that `route` names, of `len` values, and hands it to `take`.
 fn receive_whole(
     transport: &mut dyn Transport,

@@ -9,16 +9,19 @@
 use super::coarse::{Coarse, GroupSums, add_block};
 use super::colored::Colored;
 use super::exchange::{ExchangeMode, HaloExchange, TrafficCounter};
+use super::operator::StoredMatrix;
+use super::preconditioner::Preconditioner;
 use super::sweep::Sweeps;
-use super::vector::ChunkSums;
+use super::two_level::{ChainSweep, ColoredSweep};
+use super::vector::VectorOps;
 use crate::assembly::sell::BLOCK;
 use crate::assembly::{SellMatrix, SystemMatrix};
+use crate::context::RankContext;
 use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::PreconditionerKind;
-use crate::telemetry::Recorder;
-use crate::transport::{Transport, TransportError};
+use crate::transport::TransportError;
 
 /// Rows of a chunk that its columns can name.
 const CHUNK_ROWS_MAX: usize = 1 << 16;
@@ -52,7 +55,8 @@ pub struct Schwarz {
     smoother: Smoother,
     /// In `full` mode: first global row of the sub-vector of each section.
     sub_vectors: Vec<u32>,
-    pub(super) coarse: Coarse,
+    ops: VectorOps,
+    coarse: Coarse,
 }
 
 impl Schwarz {
@@ -120,7 +124,8 @@ impl Schwarz {
             }
         };
         let (chunk_rows, own_start) = (partition.chunk_rows(), plan.own.start);
-        Schwarz { chunk_rows, own_start, smoother, sub_vectors, coarse }
+        let ops = VectorOps::new(executor, plan.own.len(), chunk_rows);
+        Schwarz { chunk_rows, own_start, smoother, sub_vectors, ops, coarse }
     }
 
     /// Takes over new values of the matrix and factors the coarse level; once per step, on all ranks together. Uses `flags`, a
@@ -130,20 +135,19 @@ impl Schwarz {
     /// A transfer failed.
     pub fn set_up(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
+        rank: &mut RankContext<'_>,
         halo: &mut HaloExchange,
         matrix: &SystemMatrix<'_>,
         inverse_diagonal: &DeviceVec<f32>,
         flags: &mut DeviceVec<f32>,
-        recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
+        let executor = rank.executor;
         let inverses = inverse_diagonal.host(executor);
         let free = inverses.as_chunks::<6>().0.iter().flat_map(|inverse| [f32::from(inverse[0] != 0.0); 3]);
         flags.write_range(executor, self.own_start * 3, &free.collect::<Vec<f32>>());
         let mut traffic = TrafficCounter::default();
-        halo.publish(executor, transport, &[&*flags], recorder)?;
-        halo.receive(executor, transport, &mut [flags], recorder, &mut traffic)?;
+        halo.publish(executor, rank.transport, &[&*flags], rank.recorder)?;
+        halo.receive(executor, rank.transport, &mut [flags], rank.recorder, &mut traffic)?;
         let mut entries = match &mut self.smoother {
             Smoother::Chain(sweeps) => {
                 sweeps.take_over(native(executor), matrix.elastic.values.as_slice(), flags.as_slice())
@@ -153,7 +157,7 @@ impl Schwarz {
         if let Some(contact) = matrix.contact {
             self.add_contacts(executor, contact, halo.plan(), &flags.host(executor), &mut entries);
         }
-        self.coarse.set_up(transport, &entries)
+        self.coarse.set_up(rank.transport, &entries)
     }
 
     /// The blocks of contacts: they are multiplied outside the sweeps, but the coarse level must know that they couple what
@@ -181,59 +185,18 @@ impl Schwarz {
         });
     }
 
-    /// What is left to multiply after [`Schwarz::sweep`], to be added to w: the blocks between chunks. None: all of the matrix.
-    pub(super) fn outer(&self) -> Option<&SellMatrix> {
-        match &self.smoother {
-            Smoother::Chain(sweeps) => Some(sweeps.outer()),
-            Smoother::Colors(_) => None,
-        }
-    }
-
-    /// True if [`Schwarz::sweep`] also updates the vectors of a solve.
-    pub(super) fn updates(&self) -> bool {
-        matches!(self.smoother, Smoother::Chain(_))
-    }
-
-    /// u from r and the coarse correction. If [`Schwarz::updates`], `update` = (alpha, beta) moves p, s, x and r before, and w
-    /// is left with the product inside chunks. `u_start`: first own value of u.
-    pub(super) fn sweep(
-        &mut self,
-        executor: &Executor,
-        update: Option<(f32, f32)>,
-        inverse_diagonal: &DeviceVec<f32>,
-        w: &mut DeviceVec<f32>,
-        u: &mut DeviceVec<f32>,
-        u_start: usize,
-        p: &mut DeviceVec<f32>,
-        s: &mut DeviceVec<f32>,
-        x: &mut DeviceVec<f32>,
-        r: &mut DeviceVec<f32>,
-    ) {
-        let correction = &self.coarse.correction;
+    /// M^-1 for a solve with the matrix that was set up, whose inverse diagonal blocks are `inverse_diagonal`.
+    pub fn of<'a, 'm: 'a>(
+        &'a mut self,
+        executor: &'a Executor,
+        inverse_diagonal: &'a DeviceVec<f32>,
+    ) -> Box<dyn Preconditioner<StoredMatrix<'m>> + 'a> {
+        let (ops, coarse) = (&mut self.ops, &mut self.coarse);
         match &mut self.smoother {
             Smoother::Chain(sweeps) => {
-                sweeps.sweep(native(executor), correction, update, inverse_diagonal, w, u, u_start, p, s, x, r);
+                Box::new(ChainSweep { cpu: native(executor), ops, sweeps, coarse, inverse_diagonal })
             }
-            Smoother::Colors(colored) => colored.sweep(executor, inverse_diagonal, correction, r, u),
-        }
-    }
-
-    /// Sums (r . u, r . r, w . u) per own chunk, and those of w, three per chunk; zeroes w on pinned rows.
-    pub(super) fn sums(
-        &mut self,
-        executor: &Executor,
-        inverse_diagonal: &DeviceVec<f32>,
-        w: &mut DeviceVec<f32>,
-        u: &DeviceVec<f32>,
-        u_start: usize,
-        scalars: &mut Vec<ChunkSums>,
-        restricted: &mut Vec<f64>,
-    ) {
-        match &mut self.smoother {
-            Smoother::Chain(sweeps) => {
-                sweeps.sums(native(executor), w, u, u_start, scalars, restricted);
-            }
-            Smoother::Colors(colored) => colored.sums(executor, inverse_diagonal, w, u, scalars, restricted),
+            Smoother::Colors(colored) => Box::new(ColoredSweep { ops, colored, coarse, inverse_diagonal }),
         }
     }
 
@@ -242,27 +205,6 @@ impl Schwarz {
         match &self.smoother {
             Smoother::Chain(sweeps) => sweeps.bytes(),
             Smoother::Colors(colored) => colored.bytes(),
-        }
-    }
-
-    /// Floating-point operations of a sweep.
-    pub(super) fn sweep_flops(&self) -> u64 {
-        match &self.smoother {
-            Smoother::Chain(sweeps) => sweeps.sweep_flops(),
-            Smoother::Colors(colored) => colored.sweep_flops(),
-        }
-    }
-
-    /// Bytes that [`Schwarz::sums`] moves for a vector of `vector_bytes`: w and u, by colour also w again and the diagonal.
-    pub(super) fn sums_bytes(&self, vector_bytes: u64) -> u64 {
-        vector_bytes * if self.updates() { 2 } else { 5 }
-    }
-
-    /// Bytes that a sweep moves.
-    pub(super) fn sweep_bytes(&self) -> u64 {
-        match &self.smoother {
-            Smoother::Chain(sweeps) => sweeps.sweep_bytes(),
-            Smoother::Colors(colored) => colored.sweep_bytes(),
         }
     }
 }

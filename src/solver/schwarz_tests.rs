@@ -6,10 +6,13 @@ use crate::assembly::SellLayout;
 use crate::assembly::sell::value_index;
 use crate::partition::halo_plans;
 use crate::solver::PipelinedSpmv;
-use crate::solver::pcg::{Pcg, PcgParams, PcgVectors};
+use crate::solver::pcg::{Pcg, PcgParams};
+use crate::solver::preconditioner::{IterationSums, Jacobi};
+use crate::solver::vector::PcgVectors;
+use crate::telemetry::Recorder;
 use crate::test_support::device;
 use crate::test_support::seeded::Seeded;
-use crate::transport::InProcessTransport;
+use crate::transport::{InProcessTransport, Transport};
 
 const SIDE: usize = 96;
 const ROWS: usize = SIDE * SIDE;
@@ -128,6 +131,7 @@ struct Rank {
     vectors: PcgVectors,
     spmv: PipelinedSpmv,
     pcg: Pcg,
+    jacobi: Jacobi,
     schwarz: Schwarz,
 }
 
@@ -182,8 +186,9 @@ impl Rank {
             ),
             inverse: DeviceVec::upload(executor, &inverse),
             b: DeviceVec::upload(executor, &b),
-            vectors: PcgVectors::new(executor, own.len(), plan.local_rows * 3),
-            pcg: Pcg::new(executor, &partition, plan.rank),
+            vectors: PcgVectors::new(executor, plan.own.clone(), plan.local_rows),
+            pcg: Pcg::new(&partition),
+            jacobi: Jacobi::new(executor, &partition, plan.rank),
             spmv: PipelinedSpmv::new(
                 executor,
                 mode,
@@ -196,55 +201,38 @@ impl Rank {
     }
 
     fn set_up(&mut self, executor: &Executor, transport: &mut dyn Transport) {
+        let recorder = &mut Recorder::new(None);
+        let mut rank = RankContext { executor, transport, recorder };
         let (halo, flags) = (self.spmv.halo(), &mut self.vectors.u);
-        let set = self.schwarz.set_up(
-            executor,
-            transport,
-            halo,
-            &(&self.matrix).into(),
-            &self.inverse,
-            flags,
-            &mut Recorder::new(None),
-        );
+        let set = self.schwarz.set_up(&mut rank, halo, &(&self.matrix).into(), &self.inverse, flags);
         set.expect("sets up");
     }
 
     fn solve(&mut self, executor: &Executor, transport: &mut dyn Transport, sweep: bool) -> Solved {
         self.vectors.x.fill_zero(executor);
-        let params = PcgParams { relative_tolerance: 1e-3, max_iterations: 2000 };
-        let schwarz = sweep.then_some(&mut self.schwarz);
-        let (matrix, inverse, vectors) = (&self.matrix, &self.inverse, &mut self.vectors);
-        let info = self
-            .pcg
-            .solve(
-                executor,
-                transport,
-                &mut self.spmv,
-                &matrix.into(),
-                inverse,
-                schwarz,
-                &self.b,
-                vectors,
-                false,
-                &params,
-                &mut Recorder::new(None),
-            )
-            .expect("solves");
+        let params = PcgParams { relative_tolerance: 1e-3, max_iterations: 2000, nonzero_start: false };
+        let mut rank = RankContext { executor, transport, recorder: &mut Recorder::new(None) };
+        let mut operator = StoredMatrix { spmv: &mut self.spmv, matrix: (&self.matrix).into() };
+        let mut schwarz = self.schwarz.of(executor, &self.inverse);
+        let mut jacobi = self.jacobi.of(&self.inverse);
+        let preconditioner: &mut dyn Preconditioner<_> = if sweep { &mut *schwarz } else { &mut jacobi };
+        let (b, vectors) = (&self.b, &mut self.vectors);
+        let info = self.pcg.solve(&mut rank, &mut operator, &mut [preconditioner], b, vectors, &params);
+        let info = info.expect("solves");
         assert!(info.converged, "{info:?}");
         Solved { x: self.vectors.x.read(executor), iterations: info.iterations }
     }
 
     /// M^-1 r on a single rank.
     fn precondition(&mut self, executor: &Executor, r: &[f32]) -> Vec<f32> {
-        let own = |values: &[f32]| DeviceVec::upload(executor, values);
-        let zeros = || DeviceVec::zeros(executor, r.len());
-        let (mut r, mut w, mut u) = (own(r), zeros(), zeros());
-        let (mut scalars, mut restricted) = (Vec::new(), Vec::new());
-        self.schwarz.sums(executor, &self.inverse, &mut r, &u, 0, &mut scalars, &mut restricted);
-        self.schwarz.coarse.start(&restricted);
-        let (mut p, mut s, mut x) = (zeros(), zeros(), zeros());
-        self.schwarz.sweep(executor, None, &self.inverse, &mut w, &mut u, 0, &mut p, &mut s, &mut x, &mut r);
-        u.read(executor)
+        let transport = &mut InProcessTransport::group(1).remove(0);
+        let mut rank = RankContext { executor, transport, recorder: &mut Recorder::new(None) };
+        let mut sums = IterationSums::new(&RowPartition::new(ROWS, 1));
+        self.vectors.w.fill_zero(executor);
+        let b = DeviceVec::upload(executor, r);
+        let mut schwarz = self.schwarz.of(executor, &self.inverse);
+        schwarz.start(&mut rank, &mut sums, &b, &mut self.vectors).expect("alone");
+        self.vectors.u.read(executor)
     }
 }
 
@@ -310,11 +298,10 @@ fn sweeps_by_color_solve_what_they_should() {
         let mut seeded = Seeded::new(5);
         let values: Vec<f32> =
             (0..ROWS * 3).map(|at| if pinned(at / 3) { 0.0 } else { seeded.uniform(-1.0, 1.0) }).collect();
-        let (mut r, zeros) = (DeviceVec::upload(executor, &values), || DeviceVec::zeros(executor, ROWS * 3));
-        let (mut w, mut u, mut p, mut s, mut x) = (zeros(), zeros(), zeros(), zeros(), zeros());
-        // The coarse level has not been started: its correction is zero.
-        rank.schwarz.sweep(executor, None, &rank.inverse, &mut w, &mut u, 0, &mut p, &mut s, &mut x, &mut r);
-        let Smoother::Colors(colored) = &rank.schwarz.smoother else { panic!("by colour") };
+        let (r, mut u) = (DeviceVec::upload(executor, &values), DeviceVec::zeros(executor, ROWS * 3));
+        let Smoother::Colors(colored) = &mut rank.schwarz.smoother else { panic!("by color") };
+        let correction = vec![0.0; rank.schwarz.coarse.correction.len()];
+        colored.sweep(executor, &rank.inverse, &correction, &r, &mut u);
         let back = colored_product(colored, u.as_slice());
         let worst = back.iter().zip(&values).map(|(a, &b)| (a - b as f64).abs()).fold(0.0, f64::max);
         assert!(worst < 1e-4, "{worst}");

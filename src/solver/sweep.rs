@@ -7,7 +7,7 @@ use super::coarse::{Coarse, GroupSums, add_block};
 use super::exchange::ExchangeMode;
 use super::schwarz::RankPattern;
 use super::sweep_cpu::{self, Blocks};
-use super::vector::ChunkSums;
+use super::vector::{ChunkSums, PcgVectors};
 use super::vector_cpu::Shared;
 use crate::assembly::sell::{BLOCK, value_index};
 use crate::assembly::{SellLayout, SellMatrix};
@@ -197,22 +197,17 @@ impl Sweeps {
         &self.outer
     }
 
-    /// [`sweep_cpu::sweep`] on the vectors of a solve; `u_start`: first own value of u.
+    /// [`sweep_cpu::sweep`] on the vectors of a solve.
     pub fn sweep(
         &mut self,
         cpu: &CpuExecutor,
         correction: &[f32],
         update: Option<(f32, f32)>,
         inverse_diagonal: &DeviceVec<f32>,
-        w: &mut DeviceVec<f32>,
-        u: &mut DeviceVec<f32>,
-        u_start: usize,
-        p: &mut DeviceVec<f32>,
-        s: &mut DeviceVec<f32>,
-        x: &mut DeviceVec<f32>,
-        r: &mut DeviceVec<f32>,
+        vectors: &mut PcgVectors,
     ) {
-        let own = u_start..u_start + w.len();
+        let PcgVectors { own_start, u, x, r, w, p, s } = vectors;
+        let own = *own_start..*own_start + w.len();
         let blocks = Blocks {
             chunk_rows: self.chunk_rows,
             upper_offsets: &self.upper_offsets,

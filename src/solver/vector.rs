@@ -1,8 +1,12 @@
-//! Vector kernels of PCG: start, dot product, fused update. Sums stay where they are made until [`VectorOps::sums`] fetches
+//! The vectors of PCG and their kernels: start, dot product, fused update. Sums stay where they are made until [`VectorOps::sums`] fetches
 //! them, per chunk, in one read; `reduction` adds them.
 
+use std::ops::Range;
+
 use super::vector_cpu;
+use crate::context::RankContext;
 use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
+use crate::telemetry::{Activity, EventName};
 
 const TEXT: &str = include_str!("vector.wgsl");
 pub(super) const LIBRARIES: &[&str] = &[include_str!("chunk.wgsl")];
@@ -21,6 +25,76 @@ gpu_struct! {
 
 /// Sums of a chunk: r . u, r . r, w . u.
 pub type ChunkSums = [f64; 3];
+
+/// Step length and conjugation factor of an iteration.
+#[derive(Clone, Copy, Debug)]
+pub struct Scalars {
+    /// gamma / p'Ap.
+    pub alpha: f64,
+    /// gamma over that of the iteration before; 0 in the first one.
+    pub beta: f64,
+}
+
+/// Vectors of a solve on the own rows (xyz per row); `u` also holds halo rows.
+pub struct PcgVectors {
+    /// First own value of `u`.
+    pub(super) own_start: usize,
+    /// Preconditioned residual, local rows.
+    pub u: DeviceVec<f32>,
+    /// Start value in, solution out.
+    pub x: DeviceVec<f32>,
+    pub(super) r: DeviceVec<f32>,
+    /// A u.
+    pub(super) w: DeviceVec<f32>,
+    pub(super) p: DeviceVec<f32>,
+    /// A p.
+    pub(super) s: DeviceVec<f32>,
+}
+
+impl PcgVectors {
+    /// Zero vectors for the own rows `own` of a local vector of `local_rows` rows.
+    pub fn new(executor: &Executor, own: Range<usize>, local_rows: usize) -> PcgVectors {
+        let of_own = || DeviceVec::zeros(executor, own.len() * 3);
+        PcgVectors {
+            own_start: own.start * 3,
+            u: DeviceVec::zeros(executor, local_rows * 3),
+            x: of_own(),
+            r: of_own(),
+            w: of_own(),
+            p: of_own(),
+            s: of_own(),
+        }
+    }
+
+    /// Makes room for local vectors of `local_rows` rows. Never shrinks; halo rows of `u` are received anew in every
+    /// product, so nothing of it needs to be kept.
+    pub fn grow(&mut self, executor: &Executor, local_rows: usize) {
+        if local_rows * 3 > self.u.len() {
+            self.u.resize(executor, local_rows * 3);
+        }
+    }
+
+    /// Device bytes.
+    pub fn bytes(&self) -> u64 {
+        self.u.held_bytes() + 5 * self.x.bytes()
+    }
+
+    /// [`VectorOps::update`] of these vectors, recorded. Bytes per row: 156.
+    pub(super) fn update(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        ops: &mut VectorOps,
+        Scalars { alpha, beta }: Scalars,
+        inverse_diagonal: &DeviceVec<f32>,
+    ) {
+        let start = rank.recorder.before_kernels();
+        let PcgVectors { own_start, u, x, r, w, p, s } = self;
+        let (alpha, beta) = (alpha as f32, beta as f32);
+        ops.update(rank.executor, alpha, beta, w, inverse_diagonal, u, *own_start, p, s, x, r);
+        let (bytes, flops) = (w.bytes() * 13, w.len() as u64 * 18);
+        rank.recorder.end(EventName::VectorUpdate, Activity::Compute, start, bytes, flops);
+    }
+}
 
 /// The vector kernels on one executor, for a fixed number of own rows.
 pub struct VectorOps {

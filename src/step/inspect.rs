@@ -2,7 +2,8 @@
 
 use super::{Failure, Simulation};
 use crate::scene::PreconditionerKind;
-use crate::solver::{PcgError, Schwarz};
+use crate::solver::PcgError;
+use crate::solver::comparison::MatrixFree;
 
 impl Simulation {
     /// Own rows' positions and velocities, xyz in global order.
@@ -27,17 +28,13 @@ impl Simulation {
             + self.contacts.bytes()
             + self.rhs.bytes()
             + self.inverse_diagonal.bytes()
-            + self.vectors.bytes()
-            + self.spmv.scratch_bytes()
-            + self.schwarz.as_ref().map_or(0, Schwarz::bytes)
+            + self.solver.bytes()
+            + self.matrix_free.as_ref().map_or(0, MatrixFree::bytes)
     }
 
     /// The preconditioner in use.
     pub fn preconditioner(&self) -> PreconditionerKind {
-        match self.schwarz {
-            None => PreconditionerKind::Jacobi,
-            Some(_) => PreconditionerKind::Schwarz,
-        }
+        self.solver.preconditioner()
     }
 
     /// Executor name, for reports.

@@ -6,9 +6,11 @@ use std::time::Instant;
 
 use super::collisions::Span;
 use super::stats::StepStats;
-use super::{Failure, SetupError, Simulation, system};
+use super::{Failure, SetupError, Simulation, element_matrix};
+use crate::context::RankContext;
 use crate::gpu::{DeviceVec, Executor};
-use crate::solver::ExchangeMode;
+use crate::solver::comparison::{GatherFirst, MatrixFree, MatrixFreeProduct};
+use crate::solver::{ExchangeMode, LinearSolver, Operator, StoredMatrix};
 use crate::telemetry::Event;
 use crate::transport::{Transport, TransportError};
 
@@ -25,8 +27,8 @@ impl Simulation {
         self.fill_tables.keep_lists(&self.executor);
         self.matrix.clear(&self.executor);
         self.contacts.matrix_free = true;
-        self.schwarz = None;
-        self.matrix_free = true;
+        self.solver.keep_jacobi();
+        self.matrix_free = Some(MatrixFree::default());
         Ok(())
     }
 
@@ -55,8 +57,8 @@ impl Simulation {
     /// A x of the assembled matrix; `x`: xyz per own row, as the result.
     pub fn product(&mut self, transport: &mut dyn Transport, x: &[f32]) -> Result<Vec<f32>, TransportError> {
         let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
-        let own = self.spmv.own_start();
-        self.vectors.u.write_range(&self.executor, own, x);
+        let own = self.solver.spmv.own_start();
+        self.solver.vectors.u.write_range(&self.executor, own, x);
         self.multiply(transport, &mut y)?;
         Ok(y.read(&self.executor))
     }
@@ -79,38 +81,75 @@ impl Simulation {
         repeat: u32,
     ) -> Result<Vec<(Instant, Instant)>, TransportError> {
         let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
-        let mut times = Vec::with_capacity(repeat as usize);
-        for round in 0..=repeat {
-            transport.barrier()?;
-            let start = Instant::now();
-            self.multiply(transport, &mut y)?;
-            self.executor.finish();
-            if round > 0 {
-                times.push((start, Instant::now()));
-            }
-        }
-        Ok(times)
+        self.with_operator(transport, |rank, operator, u| time_operator(rank, operator, u, &mut y, repeat))
+    }
+
+    /// As [`Simulation::time_products`] with products that wait for all sub-vectors before they multiply
+    /// [Cevahir et al. 2009]; with whole sub-vectors only.
+    pub fn time_gather_first(
+        &mut self,
+        transport: &mut dyn Transport,
+        repeat: u32,
+    ) -> Result<Vec<(Instant, Instant)>, TransportError> {
+        let mut y = DeviceVec::zeros(&self.executor, self.own_rows * 3);
+        let mut rank = RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
+        let LinearSolver { spmv, vectors, .. } = &mut self.solver;
+        let mut operator = GatherFirst::new(spmv, self.contacts.system(&self.matrix));
+        time_operator(&mut rank, &mut operator, &mut vectors.u, &mut y, repeat)
     }
 
     /// Bytes that a product moves on this rank: the matrix or the records, and the result.
     pub fn product_bytes(&self) -> u64 {
-        let system = system!(self);
-        match system.elements {
-            Some(elements) => elements.product_bytes(),
-            None => {
-                let sections = 0..self.matrix.sections.len();
-                sections.map(|section| system.section_bytes(section)).sum::<u64>() + self.own_rows as u64 * 12
-            }
+        if self.matrix_free.is_some() {
+            return element_matrix!(self).product_bytes();
         }
-    }
-
-    /// True: with whole sub-vectors, products wait for all of them before they multiply [Cevahir et al. 2009].
-    pub fn gather_first(&mut self, gather_first: bool) {
-        self.spmv.gather_first = gather_first;
+        let system = self.contacts.system(&self.matrix);
+        let sections = 0..self.matrix.sections.len();
+        sections.map(|section| system.section_bytes(section)).sum::<u64>() + self.own_rows as u64 * 12
     }
 
     fn multiply(&mut self, transport: &mut dyn Transport, y: &mut DeviceVec<f32>) -> Result<(), TransportError> {
-        let system = system!(self);
-        self.spmv.apply(&self.executor, transport, &system, &mut self.vectors.u, y, &mut self.recorder)
+        self.with_operator(transport, |rank, operator, u| operator.apply(rank, u, y))
     }
+
+    /// Calls `work` with the operator of the last assembly and the vector that it multiplies.
+    fn with_operator<T>(
+        &mut self,
+        transport: &mut dyn Transport,
+        work: impl FnOnce(&mut RankContext<'_>, &mut dyn Operator, &mut DeviceVec<f32>) -> T,
+    ) -> T {
+        let mut rank = RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
+        let LinearSolver { spmv, vectors, .. } = &mut self.solver;
+        match &mut self.matrix_free {
+            None => {
+                let matrix = self.contacts.system(&self.matrix);
+                work(&mut rank, &mut StoredMatrix { spmv, matrix }, &mut vectors.u)
+            }
+            Some(kernel) => {
+                let elements = element_matrix!(self);
+                work(&mut rank, &mut MatrixFreeProduct { spmv, elements, kernel }, &mut vectors.u)
+            }
+        }
+    }
+}
+
+/// Start and end of each of `repeat` products y = A u, after one that warms up.
+fn time_operator(
+    rank: &mut RankContext<'_>,
+    operator: &mut dyn Operator,
+    u: &mut DeviceVec<f32>,
+    y: &mut DeviceVec<f32>,
+    repeat: u32,
+) -> Result<Vec<(Instant, Instant)>, TransportError> {
+    let mut times = Vec::with_capacity(repeat as usize);
+    for round in 0..=repeat {
+        rank.transport.barrier()?;
+        let start = Instant::now();
+        operator.apply(rank, u, y)?;
+        rank.executor.finish();
+        if round > 0 {
+            times.push((start, Instant::now()));
+        }
+    }
+    Ok(times)
 }

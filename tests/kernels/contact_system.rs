@@ -5,6 +5,7 @@ use loomtree::assembly::sell::value_index;
 use loomtree::assembly::{
     ContactSystem, LANES, NO_ROW, Numbering, RowTooLong, SellLayout, SellMatrix, SubVectors, SystemMatrix,
 };
+use loomtree::context::RankContext;
 use loomtree::forces::{ContactElement, FACET_SLOPE, NO_VERTEX, RELEASE_STEPS};
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::partition::{HaloPlan, RowPartition, halo_plans};
@@ -273,7 +274,9 @@ fn results(case: &Case, ranks: usize, mode: ExchangeMode, executor: fn() -> Exec
                     let halo = HaloExchange::new(plan.clone(), queue.clone());
                     let mut spmv = PipelinedSpmv::new(&ex, mode, halo, queue, partition.sub_vector_rows());
                     let matrix = system.system(&elastic);
-                    spmv.apply(&ex, &mut transport, &matrix, &mut u, &mut y, &mut Recorder::new(None)).unwrap();
+                    let recorder = &mut Recorder::new(None);
+                    let mut rank = RankContext { executor: &ex, transport: &mut transport, recorder };
+                    spmv.apply(&mut rank, &matrix, &mut u, &mut y).unwrap();
                     result(&ex, &system, &y, rows.len())
                 })
             })

@@ -295,8 +295,11 @@ impl SceneProducts<'_> {
     /// Median seconds of a product.
     fn time(&self, way: &Way) -> Result<f64, CliError> {
         let times = self.state.on_ranks(&self.bench.common, way.mode, &way.queues, |simulation, transport| {
-            simulation.gather_first(way.gather_first);
-            simulation.time_products(transport, self.bench.repeat).map_err(|error| error.to_string())
+            let times = match way.gather_first {
+                true => simulation.time_gather_first(transport, self.bench.repeat),
+                false => simulation.time_products(transport, self.bench.repeat),
+            };
+            times.map_err(|error| error.to_string())
         })?;
         Ok(median_s(&times))
     }

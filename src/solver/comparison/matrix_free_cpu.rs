@@ -1,7 +1,7 @@
 //! Loops of the product without a stored matrix (`matrix_free`). There is no shader beside them.
 
+use super::element_matrix::{KEPT_CONTACT, KEPT_TRIANGLE};
 use crate::assembly::contact_system::NO_SLOT;
-use crate::assembly::element_matrix::{KEPT_CONTACT, KEPT_TRIANGLE};
 use crate::forces::{
     CONTACT_RECORD_FLOATS, ContactElement, HINGE_RECORD_FLOATS, HingeElement, TRIANGLE_RECORD_FLOATS, TriangleElement,
 };
@@ -115,7 +115,6 @@ pub(super) fn gather(
     elements: &ElementInputs<'_>,
     contacts: Option<&ContactInputs<'_>>,
     terms: (&[f32], &[f32], &[f32]),
-    accumulate: bool,
     own: &[f32],
     y: &mut [f32],
 ) {
@@ -145,8 +144,7 @@ pub(super) fn gather(
                     sum += at(contact_terms, e) * contacts.records[e * CONTACT_RECORD_FLOATS + corner];
                 }
             }
-            let before = if accumulate { Vec3::from(*y) } else { Vec3::ZERO };
-            *y = (before + sum).to_array();
+            *y = sum.to_array();
         }
     });
 }
@@ -192,10 +190,8 @@ mod tests {
             elements: &[contact],
         };
         let mut y = [1.0; 6];
-        gather(&cpu, &elements, Some(&contacts), (&[], &[], &terms), false, &x, &mut y);
+        gather(&cpu, &elements, Some(&contacts), (&[], &[], &terms), &x, &mut y);
         assert_eq!(y, [6.0, 6.0, 9.0, 27.0, 27.0, 27.0]);
-        gather(&cpu, &elements, Some(&contacts), (&[], &[], &terms), true, &x, &mut y);
-        assert_eq!(y, [12.0, 12.0, 18.0, 54.0, 54.0, 54.0]);
     }
 
     /// Four vertices; h k = 2, gradients along the axes.

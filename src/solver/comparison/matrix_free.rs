@@ -6,10 +6,14 @@
 //! row gathers, in ascending element order, triangles before hinges before contacts: no atomics, and the same bits on any
 //! number of ranks and threads. The stored product adds in another order, so the two agree to rounding only.
 
+use super::element_matrix::{ElementMatrix, KEPT_CONTACT, KEPT_TRIANGLE};
 use super::matrix_free_cpu::{self, ContactInputs, ElementInputs};
-use crate::assembly::ElementMatrix;
-use crate::assembly::element_matrix::{KEPT_CONTACT, KEPT_TRIANGLE};
+use crate::context::RankContext;
 use crate::gpu::{DeviceVec, Executor};
+use crate::solver::operator::Operator;
+use crate::solver::pipelined::PipelinedSpmv;
+use crate::telemetry::{Activity, EventName};
+use crate::transport::TransportError;
 
 /// The product on one executor, with what its first pass keeps for the second one.
 #[derive(Default)]
@@ -20,13 +24,12 @@ pub struct MatrixFree {
 }
 
 impl MatrixFree {
-    /// y = A x for all own rows, or y += A x with `accumulate`. `x`: xyz of all local rows, the first of the own ones being
-    /// `own_start` of `local_rows`; `y`: xyz per own row.
+    /// y = A x for all own rows. `x`: xyz of all local rows, the first of the own ones being `own_start` of `local_rows`; `y`:
+    /// xyz per own row.
     pub fn apply(
         &mut self,
         executor: &Executor,
         matrix: &ElementMatrix<'_>,
-        accumulate: bool,
         own_start: usize,
         local_rows: usize,
         x: &DeviceVec<f32>,
@@ -40,14 +43,14 @@ impl MatrixFree {
             }
         };
         assert!(x.len() >= local_rows * 3 && y.len() == matrix.masses.len() * 3);
-        let (lists, x) = (matrix.lists, &x.as_slice()[..local_rows * 3]);
+        let x = &x.as_slice()[..local_rows * 3];
         self.triangles.resize(matrix.triangles.len() * KEPT_TRIANGLE, 0.0);
         self.hinges.resize(matrix.hinges.len(), 0.0);
         let elements = ElementInputs {
-            triangle_offsets: lists.triangle_offsets.as_slice(),
-            triangle_entries: lists.triangle_entries.as_slice(),
-            hinge_offsets: lists.hinge_offsets.as_slice(),
-            hinge_entries: lists.hinge_entries.as_slice(),
+            triangle_offsets: matrix.triangle_lists.offsets.as_slice(),
+            triangle_entries: matrix.triangle_lists.entries.as_slice(),
+            hinge_offsets: matrix.hinge_lists.offsets.as_slice(),
+            hinge_entries: matrix.hinge_lists.entries.as_slice(),
             triangles: matrix.triangles.as_slice(),
             hinges: matrix.hinges.as_slice(),
             triangle_records: matrix.triangle_records.as_slice(),
@@ -58,8 +61,8 @@ impl MatrixFree {
         matrix_free_cpu::hinge_terms(cpu, elements.hinges, elements.hinge_records, x, &mut self.hinges);
         let contacts = matrix.contacts.map(|contacts| ContactInputs {
             slots: contacts.slots.as_slice(),
-            offsets: contacts.offsets.as_slice(),
-            entries: contacts.entries.as_slice(),
+            offsets: contacts.lists.offsets.as_slice(),
+            entries: contacts.lists.entries.as_slice(),
             records: contacts.records.as_slice(),
             elements: contacts.elements.as_slice(),
         });
@@ -69,11 +72,38 @@ impl MatrixFree {
         }
         let own = &x[own_start * 3..][..y.len()];
         let (terms, y) = ((&self.triangles[..], &self.hinges[..], &self.contacts[..]), y.as_mut_slice());
-        matrix_free_cpu::gather(cpu, &elements, contacts.as_ref(), terms, accumulate, own, y);
+        matrix_free_cpu::gather(cpu, &elements, contacts.as_ref(), terms, own, y);
     }
 
     /// Bytes kept between the passes.
     pub fn bytes(&self) -> u64 {
         ((self.triangles.capacity() + self.hinges.capacity() + self.contacts.capacity()) * size_of::<f32>()) as u64
+    }
+}
+
+/// The matrix of a step that is not stored.
+pub struct MatrixFreeProduct<'a> {
+    /// Brings the halo rows and counts them.
+    pub spmv: &'a mut PipelinedSpmv,
+    /// What the blocks would be made of.
+    pub elements: ElementMatrix<'a>,
+    /// Multiplies it.
+    pub kernel: &'a mut MatrixFree,
+}
+
+impl Operator for MatrixFreeProduct<'_> {
+    /// All elements need all halo rows, so nothing overlaps.
+    fn apply(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        u: &mut DeviceVec<f32>,
+        w: &mut DeviceVec<f32>,
+    ) -> Result<(), TransportError> {
+        let (own, local_rows) = self.spmv.exchange_halo(rank, u)?;
+        let start = rank.recorder.now();
+        self.kernel.apply(rank.executor, &self.elements, own.start, local_rows, u, w);
+        let (bytes, flops) = (self.elements.product_bytes(), self.elements.product_flops());
+        rank.recorder.end(EventName::SpmvRemote, Activity::Compute, start, bytes, flops);
+        Ok(())
     }
 }
