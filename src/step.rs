@@ -37,7 +37,7 @@ use crate::transport::{Transport, TransportError};
 use collisions::{Collisions, Resolved, Span};
 pub use error::{Failure, Imposed, SetupError};
 use own_state::{OwnState, StateCopy};
-pub use stats::{QueryStats, StageSeconds, StepStats, ZoneCounts};
+pub use stats::{QueryStats, StageSeconds, StepStats};
 use stats::{StageClock, peak_resident_bytes};
 
 /// Times a step may be cut in two if its end cannot be freed of penetrations otherwise.

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::CliError;
 use crate::linear_system::SolveResult;
-use crate::output::{
-    RankEvents, ReportHeader, ReportWriter, StageSeconds, Status, StepRecord, TraceWriter, WriteError,
-};
+use crate::output::{RankEvents, ReportHeader, ReportWriter, Status, StepRecord, TraceWriter, WriteError};
+use crate::step::StageSeconds;
 
 /// Solves of a repeated one whose events are kept: as many as steps of a run.
 pub const SOLVES_MOST: u32 = 20;

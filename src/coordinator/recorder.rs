@@ -6,14 +6,15 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::{RunOptions, RunPlaces, RunPlan};
+use crate::impact_zone::ZoneCounts;
 use crate::math::Vec3;
 use crate::output::{
     Checkpoint, Existing, FrameRecord, FrameWriter, QueryRecord, RankEvents, ReportHeader, ReportWriter, RunDirectory,
-    RunManifest, StageSeconds, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, state_hash,
+    RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, state_hash,
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
-use crate::step::{QueryStats, StepStats};
+use crate::step::{StageSeconds, StepStats};
 use crate::telemetry::Event;
 
 /// Why something could not be written or resumed.
@@ -150,7 +151,7 @@ impl Recorder {
     ) -> Result<(), RecordError> {
         let settings = &plan.scene.settings;
         let first = ranks[0];
-        let slowest = |stage: fn(&StepStats) -> f64| ranks.iter().map(stage).fold(0.0, f64::max);
+        let slowest = ranks.iter().map(|rank| rank.seconds).fold(StageSeconds::default(), StageSeconds::max);
         let spmv_bytes: u64 = ranks.iter().map(|rank| rank.spmv_bytes).sum();
         let record = StepRecord {
             step: first.step as u64,
@@ -159,33 +160,14 @@ impl Recorder {
             iterations: first.iterations,
             residual: first.residual,
             converged: first.converged,
-            stage_seconds: StageSeconds {
-                proximity: slowest(|rank| rank.seconds.proximity),
-                contacts: slowest(|rank| rank.seconds.contacts),
-                exchange: slowest(|rank| rank.seconds.exchange),
-                elements: slowest(|rank| rank.seconds.elements),
-                index_fill: slowest(|rank| rank.seconds.index_fill),
-                value_fill: slowest(|rank| rank.seconds.value_fill),
-                solve: slowest(|rank| rank.seconds.solve),
-                advance: slowest(|rank| rank.seconds.advance),
-                positions: slowest(|rank| rank.seconds.positions),
-                continuous: slowest(|rank| rank.seconds.continuous),
-                zones: slowest(|rank| rank.seconds.zones),
-                total: wall_s,
-            },
+            stage_seconds: StageSeconds { total: wall_s, ..slowest },
             bytes_moved: spmv_bytes + ranks.iter().map(|rank| rank.state_bytes).sum::<u64>(),
             bytes_per_spmv: spmv_bytes / first.products.max(1) as u64,
             contacts: first.contacts,
             smallest_gap_m: first.smallest_gap_m.map(f64::from),
-            zones: first.zones.zones,
-            impacts: first.zones.impacts,
-            zone_rounds: first.zones.rounds,
-            largest_zone: first.zones.largest,
-            zone_iterations: ranks.iter().map(|rank| rank.zones.iterations).sum(),
-            fail_safes: first.zones.fail_safes,
-            halvings: first.zones.halvings,
-            proximity: query_record(ranks.iter().map(|rank| &rank.proximity)),
-            continuous: query_record(ranks.iter().map(|rank| &rank.continuous)),
+            zones: ZoneCounts { iterations: ranks.iter().map(|rank| rank.zones.iterations).sum(), ..first.zones },
+            proximity: QueryRecord::of(ranks.iter().map(|rank| (&rank.proximity, rank.query_bytes[0]))),
+            continuous: QueryRecord::of(ranks.iter().map(|rank| (&rank.continuous, rank.query_bytes[1]))),
             collision_mesh_bytes_per_rank: ranks.iter().map(|rank| rank.collision_mesh_bytes).collect(),
             memory_bytes_per_rank: ranks.iter().map(|rank| rank.memory_bytes).collect(),
             resident_bytes_per_rank: ranks.iter().map(|rank| rank.resident_bytes).collect(),
@@ -276,22 +258,6 @@ impl Recorder {
             None => Ok(()),
         }
     }
-}
-
-fn query_record<'a>(ranks: impl Iterator<Item = &'a QueryStats>) -> QueryRecord {
-    let mut record = QueryRecord::default();
-    for rank in ranks {
-        record.tests += rank.tests;
-        record.tests_per_rank.push(rank.tests);
-        record.patches = rank.patches;
-        record.pairs += rank.candidates;
-        record.found += rank.found;
-        record.batches = record.batches.max(rank.batches);
-        record.broad_s += rank.broad_s;
-        record.narrow_s += rank.narrow_s;
-        record.bytes_per_rank.push(rank.bytes);
-    }
-    record
 }
 
 /// Folders that this start makes, the innermost first: removed again if nothing gets written into them.

@@ -11,6 +11,7 @@
 //! of penetration. Only imposed vertices (pins, obstacles) that move into it can then still hit: [`Impossible`].
 
 mod constraint;
+mod counts;
 mod distribute;
 mod group;
 mod problem;
@@ -20,10 +21,11 @@ pub mod solve;
 mod solve_cpu;
 mod zones;
 
+pub use counts::{FailSafes, ZoneCounts};
 pub use distribute::distribute;
 pub use problem::{Batch, Row, ZoneSpan};
 pub use respond::{Moved, Solved, apply};
-pub use zones::{ImpactZones, Stage, Zone, ZoneCounts};
+pub use zones::{ImpactZones, Stage, Zone};
 
 use thiserror::Error;
 

@@ -10,6 +10,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use super::constraint::{Constraint, all_met};
+use super::counts::{FailSafes, ZoneCounts};
 use super::group::DisjointSets;
 use super::rigid::{self, MovingPoint, RigidMotion};
 use super::{Impossible, StepPositions, ZoneSettings, at};
@@ -90,27 +91,6 @@ impl Zone {
     }
 }
 
-/// What zones did in a step. The same on every rank.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ZoneCounts {
-    /// Calls of [`ImpactZones::add`] with impacts.
-    pub rounds: u32,
-    /// Impacts of all rounds.
-    pub impacts: u64,
-    /// Zones at the end.
-    pub zones: u64,
-    /// Vertices of the largest zone.
-    pub largest_vertices: u64,
-    /// Constraints of the largest zone.
-    pub largest_impacts: u64,
-    /// Times that a zone was to move as a rigid body.
-    pub rigid: u64,
-    /// Times that a zone's motion was scaled down.
-    pub scaled: u64,
-    /// Times that a zone was made to stand still.
-    pub still: u64,
-}
-
 /// The impact zones of one step.
 #[derive(Clone, Debug)]
 pub struct ImpactZones {
@@ -120,6 +100,7 @@ pub struct ImpactZones {
     zone_of: HashMap<u32, u32>,
     active: Vec<u32>,
     counts: ZoneCounts,
+    fail_safes: FailSafes,
 }
 
 /// A zone being put together.
@@ -147,6 +128,7 @@ impl ImpactZones {
             zone_of: HashMap::new(),
             active: Vec::new(),
             counts: ZoneCounts::default(),
+            fail_safes: FailSafes::default(),
         }
     }
 
@@ -160,14 +142,19 @@ impl ImpactZones {
         &self.active
     }
 
-    /// What happened so far.
+    /// What happened so far; without iterations and halvings, which the caller counts.
     pub fn counts(&self) -> ZoneCounts {
         ZoneCounts {
             zones: self.zones.len() as u64,
-            largest_vertices: self.zones.iter().map(|z| z.vertices.len() as u64).max().unwrap_or(0),
-            largest_impacts: self.zones.iter().map(|z| z.constraints.len() as u64).max().unwrap_or(0),
+            largest: self.zones.iter().map(|z| z.vertices.len() as u64).max().unwrap_or(0),
+            fail_safes: self.fail_safes.total(),
             ..self.counts
         }
+    }
+
+    /// The fail-safes so far.
+    pub fn fail_safes(&self) -> FailSafes {
+        self.fail_safes
     }
 
     /// Takes in the impacts of the motion from `x_t0` to `x_t1` as they stand: sorted by [`Impact::key`], the same on every
@@ -295,9 +282,9 @@ impl ImpactZones {
                 self.active.push(place as u32);
                 match self.stage(&zone) {
                     Stage::Descent(_) => {}
-                    Stage::Rigid => self.counts.rigid += 1,
-                    Stage::Scaled(_) => self.counts.scaled += 1,
-                    Stage::Still => self.counts.still += 1,
+                    Stage::Rigid => self.fail_safes.rigid += 1,
+                    Stage::Scaled(_) => self.fail_safes.scaled += 1,
+                    Stage::Still => self.fail_safes.still += 1,
                 }
             }
             self.zones.push(zone);

@@ -29,8 +29,7 @@ pub use machine::Machine;
 pub use manifest::{Input, ManifestError, RunManifest};
 pub use read::{FrameMesh, FrameSource, FramesError, ReadError};
 pub use report::{
-    FrameRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, StageSeconds, Status,
-    StepRecord,
+    FrameRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, Status, StepRecord,
 };
 pub use timeline::{Timeline, TimelineBox, timeline_svg, write_timeline};
 pub use trace::{RankEvents, TraceWriter};

@@ -13,7 +13,9 @@ use thiserror::Error;
 
 use super::atomic::{WriteError, write_atomically};
 use super::machine::Machine;
+use crate::impact_zone::ZoneCounts;
 use crate::scene::Untangling;
+use crate::step::{QueryStats, StageSeconds};
 
 /// How a run stands.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -151,61 +153,30 @@ pub struct FrameRecord {
     pub state_hash: String,
 }
 
-/// Seconds a step spent in each stage (the slowest rank's).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct StageSeconds {
-    /// Proximity query: broad and narrow phase.
-    pub proximity: f64,
-    /// Contacts to the ranks that own their rows.
-    pub contacts: f64,
-    /// Positions and velocities of other ranks' vertices.
-    pub exchange: f64,
-    /// Element records.
-    pub elements: f64,
-    /// Matrix structure.
-    pub index_fill: f64,
-    /// Matrix values and right-hand side, in one pass.
-    pub value_fill: f64,
-    /// Conjugate gradients.
-    pub solve: f64,
-    /// New velocities and positions.
-    pub advance: f64,
-    /// Candidate positions of all vertices to all ranks.
-    pub positions: f64,
-    /// Continuous collision detection, all rounds.
-    pub continuous: f64,
-    /// Impact zones.
-    pub zones: f64,
-    /// The whole step.
-    pub total: f64,
-}
-
-/// What the collision queries of one kind did in a step; sums over all ranks unless it says otherwise.
+/// What the collision queries of one kind did in a step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct QueryRecord {
-    /// Triangle-triangle tests.
-    pub tests: u64,
-    /// Those of every rank.
+    /// All ranks together.
+    #[serde(flatten)]
+    pub total: QueryStats,
+    /// Triangle-triangle tests of every rank.
     pub tests_per_rank: Vec<u64>,
-    /// Patches of triangles that were searched, and all there are, over the queries; the others were proven free of
-    /// collisions as a whole or had nothing near. 0 where a device searched.
-    #[serde(default)]
-    pub patches: [u64; 2],
-    /// Pairs of features handed to the narrow phase.
-    pub pairs: u64,
-    /// Contacts or impacts, as found (those found twice counted twice).
-    pub found: u64,
-    /// Most batches that a rank needed; more than the number of queries if a memory limit was in the way, or cells
-    /// emptier than those of other ranks.
-    pub batches: u64,
-    /// Thread seconds of the broad phase.
-    pub broad_s: f64,
-    /// Thread seconds of the narrow phase.
-    pub narrow_s: f64,
     /// Bytes of tables and buffers of every rank.
     pub bytes_per_rank: Vec<u64>,
+}
+
+impl QueryRecord {
+    /// The record of the queries and bytes of each rank, by rank.
+    pub fn of<'a>(ranks: impl Iterator<Item = (&'a QueryStats, u64)>) -> QueryRecord {
+        let mut record = QueryRecord::default();
+        for (rank, bytes) in ranks {
+            record.total.add_rank(rank);
+            record.tests_per_rank.push(rank.tests);
+            record.bytes_per_rank.push(bytes);
+        }
+        record
+    }
 }
 
 /// A step.
@@ -225,7 +196,7 @@ pub struct StepRecord {
     pub residual: f64,
     /// Whether the residual asked for was reached.
     pub converged: bool,
-    /// Seconds per stage.
+    /// Seconds per stage, the slowest rank's; `total` as the coordinator saw it.
     pub stage_seconds: StageSeconds,
     /// Bytes moved between ranks, all ranks together.
     pub bytes_moved: u64,
@@ -233,20 +204,9 @@ pub struct StepRecord {
     pub bytes_per_spmv: u64,
     /// Contacts in the matrix.
     pub contacts: u64,
-    /// Impact zones.
-    pub zones: u64,
-    /// Impacts that made them.
-    pub impacts: u64,
-    /// Rounds of continuous detection that found impacts.
-    pub zone_rounds: u32,
-    /// Vertices of the largest zone.
-    pub largest_zone: u64,
-    /// Descent iterations of all zones.
-    pub zone_iterations: u64,
-    /// Zones that a fail-safe ended.
-    pub fail_safes: u64,
-    /// Times the step was cut in two because nothing else helped.
-    pub halvings: u32,
+    /// Impact zones; iterations those of all ranks.
+    #[serde(flatten)]
+    pub zones: ZoneCounts,
     /// Proximity query.
     pub proximity: QueryRecord,
     /// Continuous queries.

@@ -192,6 +192,7 @@ impl Collisions {
             .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(&mut traced), limit, &mut found)
             .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
         stats.proximity.add(&query);
+        stats.query_bytes[0] = stats.query_bytes[0].max(query.bytes);
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
         traced.finish(query.bytes);
         clock.lap(&mut stats.seconds.proximity);
@@ -389,6 +390,7 @@ impl Collisions {
             .impacts_split(on, &self.x_t0, &self.x_t1, touched, split, limit, &mut found)
             .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
         stats.continuous.add(&query);
+        stats.query_bytes[1] = stats.query_bytes[1].max(query.bytes);
         traced.alive()?;
         traced.shares(EventName::ShareImpacts);
         let mut lists = vec![Vec::new(); traced.ranks()];

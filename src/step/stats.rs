@@ -5,19 +5,28 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use crate::gpu::Executor;
+use crate::impact_zone::ZoneCounts;
 
-/// Seconds a rank spent in the stages of a step (wall time of this rank; waiting for others is inside).
+/// Seconds of the stages of a step: on a rank its wall time, waiting for others included; in a report those of the rank that
+/// was slowest in each stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct StageSeconds {
     /// Proximity query: broad and narrow phase.
     pub proximity: f64,
     /// Contacts to the ranks that own their rows.
     pub contacts: f64,
+    /// Positions and velocities of other ranks' vertices.
     pub exchange: f64,
+    /// Element records.
     pub elements: f64,
+    /// Matrix structure.
     pub index_fill: f64,
+    /// Matrix values and right-hand side, in one pass.
     pub value_fill: f64,
+    /// Conjugate gradients.
     pub solve: f64,
+    /// New velocities and positions.
     pub advance: f64,
     /// Candidate positions of all vertices to all ranks.
     pub positions: f64,
@@ -25,77 +34,76 @@ pub struct StageSeconds {
     pub continuous: f64,
     /// Impact zones: grouping, solving, sharing what they moved.
     pub zones: f64,
+    /// The whole step.
     pub total: f64,
 }
 
-/// What collision detection did in the queries of one kind, on this rank.
+impl StageSeconds {
+    /// The longer time of each stage.
+    pub fn max(self, other: StageSeconds) -> StageSeconds {
+        StageSeconds {
+            proximity: self.proximity.max(other.proximity),
+            contacts: self.contacts.max(other.contacts),
+            exchange: self.exchange.max(other.exchange),
+            elements: self.elements.max(other.elements),
+            index_fill: self.index_fill.max(other.index_fill),
+            value_fill: self.value_fill.max(other.value_fill),
+            solve: self.solve.max(other.solve),
+            advance: self.advance.max(other.advance),
+            positions: self.positions.max(other.positions),
+            continuous: self.continuous.max(other.continuous),
+            zones: self.zones.max(other.zones),
+            total: self.total.max(other.total),
+        }
+    }
+}
+
+/// What collision detection did in the queries of one kind in a step, on one rank or on all ranks together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct QueryStats {
-    /// Triangle-triangle tests of all ranks.
-    pub tests_total: u64,
-    /// Those of this rank.
+    /// Triangle-triangle tests.
     pub tests: u64,
-    /// Patches of triangles that were searched, and those of the mesh; what self-collision culling and distance left out is
-    /// the difference. Of all ranks, the same on each; 0 where a device searched.
+    /// Patches of triangles that were searched, and all there are, over the queries; the others were proven free of
+    /// collisions as a whole or had nothing near. Of all ranks, the same on each; 0 where a device searched.
     pub patches: [u64; 2],
-    /// Pairs of features handed to the narrow phase on this rank.
-    pub candidates: u64,
-    /// Contacts or impacts this rank found.
+    /// Pairs of features handed to the narrow phase.
+    pub pairs: u64,
+    /// Contacts or impacts, as found (those found twice counted twice).
     pub found: u64,
-    /// Batches the queries took (more than one per query: the memory limit, or cells emptier than those of others).
+    /// Batches that the queries took on one rank, the most of all ranks; more than the number of queries if a memory limit
+    /// was in the way, or cells emptier than those of other ranks.
     pub batches: u64,
-    /// Largest number of bytes of tables and buffers.
-    pub bytes: u64,
-    /// Seconds of the broad phase and of the narrow phase (thread time, so that they can be told apart).
+    /// Thread seconds of the broad phase.
     pub broad_s: f64,
+    /// Thread seconds of the narrow phase.
     pub narrow_s: f64,
 }
 
 impl QueryStats {
-    /// Adds one query.
+    /// Adds one query of this rank.
     pub(super) fn add(&mut self, query: &crate::collision::DetectionStats) {
         let seconds = |ns: u64| ns as f64 * 1e-9;
         let broad = &query.broad;
-        self.tests_total += broad.tests_total;
         self.tests += broad.tests;
         self.patches = [0, 1].map(|which| self.patches[which] + broad.patches[which]);
-        self.candidates += query.tested;
+        self.pairs += query.tested;
         self.found += query.found;
         self.batches += broad.batches;
-        self.bytes = self.bytes.max(query.bytes);
         // The tests of the broad phase hold the narrow phase.
         self.broad_s += seconds(broad.count_ns + broad.fill_ns + broad.test_ns.saturating_sub(query.narrow_ns));
         self.narrow_s += seconds(query.narrow_ns);
     }
-}
 
-/// What impact zones did in a step; the same on all ranks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ZoneCounts {
-    /// Rounds of continuous detection and zones; 0 if nothing penetrated.
-    pub rounds: u32,
-    /// Zones at the end.
-    pub zones: u64,
-    /// Vertices of the largest zone.
-    pub largest: u64,
-    /// Impacts of all rounds.
-    pub impacts: u64,
-    /// Descent iterations of the zones this rank solved.
-    pub iterations: u64,
-    /// Zones that a fail-safe had to end.
-    pub fail_safes: u64,
-    /// Times the step was cut in two because nothing else helped.
-    pub halvings: u32,
-}
-
-impl ZoneCounts {
-    /// Adds those of a step or a part of one; iterations and halvings are counted elsewhere.
-    pub(super) fn add(&mut self, counts: &crate::impact_zone::ZoneCounts) {
-        self.rounds += counts.rounds;
-        self.zones += counts.zones;
-        self.largest = self.largest.max(counts.largest_vertices);
-        self.impacts += counts.impacts;
-        self.fail_safes += counts.rigid + counts.scaled + counts.still;
+    /// Adds the same queries of another rank.
+    pub fn add_rank(&mut self, rank: &QueryStats) {
+        self.tests += rank.tests;
+        self.patches = rank.patches;
+        self.pairs += rank.pairs;
+        self.found += rank.found;
+        self.batches = self.batches.max(rank.batches);
+        self.broad_s += rank.broad_s;
+        self.narrow_s += rank.narrow_s;
     }
 }
 
@@ -128,6 +136,8 @@ pub struct StepStats {
     pub proximity: QueryStats,
     /// Continuous queries.
     pub continuous: QueryStats,
+    /// Bytes of tables and buffers of the largest proximity query and of the largest continuous one.
+    pub query_bytes: [u64; 2],
     /// Impact zones.
     pub zones: ZoneCounts,
     /// Bytes held for collisions: mesh, positions of all vertices.

@@ -3,10 +3,12 @@
 use std::fs;
 use std::path::Path;
 
+use loomtree::impact_zone::ZoneCounts;
 use loomtree::math::{Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::output::*;
 use loomtree::scene::{Fabric, Pin, Scene, Settings};
+use loomtree::step::{QueryStats, StageSeconds};
 use proptest::prelude::*;
 
 fn run_directory(folder: &tempfile::TempDir) -> RunDirectory {
@@ -45,6 +47,41 @@ fn step_record(step: u64) -> StepRecord {
         memory_bytes_per_rank,
         ..StepRecord::default()
     }
+}
+
+/// Programs read these names.
+#[test]
+fn the_fields_of_a_step_keep_their_names() {
+    let ranks = [QueryStats { tests: 5, pairs: 2, batches: 1, ..QueryStats::default() }; 2];
+    let proximity = QueryRecord::of(ranks.iter().zip([700, 900]));
+    let zones = ZoneCounts { zones: 1, impacts: 2, rounds: 3, largest: 4, iterations: 5, fail_safes: 6, halvings: 7 };
+    let record = StepRecord { proximity, zones, ..step_record(3) };
+    let json = serde_json::to_value(&record).unwrap();
+    assert_eq!(serde_json::from_value::<StepRecord>(json.clone()).unwrap(), record);
+    let keys = |value: &serde_json::Value| {
+        let mut keys: Vec<&str> = value.as_object().unwrap().keys().map(String::as_str).collect();
+        keys.sort_unstable();
+        keys.join(" ")
+    };
+    assert_eq!(
+        keys(&json),
+        "bytes_moved bytes_per_spmv collision_mesh_bytes_per_rank contacts continuous converged fail_safes frame halvings \
+         impacts iterations largest_zone memory_bytes_per_rank proximity resident_bytes_per_rank residual smallest_gap_m \
+         stage_seconds step time_s zone_iterations zone_rounds zones"
+    );
+    assert_eq!(
+        keys(&json["proximity"]),
+        "batches broad_s bytes_per_rank found narrow_s pairs patches tests tests_per_rank"
+    );
+    assert_eq!(
+        keys(&json["stage_seconds"]),
+        "advance contacts continuous elements exchange index_fill positions proximity solve total value_fill zones"
+    );
+    let counts = ["zones", "impacts", "zone_rounds", "largest_zone", "zone_iterations", "fail_safes", "halvings"];
+    assert_eq!(counts.map(|key| json[key].as_u64().unwrap()), [1, 2, 3, 4, 5, 6, 7]);
+    assert_eq!((&json["proximity"]["tests"], &json["proximity"]["batches"]), (&10.into(), &1.into()));
+    assert_eq!(json["proximity"]["tests_per_rank"], serde_json::json!([5, 5]));
+    assert_eq!(json["proximity"]["bytes_per_rank"], serde_json::json!([700, 900]));
 }
 
 fn frame_record(frame: u32) -> FrameRecord {

@@ -22,12 +22,13 @@ fn collision_s(step: &StepRecord) -> f64 {
 /// Largest over mean of the tests of the ranks.
 fn imbalance(query: &QueryRecord) -> f64 {
     let most = query.tests_per_rank.iter().copied().max().unwrap_or(0) as f64;
-    if query.tests == 0 { 1.0 } else { most * query.tests_per_rank.len() as f64 / query.tests as f64 }
+    if query.total.tests == 0 { 1.0 } else { most * query.tests_per_rank.len() as f64 / query.total.tests as f64 }
 }
 
 /// The part of the patches of triangles that culling did not leave out.
 fn searched(step: &StepRecord) -> f64 {
-    let [some, all] = [0, 1].map(|which| (step.proximity.patches[which] + step.continuous.patches[which]) as f64);
+    let [some, all] =
+        [0, 1].map(|which| (step.proximity.total.patches[which] + step.continuous.total.patches[which]) as f64);
     if all > 0.0 { some / all } else { 1.0 }
 }
 
@@ -60,10 +61,10 @@ fn collision_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
             seconds * 1e3,
             seconds * 1e6 / size.triangles as f64,
             base / seconds,
-            runs.mean(|step| (step.proximity.tests + step.continuous.tests) as f64),
+            runs.mean(|step| (step.proximity.total.tests + step.continuous.total.tests) as f64),
             runs.most(|step| imbalance(&step.proximity).max(imbalance(&step.continuous))),
             runs.mean(searched),
-            runs.mean(|step| (step.proximity.pairs + step.continuous.pairs) as f64),
+            runs.mean(|step| (step.proximity.total.pairs + step.continuous.total.pairs) as f64),
             runs.mean(|step| step.contacts as f64),
             runs.most(|step| largest(&step.proximity).max(largest(&step.continuous))),
         ]);
@@ -77,9 +78,9 @@ fn zone_table(bench: &SceneBench, all: &[Runs]) -> Table {
     let title = format!("Rounds of continuous detection and impact zones: {}", bench.scene.display());
     let mut table = Table::new(bench.name("zones"), title, columns);
     let Some(runs) = all.first() else { return table };
-    let most = runs.most(|step| step.zone_rounds as f64) as u32;
+    let most = runs.most(|step| step.zones.rounds as f64) as u32;
     for rounds in 0..=most {
-        let steps: Vec<&StepRecord> = runs.steps.iter().filter(|step| step.zone_rounds == rounds).collect();
+        let steps: Vec<&StepRecord> = runs.steps.iter().filter(|step| step.zones.rounds == rounds).collect();
         if steps.is_empty() {
             continue;
         }
@@ -87,12 +88,12 @@ fn zone_table(bench: &SceneBench, all: &[Runs]) -> Table {
         table.push(vec![
             rounds as f64,
             steps.len() as f64,
-            sum(|step| step.zones),
-            steps.iter().map(|step| step.largest_zone).max().unwrap_or(0) as f64,
-            sum(|step| step.impacts),
-            sum(|step| step.zone_iterations),
-            sum(|step| step.fail_safes),
-            sum(|step| u64::from(step.halvings)),
+            sum(|step| step.zones.zones),
+            steps.iter().map(|step| step.zones.largest).max().unwrap_or(0) as f64,
+            sum(|step| step.zones.impacts),
+            sum(|step| step.zones.iterations),
+            sum(|step| step.zones.fail_safes),
+            sum(|step| u64::from(step.zones.halvings)),
         ]);
     }
     table

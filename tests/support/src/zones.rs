@@ -5,7 +5,9 @@ use loomtree::collision::broad::{CollisionMesh, Query, brute_force};
 use loomtree::collision::elementary::{StencilKind, ccd, edge_crosses_triangle};
 use loomtree::collision::{Candidate, Impact};
 use loomtree::gpu::{CpuExecutor, Executor};
-use loomtree::impact_zone::{ImpactZones, Impossible, Moved, StepPositions, ZoneCounts, ZoneSettings, apply};
+use loomtree::impact_zone::{
+    FailSafes, ImpactZones, Impossible, Moved, StepPositions, ZoneCounts, ZoneSettings, apply,
+};
 use loomtree::math::{DVec3, Vec3};
 
 /// Rounds after which a loop counts as endless.
@@ -24,6 +26,7 @@ pub struct World {
 pub struct Outcome {
     pub x_t1: Vec<f32>,
     pub counts: ZoneCounts,
+    pub fail_safes: FailSafes,
     pub iterations: u64,
     pub solve_s: f64,
 }
@@ -99,7 +102,13 @@ impl World {
             let impacts = self.impacts(&mesh, &x_t1);
             if impacts.is_empty() {
                 assert_eq!(executor.take_fault(), None);
-                return Ok(Outcome { x_t1, counts: zones.counts(), iterations, solve_s });
+                return Ok(Outcome {
+                    x_t1,
+                    counts: zones.counts(),
+                    fail_safes: zones.fail_safes(),
+                    iterations,
+                    solve_s,
+                });
             }
             let started = std::time::Instant::now();
             let step = StepPositions { x_t0: &self.x_t0, x_t1: &x_t1, inverse_masses: &self.inverse_masses };
