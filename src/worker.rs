@@ -1,12 +1,13 @@
-//! A worker process: one rank, its device and its rows. It does what the coordinator's messages say and ends by itself
-//! when the coordinator does.
+//! A worker, a process or a thread: one rank, its device and its rows. It does what the coordinator's messages say and ends
+//! by itself when the coordinator does.
 
-use std::cell::{Cell, RefCell};
-use std::collections::VecDeque;
-use std::rc::Rc;
+mod error;
+mod inbox;
+
 use std::time::Duration;
 
-use thiserror::Error;
+pub use error::WorkerError;
+use inbox::Inbox;
 
 use crate::gpu::Executor;
 use crate::linear_system::{RankSystem, RankSystemArrays, SolveParams, solve_rank};
@@ -14,94 +15,19 @@ use crate::model::RankModel;
 use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Failure, Simulation};
 use crate::transport::{
-    ControlError, ControlWorker, EmulatedTransport, IceoryxOptions, IceoryxTransport, MessageError, RunError, RunName,
-    SoloTransport, Transport, TransportError, decode, encode, share_cores,
+    Connect, Connection, ControlWorker, IceoryxConnect, IceoryxWorker, RunName, SoloTransport, Transport,
+    TransportError, decode, share_cores, worker_role,
 };
 
 /// How long a worker waits for the coordinator when it starts or reports, seconds.
 const COORDINATOR_PATIENCE: Duration = Duration::from_secs(60);
 
-/// Why a worker ends without having been told to.
-#[derive(Debug, Error)]
-pub enum WorkerError {
-    /// The coordinator is gone, or the channel to it is broken.
-    #[error(transparent)]
-    Control(#[from] ControlError),
-    /// A message that this worker does not understand.
-    #[error("message from the coordinator: {0}")]
-    Message(#[from] MessageError),
-    /// The run's resources.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// A failure that has been reported to the coordinator.
-    #[error("{0}")]
-    Reported(String),
-}
-
-/// The control channel, shared between the main loop and the hook that runs while the transport waits.
-#[derive(Clone)]
-struct Inbox {
-    control: Rc<RefCell<ControlWorker>>,
-    waiting: Rc<RefCell<VecDeque<Vec<u8>>>>,
-    told_to_stop: Rc<Cell<bool>>,
-}
-
-impl Inbox {
-    /// Called while waiting for another rank: a sign of life; true if the run is over.
-    fn should_stop(&self) -> bool {
-        let Ok(mut control) = self.control.try_borrow_mut() else { return false };
-        control.heartbeat().beat();
-        if control.coordinator_has_ended() {
-            return true;
-        }
-        while let Ok(Some(message)) = control.try_receive() {
-            let stop = matches!(decode::<ToWorker>(&message), Ok((ToWorker::Stop, _)));
-            self.waiting.borrow_mut().push_back(message);
-            if stop {
-                self.told_to_stop.set(true);
-                return true;
-            }
-        }
-        false
-    }
-
-    fn next(&self) -> Result<Vec<u8>, WorkerError> {
-        if let Some(message) = self.waiting.borrow_mut().pop_front() {
-            return Ok(message);
-        }
-        loop {
-            if let Some(message) = self.control.borrow_mut().receive(Duration::from_secs(3600))? {
-                return Ok(message);
-            }
-        }
-    }
-
-    fn send(&self, message: &ToCoordinator, arrays: &[&[u8]]) -> Result<(), WorkerError> {
-        let bytes = encode(message, arrays)?;
-        Ok(self.control.borrow_mut().send(bytes)?)
-    }
-
-    /// What is left to do after a failed transfer: nothing if it failed because the run is over, else report it.
-    fn interrupted(&self, failure: Failure) -> Result<(), WorkerError> {
-        if self.told_to_stop.get() { Ok(()) } else { Err(self.fail(failure)) }
-    }
-
-    fn fail(&self, failure: Failure) -> WorkerError {
-        let text = failure.to_string();
-        if let Err(error) = self.send(&ToCoordinator::Failed(failure), &[]) {
-            return error;
-        }
-        match self.control.borrow_mut().flush() {
-            Ok(()) => WorkerError::Reported(text),
-            Err(error) => error.into(),
-        }
-    }
-}
-
-/// Runs rank `rank` of `run` until the coordinator says stop.
+/// Runs rank `rank` of `run`, whose ranks are processes, until the coordinator says stop.
 pub fn run(run: &RunName, rank: usize) -> Result<(), WorkerError> {
-    let member = run.join(&format!("worker {rank}"))?;
-    let result = serve(run, rank);
+    let member = run.join(&worker_role(rank))?;
+    let result = IceoryxWorker::connect(run, rank, COORDINATOR_PATIENCE)
+        .map_err(WorkerError::from)
+        .and_then(|control| serve(rank, Box::new(control), Box::new(IceoryxConnect::new(run))));
     // The last one to leave removes what the run has put on the machine, also after a killed coordinator.
     drop(member);
     if let Err(error) = run.purge_if_last() {
@@ -110,9 +36,10 @@ pub fn run(run: &RunName, rank: usize) -> Result<(), WorkerError> {
     result
 }
 
-fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
-    let control = ControlWorker::connect(run, rank, COORDINATOR_PATIENCE)?;
-    let inbox = Inbox { control: Rc::new(RefCell::new(control)), waiting: Rc::default(), told_to_stop: Rc::default() };
+/// Does what the coordinator's messages over `control` say, as rank `rank`, until they say stop; joins the other ranks by
+/// `data`.
+pub fn serve(rank: usize, control: Box<dyn ControlWorker>, mut data: Box<dyn Connect>) -> Result<(), WorkerError> {
+    let inbox = Inbox::new(control);
     let bytes = inbox.next()?;
     let (message, arrays) = decode::<ToWorker>(&bytes)?;
     match message {
@@ -120,13 +47,13 @@ fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
             model.set_arrays(&arrays).map_err(|error| inbox.fail(Failure::Other(error.to_string())))?;
             drop(arrays);
             drop(bytes);
-            simulate(run, rank, &inbox, &setup, &exchange, *model)
+            simulate(data.as_mut(), rank, &inbox, &setup, &exchange, *model)
         }
         ToWorker::Solve { setup, exchange, params, mut system } => {
             let arrays = RankSystemArrays::from_bytes(&arrays, system.double_precision);
             system.arrays = arrays.map_err(|error| inbox.fail(Failure::Other(error.to_string())))?;
             drop(bytes);
-            solve(run, rank, &inbox, &setup, &exchange, &params, &system)
+            solve(data.as_mut(), rank, &inbox, &setup, &exchange, &params, &system)
         }
         ToWorker::Stop => Ok(()),
         other => Err(inbox.fail(Failure::Other(format!("{other:?} before this worker was set up")))),
@@ -134,7 +61,7 @@ fn serve(run: &RunName, rank: usize) -> Result<(), WorkerError> {
 }
 
 fn simulate(
-    run: &RunName,
+    data: &mut dyn Connect,
     rank: usize,
     inbox: &Inbox,
     setup: &WorkerSetup,
@@ -144,7 +71,7 @@ fn simulate(
     let executor = make_executor(setup, rank).map_err(|message| inbox.fail(Failure::BadInput(message)))?;
     let (name, device) = (executor.name().to_string(), executor.device_name());
     let mut simulation = Simulation::new(executor, model, exchange).map_err(|error| inbox.fail(error.into()))?;
-    let mut transport = match connect(run, rank, inbox, setup) {
+    let mut transport = match connect(data, rank, inbox, setup) {
         Ok(transport) => transport,
         Err(error) => return inbox.interrupted(error.into()),
     };
@@ -160,7 +87,7 @@ fn simulate(
     loop {
         match decode::<ToWorker>(&inbox.next()?)?.0 {
             ToWorker::Step { step, record } => {
-                inbox.control.borrow().heartbeat().progress(step as u64, 0);
+                inbox.progress(step);
                 match simulation.step(transport.as_mut(), step, record) {
                     Ok(stats) => {
                         let events = simulation.recorder.take();
@@ -186,7 +113,7 @@ fn simulate(
 
 /// One linear solve; the worker leaves afterwards.
 fn solve(
-    run: &RunName,
+    data: &mut dyn Connect,
     rank: usize,
     inbox: &Inbox,
     setup: &WorkerSetup,
@@ -195,7 +122,7 @@ fn solve(
     system: &RankSystem,
 ) -> Result<(), WorkerError> {
     let executor = make_executor(setup, rank).map_err(|message| inbox.fail(Failure::BadInput(message)))?;
-    let mut transport = match connect(run, rank, inbox, setup) {
+    let mut transport = match connect(data, rank, inbox, setup) {
         Ok(transport) => transport,
         Err(error) => return inbox.interrupted(error.into()),
     };
@@ -205,7 +132,7 @@ fn solve(
             let (stats, executor, record) = (result.stats, executor.name().to_string(), result.record);
             let solved = ToCoordinator::Solved { stats, executor, record };
             inbox.send(&solved, &[bytemuck::cast_slice(&result.x), bytemuck::cast_slice(&events)])?;
-            Ok(inbox.control.borrow_mut().flush()?)
+            inbox.flush()
         }
         Err(error) => inbox.interrupted(error.into()),
     }
@@ -213,7 +140,7 @@ fn solve(
 
 /// Connects with all other ranks; a single rank needs no shared memory.
 fn connect(
-    run: &RunName,
+    data: &mut dyn Connect,
     rank: usize,
     inbox: &Inbox,
     setup: &WorkerSetup,
@@ -226,18 +153,14 @@ fn connect(
         let transport = SoloTransport::new(Box::new(move || hook.should_stop()));
         return Ok(Box::new(transport));
     }
-    let options = IceoryxOptions {
+    data.connect(Connection {
         rank,
         ranks: setup.ranks,
+        epoch: 0,
         max_len: setup.max_message_values,
         deadline: Duration::from_secs_f64(setup.patience_s),
         on_wait: Box::new(move || hook.should_stop()),
-    };
-    let deadline = options.deadline;
-    let transport = IceoryxTransport::connect(run, options)?;
-    Ok(match &setup.links {
-        Some(links) => Box::new(EmulatedTransport::new(transport, links.clone(), deadline)),
-        None => Box::new(transport),
+        links: setup.links.clone(),
     })
 }
 

@@ -17,6 +17,7 @@ use crate::collision::broad::CollisionMesh;
 use crate::collision::{Candidate, ContactParams, Detector, Impact};
 use crate::gpu::CpuExecutor;
 use crate::mesh::{ParseFault, Surface, parse_obj, parse_ply};
+use crate::transport::cores;
 
 /// A row of a table of pairs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,7 +116,7 @@ fn search(
         smallest_altitudes_m: vec![0.0; vertices],
     };
     let mut detector = Detector::new(mesh, params).map_err(CliError::failed)?;
-    let cpu = CpuExecutor::new(std::thread::available_parallelism().map_or(1, |n| n.get()));
+    let cpu = CpuExecutor::new(cores());
     let (x_t0, x_t1) = (bytemuck::cast_slice(&first.positions), bytemuck::cast_slice(&second.positions));
     let started = Instant::now();
     let mut impacts: Vec<Impact> = Vec::new();

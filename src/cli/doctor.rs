@@ -8,7 +8,8 @@ use serde::Serialize;
 
 use super::CliError;
 use crate::transport::{
-    FoundRun, SHARED_MEMORY_FOLDER, check_shared_memory, list_runs, required_shared_memory_bytes, shared_memory_space,
+    FoundRun, RANKS_MAX, SHARED_MEMORY_FOLDER, check_shared_memory, cores, list_runs, required_shared_memory_bytes,
+    shared_memory_space,
 };
 
 /// Memory of a run over all workers, bytes per vertex: the goal that the product is measured against.
@@ -91,8 +92,8 @@ pub fn run(
     adapters: &[String],
     triangles_of: impl Fn(&Path) -> Result<usize, CliError>,
 ) -> Result<(), CliError> {
-    if args.workers == 0 || args.workers > crate::transport::RANKS_MAX {
-        let (workers, most) = (args.workers, crate::transport::RANKS_MAX);
+    if args.workers == 0 || args.workers > RANKS_MAX {
+        let (workers, most) = (args.workers, RANKS_MAX);
         return Err(CliError::bad_input(format!("--workers {workers}: expected 1 to {most}")));
     }
     let space = shared_memory_space().map_err(|error| CliError::failed(error.to_string()))?;
@@ -105,7 +106,7 @@ pub fn run(
     }
     let (runs, clean_error) = examine(list_runs(), args.clean);
     let report = Report {
-        cores: std::thread::available_parallelism().map_or(1, |cores| cores.get()),
+        cores: cores(),
         memory_bytes: memory(),
         shared_memory_bytes: space,
         adapters: adapters.to_vec(),

@@ -13,6 +13,7 @@ use super::run::ExecutorArg;
 use crate::gpu::{Executor, GpuError};
 use crate::output::picture::{Coloring, PictureError, PictureOptions, UpAxis, draw_frames};
 use crate::output::{FrameSource, FramesError, Report, RunDirectory};
+use crate::transport::cores;
 
 /// Draw shaded PNG pictures of a run's frames, and a contact sheet.
 #[derive(Args, Clone, Debug)]
@@ -106,7 +107,7 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
         let place = directory.path().display();
         return Err(CliError::bad_input(format!("--frames names no frame of {place}; it holds {first}..{last}")));
     }
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let threads = cores();
     let executor = open_executor(args.executor, args.adapter, threads)?;
     let options = PictureOptions {
         width: args.size.width,

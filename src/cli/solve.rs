@@ -18,7 +18,7 @@ use crate::partition::RowPartition;
 use crate::protocol::{ToCoordinator, ToWorker, WorkerSetup};
 use crate::step::{ExchangePlan, Failure};
 use crate::telemetry::Event;
-use crate::transport::{RANKS_MAX, check_shared_memory, shared_memory_space};
+use crate::transport::{MachineError, RANKS_MAX};
 
 /// Arguments of `loomtree solve`.
 #[derive(Clone, Debug, clap::Args)]
@@ -74,6 +74,9 @@ pub struct SolveArgs {
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub repeat: u32,
 }
+
+/// Where the workers of a solve come from.
+const LAUNCH: Launch = Launch::Spawn;
 
 fn tolerance(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -154,8 +157,7 @@ pub fn prepare(args: SolveArgs) -> Result<SolveJob, CliError> {
     let topology = args.topology.as_deref();
     let (transfers, topology) =
         plan_transfers(topology, args.schedule, workers, partition.sub_vector_rows()).map_err(CliError::bad_input)?;
-    let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
-    let threads = args.threads.map_or((cores / workers).max(1), usize::from);
+    let threads = args.threads.map_or_else(|| LAUNCH.machine().threads_per_worker(workers), usize::from);
     let params = SolveParams {
         relative_tolerance: args.rtol,
         max_iterations: args.max_iterations,
@@ -221,9 +223,11 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
     let SolveJob { args, system, rhs, partition, transfers, params, threads, .. } = job;
     let ranks = partition.ranks();
     let max_message_values = partition.sub_vector_rows() * 2 * DIM;
-    let (_, free) = shared_memory_space().map_err(CliError::failed)?;
     if ranks > 1 {
-        check_shared_memory(ranks, max_message_values, free).map_err(CliError::bad_input)?;
+        LAUNCH.machine().check_transfers(ranks, max_message_values).map_err(|error| match error {
+            MachineError::TooSmall(text) => CliError::bad_input(text),
+            MachineError::Unreadable(text) => CliError::failed(text),
+        })?;
     }
     let named = |error: CrewError| match error {
         CrewError::Failed { failure: Failure::BadInput(text), .. } => CliError::bad_input(text),
@@ -232,7 +236,7 @@ pub fn run_on_workers(job: SolveJob) -> Result<(Vec<SolveResult>, String), CliEr
         }
         other => CliError::failed(other),
     };
-    let mut crew = Crew::assemble(ranks, &Launch::Spawn, SILENCE_LIMIT).map_err(named)?;
+    let mut crew = Crew::assemble(ranks, &LAUNCH, SILENCE_LIMIT).map_err(named)?;
     let setup = WorkerSetup {
         executor: args.executor.into(),
         adapter: args.adapter,

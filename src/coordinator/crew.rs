@@ -3,14 +3,19 @@
 
 use std::io::Write;
 use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
 use crate::protocol::{ToCoordinator, ToWorker};
 use crate::step::Failure;
-use crate::transport::{ControlCoordinator, ControlError, MessageError, RunError, RunMember, RunName, decode, encode};
+use crate::transport::{
+    ControlCoordinator, ControlError, IceoryxCoordinator, Launcher, Life, Machine, MessageError, OneProcess,
+    ProcessLauncher, RunError, RunName, SharedMemoryMachine, Silence, ThreadConnect, ThreadJob, ThreadLauncher,
+    WorkerCommand, decode, encode, thread_channel,
+};
+use crate::worker;
 
 /// How long workers get to leave by themselves before they are killed.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -22,28 +27,40 @@ const ECHO: Duration = Duration::from_millis(500);
 /// Where the workers come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Launch {
-    /// Start them as children of this process.
+    /// Start them as children of this process, which must be the `loomtree` program.
     Spawn,
     /// Somebody else starts them (`loomtree-worker --run ID --rank R`); print the run's identifier for that.
     Await,
+    /// Start them as threads of this process.
+    Threads,
+}
+
+impl Launch {
+    /// The place where such workers live.
+    pub fn machine(&self) -> Box<dyn Machine> {
+        match self {
+            Launch::Spawn | Launch::Await => Box::new(SharedMemoryMachine),
+            Launch::Threads => Box::new(OneProcess),
+        }
+    }
 }
 
 /// Why the crew cannot go on.
 #[derive(Debug, Error)]
 pub enum CrewError {
     /// A worker ended although nobody told it to.
-    #[error("worker {rank} (process {pid}) ended unexpectedly {place}")]
-    Died { rank: usize, pid: u32, place: String },
+    #[error("worker {rank} ({who}) ended unexpectedly {place}")]
+    Died { rank: usize, who: String, place: String },
     /// A worker gives no sign of life.
-    #[error("worker {rank} (process {pid}) hangs {place}: no sign of life for {silence_s:.1} s")]
-    Hung { rank: usize, pid: u32, place: String, silence_s: f64 },
+    #[error("worker {rank} ({who}) hangs {place}: no sign of life for {silence_s:.1} s")]
+    Hung { rank: usize, who: String, place: String, silence_s: f64 },
     /// A worker never came.
     #[error("worker {rank} did not start within {waited_s:.0} s")]
     Missing { rank: usize, waited_s: f64 },
     /// A worker reported that it cannot go on.
     #[error("worker {rank}: {failure}")]
     Failed { rank: usize, failure: Failure },
-    /// A worker process could not be started.
+    /// A worker could not be started.
     #[error("cannot start worker {rank}: {source}")]
     Spawn { rank: usize, source: std::io::Error },
     /// The channel to the workers.
@@ -78,57 +95,70 @@ impl CrewError {
 
 /// The workers of one run.
 pub struct Crew {
-    control: ControlCoordinator,
-    children: Vec<Child>,
+    control: Box<dyn ControlCoordinator>,
+    launcher: Box<dyn Launcher>,
+    machine: Box<dyn Machine>,
     heartbeat_limit: Duration,
+    /// By rank.
+    silences: Vec<Silence>,
     /// By rank: has reported that it cannot go on, so its end is no news.
     gave_up: Vec<bool>,
     /// When the first such report came, and the one that explains most.
     reported: Option<(Instant, CrewError)>,
-    run: RunName,
-    // Dropped last: as long as it lives, the run counts as alive.
-    _member: RunMember,
 }
 
 impl Crew {
     /// Starts (or waits for) `ranks` workers. A worker that is silent for `heartbeat_limit` counts as hung.
     pub fn assemble(ranks: usize, launch: &Launch, heartbeat_limit: Duration) -> Result<Crew, CrewError> {
-        let (run, member) = RunName::create("coordinator")?;
-        let control = ControlCoordinator::create(&run, ranks)?;
-        let (children, gave_up) = (Vec::new(), vec![false; ranks]);
-        let mut crew = Crew { control, children, heartbeat_limit, gave_up, reported: None, run, _member: member };
-        match launch {
-            Launch::Spawn => crew.spawn(ranks)?,
+        let command: Option<WorkerCommand> = match launch {
+            Launch::Spawn => Some(Box::new(worker_command)),
+            Launch::Await => None,
+            Launch::Threads => {
+                let (control, seats) = thread_channel(ranks);
+                let connect = ThreadConnect::default();
+                let launcher = ThreadLauncher::new(seats, |rank| -> ThreadJob {
+                    let connect = connect.clone();
+                    Box::new(move |seat| {
+                        // The coordinator hears of a failure over the channel.
+                        let _ = worker::serve(rank, Box::new(seat.connect()), Box::new(connect));
+                    })
+                });
+                return Crew::start(Box::new(control), Box::new(launcher), launch.machine(), heartbeat_limit);
+            }
+        };
+        let launcher = ProcessLauncher::new(ranks, command)?;
+        let control = IceoryxCoordinator::create(launcher.run(), ranks)?;
+        if *launch == Launch::Await {
             // Nobody may be reading; then nobody starts workers either, and they are missed soon enough.
-            Launch::Await => drop(writeln!(std::io::stdout(), "{}", crew.run)),
+            drop(writeln!(std::io::stdout(), "{}", launcher.run()));
+        }
+        Crew::start(Box::new(control), Box::new(launcher), launch.machine(), heartbeat_limit)
+    }
+
+    /// Starts the workers of `launcher`, which connect with `control` and live on `machine`.
+    pub fn start(
+        control: Box<dyn ControlCoordinator>,
+        launcher: Box<dyn Launcher>,
+        machine: Box<dyn Machine>,
+        heartbeat_limit: Duration,
+    ) -> Result<Crew, CrewError> {
+        let ranks = control.ranks();
+        let (silences, gave_up) = (vec![Silence::default(); ranks], vec![false; ranks]);
+        let mut crew = Crew { control, launcher, machine, heartbeat_limit, silences, gave_up, reported: None };
+        for rank in 0..ranks {
+            crew.launcher.start(rank).map_err(|source| CrewError::Spawn { rank, source })?;
         }
         Ok(crew)
-    }
-
-    /// Identifier of the run.
-    pub fn run_name(&self) -> &RunName {
-        &self.run
-    }
-
-    fn spawn(&mut self, ranks: usize) -> Result<(), CrewError> {
-        let spawn_error = |rank| move |source| CrewError::Spawn { rank, source };
-        for rank in 0..ranks {
-            let program = std::env::current_exe().map_err(spawn_error(rank))?;
-            let child = Command::new(program)
-                .args(["worker", "--run", &self.run.to_string(), "--rank", &rank.to_string()])
-                .stdin(Stdio::null())
-                // A group of their own: Ctrl-C reaches the coordinator only, which then stops them in order.
-                .process_group(0)
-                .spawn()
-                .map_err(spawn_error(rank))?;
-            self.children.push(child);
-        }
-        Ok(())
     }
 
     /// Number of workers.
     pub fn ranks(&self) -> usize {
         self.control.ranks()
+    }
+
+    /// The place where the workers live.
+    pub fn machine(&self) -> &dyn Machine {
+        self.machine.as_ref()
     }
 
     /// Sends a message to one worker.
@@ -215,14 +245,12 @@ impl Crew {
     fn look_after(&mut self, ranks: &[usize], start: Instant, limit: Duration) -> Result<(), CrewError> {
         for rank in ranks.iter().copied().filter(|&rank| !self.gave_up[rank]).collect::<Vec<_>>() {
             let heartbeat = self.control.heartbeat(rank);
-            let pid = heartbeat.pid as u32;
             let place = if heartbeat.step == 0 {
                 "while setting up".to_string()
             } else {
                 format!("in step {}", heartbeat.step)
             };
-            let child_ended = self.children.get_mut(rank).is_some_and(|child| matches!(child.try_wait(), Ok(Some(_))));
-            if child_ended || self.control.has_ended(rank) {
+            if self.launcher.life(rank) == Life::Ended || self.control.has_ended(rank) {
                 // Its last words may be on the way.
                 while let Some(bytes) = self.control.try_receive(rank)? {
                     if let Ok((ToCoordinator::Failed(failure), _)) = decode::<ToCoordinator>(&bytes) {
@@ -232,14 +260,14 @@ impl Crew {
                 if self.gave_up[rank] {
                     continue;
                 }
-                let pid = self.children.get(rank).map_or(pid, Child::id);
-                return Err(CrewError::Died { rank, pid, place });
+                return Err(CrewError::Died { rank, who: self.launcher.describe(rank), place });
             }
-            match self.control.silence(rank) {
+            match self.silences[rank].of(heartbeat) {
                 Some(silence) if silence > limit => {
                     // It would not hear a farewell, and the others need not wait for it.
-                    kill(pid);
-                    return Err(CrewError::Hung { rank, pid, place, silence_s: silence.as_secs_f64() });
+                    self.launcher.kill(rank);
+                    let who = self.launcher.describe(rank);
+                    return Err(CrewError::Hung { rank, who, place, silence_s: silence.as_secs_f64() });
                 }
                 None if start.elapsed() > limit.max(Duration::from_secs(60)) => {
                     return Err(CrewError::Missing { rank, waited_s: start.elapsed().as_secs_f64() });
@@ -268,44 +296,41 @@ impl Crew {
             }
             let _ = self.control.wait(Duration::from_millis(10));
         }
-        if !self.all_gone() {
-            for rank in 0..self.ranks() {
-                if !self.control.has_ended(rank) {
-                    kill(self.control.heartbeat(rank).pid as u32);
-                }
-            }
-            for child in &mut self.children {
-                let _ = child.kill();
+        for rank in 0..self.ranks() {
+            if !self.is_gone(rank) {
+                self.launcher.kill(rank);
             }
         }
-        for child in &mut self.children {
-            let _ = child.wait();
+        for rank in 0..self.ranks() {
+            self.launcher.wait(rank);
         }
-        self.children.clear();
     }
 
     fn all_gone(&mut self) -> bool {
-        let children = self.children.iter_mut().all(|child| !matches!(child.try_wait(), Ok(None)));
-        let ranks = self.ranks();
-        children && (0..ranks).all(|rank| self.control.heartbeat(rank).pid == 0 || self.control.has_ended(rank))
+        (0..self.ranks()).all(|rank| self.is_gone(rank))
+    }
+
+    /// True if nothing runs that was started here or has connected.
+    fn is_gone(&mut self, rank: usize) -> bool {
+        let connected = self.control.heartbeat(rank).counter > 0;
+        self.launcher.life(rank) != Life::Running && (!connected || self.control.has_ended(rank))
     }
 }
 
 impl Drop for Crew {
     fn drop(&mut self) {
         self.end();
-        // Ports of killed workers are only given up by removing the run's files.
-        if let Err(error) = self.run.purge() {
-            tracing::warn!("cannot remove the run's files: {error}");
-        }
+        self.launcher.clean_up();
     }
 }
 
-/// Ends a worker that does not listen any more. It has been seen alive, so the number is still its own.
-fn kill(pid: u32) {
-    if let Some(pid) = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw) {
-        let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
-    }
+/// This program as a worker of `run`.
+fn worker_command(run: &RunName, rank: usize) -> std::io::Result<Command> {
+    let mut command = Command::new(std::env::current_exe()?);
+    command.args(["worker", "--run", &run.to_string(), "--rank", &rank.to_string()]);
+    // A group of their own: Ctrl-C reaches the coordinator only, which then stops them in order.
+    command.stdin(Stdio::null()).process_group(0);
+    Ok(command)
 }
 
 /// How much a failure explains: a lost connection (0) is only the echo of something else.

@@ -31,7 +31,7 @@ use crate::protocol::{ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
 use crate::scene::Scene;
 use crate::step::{ExchangePlan, Failure, StepStats};
 use crate::telemetry::Event;
-use crate::transport::{STAMP_VALUES, check_shared_memory, shared_memory_space};
+use crate::transport::{MachineError, STAMP_VALUES};
 
 /// Setting up may take a worker much longer than any later sign of life.
 const SETUP_LIMIT: Duration = Duration::from_secs(300);
@@ -88,7 +88,7 @@ struct State {
 
 /// Runs a plan to its end.
 pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
-    check_space(&plan)?;
+    launch.machine().check_transfers(plan.partition.ranks(), message_values(&plan))?;
     let failed = |error: CrewError| RunError::Failed(error.to_string());
     let (mut recorder, resumed) = Recorder::open(&plan, options, places).map_err(|error| match error {
         RecordError::BadInput(text) => RunError::BadInput(text),
@@ -138,11 +138,13 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
     }
 }
 
-/// Says before the start if the transfers cannot fit into shared memory.
-fn check_space(plan: &RunPlan) -> Result<(), RunError> {
-    let ranks = plan.partition.ranks();
-    let (_, free) = shared_memory_space().map_err(|error| RunError::Failed(error.to_string()))?;
-    check_shared_memory(ranks, message_values(plan), free).map_err(|error| RunError::BadInput(error.to_string()))
+impl From<MachineError> for RunError {
+    fn from(error: MachineError) -> RunError {
+        match error {
+            MachineError::TooSmall(text) => RunError::BadInput(text),
+            MachineError::Unreadable(text) => RunError::Failed(text),
+        }
+    }
 }
 
 /// Longest message between ranks: positions and velocities of a whole row block.
@@ -242,12 +244,11 @@ impl Driver<'_> {
     fn set_up(&mut self, crew: &mut Crew) -> Result<Vec<WorkerReady>, DriveError> {
         let mut model = self.plan.model();
         model.set_state(&self.state.positions, &self.state.velocities);
-        let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
         let ranks = self.plan.partition.ranks();
         let setup = WorkerSetup {
             executor: self.options.executor,
             adapter: self.options.adapter,
-            threads: self.options.threads.unwrap_or((cores / ranks).max(1)),
+            threads: self.options.threads.unwrap_or_else(|| crew.machine().threads_per_worker(ranks)),
             bind_cores: self.options.bind_cores,
             ranks,
             max_message_values: message_values(self.plan),

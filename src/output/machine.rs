@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::transport::cores;
+
 /// The machine block of a report.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
@@ -26,7 +28,7 @@ impl Machine {
         let memory = field(&memory_info, "MemTotal");
         let kilobytes = memory.and_then(|m| m.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0);
         Machine {
-            cores: std::thread::available_parallelism().map_or(1, |n| n.get()),
+            cores: cores(),
             cpu: cpu.to_string(),
             memory_bytes: kilobytes * 1024,
             system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),

@@ -10,6 +10,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use crate::telemetry::{Activity, Event, EventName};
+use crate::transport::RANKS_MAX;
 
 /// Why a trace cannot be read.
 #[derive(Debug, Error)]
@@ -62,9 +63,6 @@ struct Args {
     flops: u64,
 }
 
-/// Most ranks that a trace may name.
-const RANKS_MAX: u32 = 64;
-
 /// Events of every step (by its number) and rank, in the order in which the rank did them or asked its device for them. Times count from the first event.
 /// Events that this version does not know are left out.
 pub fn read_trace(path: &Path) -> Result<BTreeMap<u32, Vec<Vec<Event>>>, TraceReadError> {
@@ -90,7 +88,7 @@ pub fn read_trace(path: &Path) -> Result<BTreeMap<u32, Vec<Vec<Event>>>, TraceRe
             Err(_) if !whole => break,
             Err(error) => return Err(fault(error.to_string())),
         };
-        if slice.pid >= RANKS_MAX {
+        if slice.pid as usize >= RANKS_MAX {
             return Err(fault(format!("rank {} is not within 0 and {}", slice.pid, RANKS_MAX - 1)));
         }
         let Some(event) = event_of(&slice) else { continue };

@@ -11,13 +11,13 @@ use super::{ALL_GATHER_MAX, Transport, TransportError};
 /// Messages that a publisher may be ahead of its slowest reader.
 const DEPTH: usize = 2;
 
-/// One rank of a group of threads.
-pub struct InProcessTransport {
+/// One rank of a group of threads. `Hook` is called while it waits; it binds the rank to a thread if it cannot be sent.
+pub struct InProcessTransport<Hook = SendHook> {
     rank: usize,
     ranks: usize,
     shared: Arc<Shared>,
     deadline: Duration,
-    on_wait: Option<Box<dyn FnMut() -> bool + Send>>,
+    on_wait: Option<Hook>,
     /// Messages received so far, by source.
     received: Vec<u64>,
     gathers: u64,
@@ -28,6 +28,9 @@ pub struct InProcessTransport {
     bytes_published: u64,
     bytes_received: u64,
 }
+
+/// A [`super::WaitHook`] that can be sent to another thread.
+pub type SendHook = Box<dyn FnMut() -> bool + Send>;
 
 struct Shared {
     state: Mutex<State>,
@@ -89,6 +92,32 @@ impl InProcessTransport {
             .collect()
     }
 
+    /// Called at least every 50 ms while waiting; true = give up.
+    pub fn set_on_wait(&mut self, on_wait: SendHook) {
+        self.on_wait = Some(on_wait);
+    }
+
+    /// The same rank with a hook of another type.
+    pub fn with_hook<Hook>(self, on_wait: Hook) -> InProcessTransport<Hook> {
+        let on_wait = Some(on_wait);
+        InProcessTransport {
+            on_wait,
+            rank: self.rank,
+            ranks: self.ranks,
+            shared: self.shared,
+            deadline: self.deadline,
+            received: self.received,
+            gathers: self.gathers,
+            buffers: self.buffers,
+            published: self.published,
+            max_message_values: self.max_message_values,
+            bytes_published: self.bytes_published,
+            bytes_received: self.bytes_received,
+        }
+    }
+}
+
+impl<Hook: FnMut() -> bool> InProcessTransport<Hook> {
     /// Longest wait of one call.
     pub fn set_deadline(&mut self, deadline: Duration) {
         self.deadline = deadline;
@@ -97,11 +126,6 @@ impl InProcessTransport {
     /// What [`Transport::max_message_values`] answers; longer messages are not refused. No bound at first.
     pub fn set_max_message_values(&mut self, values: usize) {
         self.max_message_values = values;
-    }
-
-    /// Called at least every 50 ms while waiting; true = give up.
-    pub fn set_on_wait(&mut self, on_wait: Box<dyn FnMut() -> bool + Send>) {
-        self.on_wait = Some(on_wait);
     }
 
     /// Waits until `look` finds something in the shared state.
@@ -152,7 +176,7 @@ impl Shared {
     }
 }
 
-impl Transport for InProcessTransport {
+impl<Hook: FnMut() -> bool> Transport for InProcessTransport<Hook> {
     fn rank(&self) -> usize {
         self.rank
     }

@@ -6,37 +6,51 @@
 //! threads ([`InProcessTransport`]), two wrappers for tests, one that holds messages back as the links of
 //! another machine would ([`EmulatedTransport`]) and one that records waits ([`TracedTransport`]).
 //!
-//! Beside it: the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`], [`encode`])
-//! and what a run takes of the machine and leaves behind ([`RunName`]). Linux only.
+//! Beside it: the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`], [`encode`]),
+//! where workers come from ([`Launcher`]), how they join the transport ([`Connect`]), what their place offers ([`Machine`]), and
+//! what a run takes of the machine and leaves behind ([`RunName`]). Two mechanisms implement all of them: processes joined by
+//! shared memory (`iceoryx`, [`ProcessLauncher`]) and threads of one process (`threads`). Linux only.
 
 mod collective;
+mod connect;
+mod control;
 mod emulated;
 mod faulty;
 mod frames;
 mod iceoryx;
 mod in_process;
+mod launcher;
+mod machine;
 mod message;
 mod process;
+mod process_launcher;
 mod recording;
 mod run_name;
 mod shared_memory;
 mod solo;
+mod threads;
 mod traced;
 mod wait;
 
 pub use collective::{share_lists, share_ranges};
+pub use connect::{Connect, Connection};
+pub use control::{ControlCoordinator, ControlError, ControlWorker, Heartbeat, Silence};
 pub use emulated::{EmulatedTransport, STAMP_VALUES};
 pub use faulty::{Fault, FaultyTransport};
-pub use iceoryx::{
-    ControlCoordinator, ControlError, ControlWorker, Heartbeat, HeartbeatHandle, IceoryxOptions, IceoryxTransport,
-};
-pub use in_process::InProcessTransport;
+pub use iceoryx::{IceoryxConnect, IceoryxCoordinator, IceoryxOptions, IceoryxTransport, IceoryxWorker};
+pub use in_process::{InProcessTransport, SendHook};
+pub use launcher::{Launcher, Life};
+pub use machine::{Machine, MachineError, OneProcess, RANKS_MAX, SharedMemoryMachine, cores};
 pub use message::{MessageError, decode, encode, items_of};
 pub use process::{ProcessWatch, share_cores, start_ticks};
+pub use process_launcher::{ProcessLauncher, WorkerCommand, worker_role};
 pub use recording::{Action, Record, RecordingTransport};
 pub use run_name::{FoundRun, Member, RunError, RunMember, RunName, SHARED_MEMORY_FOLDER, list_runs};
 pub use shared_memory::{SharedMemoryError, check_shared_memory, required_shared_memory_bytes, shared_memory_space};
 pub use solo::SoloTransport;
+pub use threads::{
+    ThreadConnect, ThreadCoordinator, ThreadJob, ThreadLauncher, ThreadWorker, WorkerSeat, thread_channel,
+};
 pub use traced::TracedTransport;
 pub use wait::{HOOK_INTERVAL, WaitHook};
 
@@ -61,9 +75,6 @@ pub enum TransportError {
 
 /// Most values that one rank may contribute to [`Transport::all_gather`].
 pub const ALL_GATHER_MAX: usize = 2048;
-
-/// Most ranks of a run.
-pub const RANKS_MAX: usize = 64;
 
 /// One rank's connection to all others.
 pub trait Transport {

@@ -3,6 +3,8 @@
 
 use std::time::{Duration, Instant};
 
+use super::cores;
+
 /// Called at least every [`HOOK_INTERVAL`] while a rank waits: gives a sign of life, and returns true to give up
 /// waiting (a peer died, the user asked to stop).
 pub type WaitHook = Box<dyn FnMut() -> bool>;
@@ -40,8 +42,7 @@ pub(super) struct Patience {
 impl Patience {
     /// Waits at most `deadline` at a time; `processes` ranks share this machine's cores.
     pub(super) fn new(deadline: Duration, processes: usize, hook: WaitHook) -> Patience {
-        let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
-        let spin = if cores >= processes { SPIN } else { Duration::ZERO };
+        let spin = if cores() >= processes { SPIN } else { Duration::ZERO };
         Patience { deadline, spin, hook, hook_called: Instant::now() }
     }
 

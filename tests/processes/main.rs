@@ -2,9 +2,11 @@
 
 mod bad_input;
 mod bench_commands;
+mod control_conformance;
 mod cores;
 mod faults;
 mod launch;
+mod one_process;
 mod resume;
 mod same_bits;
 mod solve_command;

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use loomtree::interconnect::{RankLinks, ScheduleKind, Topology, Traffic, plan};
 use loomtree::transport::{
-    ALL_GATHER_MAX, ControlCoordinator, ControlWorker, EmulatedTransport, IceoryxOptions, IceoryxTransport,
+    ALL_GATHER_MAX, EmulatedTransport, IceoryxCoordinator, IceoryxOptions, IceoryxTransport, IceoryxWorker,
     InProcessTransport, RunName, Transport, TransportError, required_shared_memory_bytes,
 };
 
@@ -347,11 +347,11 @@ fn iceoryx_needs_the_shared_memory_that_was_announced() {
     use std::os::unix::fs::MetadataExt;
     for (ranks, max_len) in [(1, 1), (3, 1), (2, 200_000), (8, 50)] {
         let (run, _member) = RunName::create("memory test").unwrap();
-        let _coordinator = ControlCoordinator::create(&run, ranks).unwrap();
+        let _coordinator = IceoryxCoordinator::create(&run, ranks).unwrap();
         let job = |rank: usize| {
             let run = run.clone();
             Box::new(move || {
-                let _control = ControlWorker::connect(&run, rank, PATIENT).unwrap();
+                let _control = IceoryxWorker::connect(&run, rank, PATIENT).unwrap();
                 let options = IceoryxOptions { max_len, ..options(rank, ranks, PATIENT) };
                 let mut transport = IceoryxTransport::connect(&run, options).unwrap();
                 let files = run.shared_memory_files().into_iter();

@@ -10,7 +10,7 @@ use crate::partition::RowPartition;
 use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
 use crate::step::{ExchangePlan, Simulation};
-use crate::transport::{InProcessTransport, SoloTransport, Transport};
+use crate::transport::{InProcessTransport, SoloTransport, Transport, cores};
 
 /// A scene in a state, and the step that comes next.
 pub struct ModelState {
@@ -33,8 +33,7 @@ impl ModelState {
     ) -> Result<ModelState, CliError> {
         let failed = |error: &dyn std::fmt::Display| CliError::failed(error.to_string());
         let mut transport = SoloTransport::new(Box::new(|| false));
-        let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
-        let all_cores = Common { threads: u16::try_from(cores).unwrap_or(u16::MAX), ..common.clone() };
+        let all_cores = Common { threads: u16::try_from(cores()).unwrap_or(u16::MAX), ..common.clone() };
         let mut simulation = alone(&model, &all_cores)?;
         let enough = contacts_per_vertex * model.rows() as f64;
         let mut step = 0;

@@ -1,10 +1,9 @@
-//! Control channel between the coordinator and its workers: messages of any length both ways, heartbeats, and notice of
-//! each other's death. The coordinator never blocks on a worker; it says nothing about what the messages mean.
+//! The coordinator's end of a [`crate::transport::control`] channel between processes of one machine.
 //!
 //! Every message is cut into frames (see `frames`), one stream each way and rank. A reader counts on its blackboard what
 //! it has taken, so that a sender only ever sends what fits; who sends or takes wakes the other end.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
@@ -12,53 +11,25 @@ use iceoryx2::port::reader::{EntryHandle, Reader};
 use iceoryx2::port::writer::{EntryHandleMut, Writer};
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{blackboard, event};
-use thiserror::Error;
 
 use super::frame_ports::{FrameReceiver, FrameSender, FrameService, create_stream};
 use super::node::{Ipc, create_node, create_wake, service_name, text};
 use crate::transport::process::ProcessWatch;
-use crate::transport::{RANKS_MAX, RunName, shared_memory};
+use crate::transport::{ControlCoordinator, ControlError, Heartbeat, RANKS_MAX, RunName, shared_memory};
 
 pub(super) const KEY_CONSUMED: u64 = 0;
 pub(super) const KEY_HEARTBEAT: u64 = 1;
 /// On the coordinator's blackboard, after the counters of frames taken from each rank.
 pub(super) const KEY_PID: u64 = RANKS_MAX as u64;
 
-/// Why a control call failed.
-#[derive(Debug, Error)]
-pub enum ControlError {
-    /// The other end did not answer in time.
-    #[error("waited {waited_s:.1} s for {what}")]
-    TimedOut { what: &'static str, waited_s: f64 },
-    /// The coordinator has ended; the worker should too.
-    #[error("the coordinator (process {pid}) has ended")]
-    CoordinatorGone { pid: u32 },
-    /// No such rank.
-    #[error("rank {rank} of {ranks} ranks does not exist")]
-    NoSuchRank { rank: usize, ranks: usize },
-    /// The mechanism below failed.
-    #[error("control channel: {message}")]
-    Mechanism { message: String },
-}
-
-impl From<String> for ControlError {
-    fn from(message: String) -> ControlError {
-        ControlError::Mechanism { message }
-    }
-}
-
-/// A worker's sign of life.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
+/// A [`Heartbeat`] as it crosses.
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
-pub struct Heartbeat {
-    /// Grows with every sign of life; 0 = none yet.
+pub(super) struct Beat {
     pub counter: u64,
     /// Process of the worker; 0 = none yet.
     pub pid: u64,
-    /// Step that the worker is in.
     pub step: u64,
-    /// Where in the step it is; a number that coordinator and worker agree on.
-    pub phase: u64,
 }
 
 /// Names of a run's control services.
@@ -80,8 +51,8 @@ impl Names {
     }
 }
 
-/// The coordinator's end: one per run, created before the workers start.
-pub struct ControlCoordinator {
+/// The coordinator's end of a run whose workers are processes.
+pub struct IceoryxCoordinator {
     links: Vec<Link>,
     listener: Listener<Ipc>,
     _writer: Writer<Ipc, u64>,
@@ -97,21 +68,19 @@ struct Link {
     taken: EntryHandleMut<Ipc, u64, u64>,
     /// Frames that the worker has taken.
     taken_by_worker: EntryHandle<Ipc, u64, u64>,
-    heartbeat: EntryHandle<Ipc, u64, Heartbeat>,
+    heartbeat: EntryHandle<Ipc, u64, Beat>,
     notifier: Notifier<Ipc>,
     watch: Option<ProcessWatch>,
-    /// Counter of the newest heartbeat seen, and when it was first seen.
-    newest: (u64, Instant),
     _reader: Reader<Ipc, u64>,
     _services: (FrameService, FrameService, blackboard::PortFactory<Ipc, u64>, event::PortFactory<Ipc>),
 }
 
-impl ControlCoordinator {
+impl IceoryxCoordinator {
     /// Creates the channel for `ranks` workers of `run`; they connect when they come.
     ///
     /// # Errors
     /// The machine lacks a resource, or the run has a coordinator already.
-    pub fn create(run: &RunName, ranks: usize) -> Result<ControlCoordinator, ControlError> {
+    pub fn create(run: &RunName, ranks: usize) -> Result<IceoryxCoordinator, ControlError> {
         if ranks > RANKS_MAX {
             return Err(format!("{ranks} ranks, at most {RANKS_MAX} are possible").into());
         }
@@ -130,12 +99,7 @@ impl ControlCoordinator {
         let listener = wake.listener_builder().create().map_err(text("coordinator's listener"))?;
         let links = (0..ranks).map(|rank| Link::create(&node, rank, &writer)).collect::<Result<_, _>>()?;
         shared_memory::reserve(run).map_err(|error| error.to_string())?;
-        Ok(ControlCoordinator { links, listener, _writer: writer, _own: own, _wake: wake, _node: node })
-    }
-
-    /// Number of workers the channel was made for.
-    pub fn ranks(&self) -> usize {
-        self.links.len()
+        Ok(IceoryxCoordinator { links, listener, _writer: writer, _own: own, _wake: wake, _node: node })
     }
 
     fn link(&mut self, rank: usize) -> Result<&mut Link, ControlError> {
@@ -143,21 +107,27 @@ impl ControlCoordinator {
         self.links.get_mut(rank).ok_or(ControlError::NoSuchRank { rank, ranks })
     }
 
-    /// Sends `message` to a worker: keeps it (or a copy of a slice) and returns at once; what does not fit into the
-    /// worker's buffers yet follows during later calls of this type ([`ControlCoordinator::wait`] is the natural one).
-    pub fn send(&mut self, rank: usize, message: impl Into<Vec<u8>>) -> Result<(), ControlError> {
+    fn pump_all(&mut self) -> Result<(), ControlError> {
+        self.links.iter_mut().try_for_each(Link::pump)
+    }
+}
+
+impl ControlCoordinator for IceoryxCoordinator {
+    fn ranks(&self) -> usize {
+        self.links.len()
+    }
+
+    fn send(&mut self, rank: usize, message: Vec<u8>) -> Result<(), ControlError> {
         let link = self.link(rank)?;
-        link.sender.outbox.push(message.into());
+        link.sender.outbox.push(message);
         link.pump()
     }
 
-    /// True if everything sent to this worker is in its buffers or taken.
-    pub fn all_sent(&self, rank: usize) -> bool {
+    fn all_sent(&self, rank: usize) -> bool {
         self.links.get(rank).is_none_or(|link| link.sender.outbox.is_empty())
     }
 
-    /// The next complete message of a worker, if there is one. Never waits.
-    pub fn try_receive(&mut self, rank: usize) -> Result<Option<Vec<u8>>, ControlError> {
+    fn try_receive(&mut self, rank: usize) -> Result<Option<Vec<u8>>, ControlError> {
         let link = self.link(rank)?;
         link.pump()?;
         while let Some(taken) = link.receiver.take()? {
@@ -171,8 +141,7 @@ impl ControlCoordinator {
         Ok(None)
     }
 
-    /// Sleeps until a worker has done something worth a look, at most `timeout`. May return early for no reason.
-    pub fn wait(&mut self, timeout: Duration) -> Result<(), ControlError> {
+    fn wait(&mut self, timeout: Duration) -> Result<(), ControlError> {
         self.pump_all()?;
         match self.listener.timed_wait(|_| {}, timeout) {
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
@@ -181,29 +150,12 @@ impl ControlCoordinator {
         self.pump_all()
     }
 
-    fn pump_all(&mut self) -> Result<(), ControlError> {
-        self.links.iter_mut().try_for_each(Link::pump)
+    fn heartbeat(&self, rank: usize) -> Heartbeat {
+        let beat = self.links.get(rank).map_or(Beat::default(), |link| *link.heartbeat.get());
+        Heartbeat { counter: beat.counter, step: beat.step }
     }
 
-    /// The newest sign of life of a worker; all zero if it has not come yet or there is no such rank.
-    pub fn heartbeat(&self, rank: usize) -> Heartbeat {
-        self.links.get(rank).map_or(Heartbeat::default(), |link| *link.heartbeat.get())
-    }
-
-    /// For how long this worker's heartbeat has not changed, as far as the calls of this method saw; none before it
-    /// has connected.
-    pub fn silence(&mut self, rank: usize) -> Option<Duration> {
-        let link = self.links.get_mut(rank)?;
-        let counter = link.heartbeat.get().counter;
-        if counter != link.newest.0 {
-            link.newest = (counter, Instant::now());
-        }
-        (counter > 0).then(|| link.newest.1.elapsed())
-    }
-
-    /// True once a worker that has connected has ended, for whatever reason. A hung one has not; see
-    /// [`ControlCoordinator::silence`].
-    pub fn has_ended(&mut self, rank: usize) -> bool {
+    fn has_ended(&mut self, rank: usize) -> bool {
         let Some(link) = self.links.get_mut(rank) else { return false };
         let pid = link.heartbeat.get().pid as u32;
         pid != 0 && link.watch.get_or_insert_with(|| ProcessWatch::new(pid)).has_ended()
@@ -221,7 +173,7 @@ impl Link {
             .max_readers(1)
             .max_nodes(2)
             .add(KEY_CONSUMED, 0u64)
-            .add(KEY_HEARTBEAT, Heartbeat::default())
+            .add(KEY_HEARTBEAT, Beat::default())
             .create()
             .map_err(text("worker's blackboard"))?;
         let reader = worker.reader_builder().create().map_err(text("worker's blackboard"))?;
@@ -234,7 +186,6 @@ impl Link {
             heartbeat: reader.entry(&KEY_HEARTBEAT).map_err(text("worker's blackboard"))?,
             notifier: wake.notifier_builder().create().map_err(text("worker's notifier"))?,
             watch: None,
-            newest: (0, Instant::now()),
             _reader: reader,
             _services: (down, up, worker, wake),
         })

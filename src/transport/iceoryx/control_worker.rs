@@ -1,7 +1,6 @@
-//! The worker's end of the control channel.
+//! The worker's end of a [`crate::transport::control`] channel between processes of one machine.
 
 use std::cell::Cell;
-use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
@@ -11,22 +10,24 @@ use iceoryx2::port::writer::{EntryHandleMut, Writer};
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{blackboard, event};
 
-use super::control::{ControlError, Heartbeat, KEY_CONSUMED, KEY_HEARTBEAT, KEY_PID, Names};
+use super::control::{Beat, KEY_CONSUMED, KEY_HEARTBEAT, KEY_PID, Names};
 use super::frame_ports::{FrameReceiver, FrameSender, FrameService, open_stream};
 use super::node::{Ipc, OpenError, create_node, open_when_created, text};
 use crate::transport::process::ProcessWatch;
 use crate::transport::wait::{Patience, Stopped};
-use crate::transport::{RANKS_MAX, RunName, shared_memory};
+use crate::transport::{ControlError, ControlWorker, RANKS_MAX, RunName, shared_memory};
 
 /// Longest sleep between two signs of life while waiting for the coordinator.
 const BEAT: Duration = Duration::from_millis(20);
 
-/// A worker's end of the control channel. Bound to the thread that made it.
-pub struct ControlWorker {
+/// The end of a worker that is a process.
+pub struct IceoryxWorker {
     deadline: Duration,
     sender: FrameSender,
     receiver: FrameReceiver,
-    heartbeat: HeartbeatHandle,
+    heartbeat: EntryHandleMut<Ipc, u64, Beat>,
+    /// What `heartbeat` shows.
+    beat: Cell<Beat>,
     coordinator: ProcessWatch,
     /// Frames taken from the coordinator, for it to see.
     taken: EntryHandleMut<Ipc, u64, u64>,
@@ -42,33 +43,12 @@ pub struct ControlWorker {
     _node: Node<Ipc>,
 }
 
-/// Gives a worker's signs of life; clones share one heartbeat, so that a wait hook can own one.
-#[derive(Clone)]
-pub struct HeartbeatHandle {
-    shared: Rc<(EntryHandleMut<Ipc, u64, Heartbeat>, Cell<Heartbeat>)>,
-}
-
-impl HeartbeatHandle {
-    /// A sign of life.
-    pub fn beat(&self) {
-        let (entry, newest) = &*self.shared;
-        newest.update(|heartbeat| Heartbeat { counter: heartbeat.counter + 1, ..heartbeat });
-        entry.update_with_copy(newest.get());
-    }
-
-    /// A sign of life that says where the worker is.
-    pub fn progress(&self, step: u64, phase: u64) {
-        self.shared.1.update(|heartbeat| Heartbeat { step, phase, ..heartbeat });
-        self.beat();
-    }
-}
-
-impl ControlWorker {
-    /// Connects worker `rank` of `run` with its coordinator. `deadline` bounds this and every later [`ControlWorker::send`].
+impl IceoryxWorker {
+    /// Connects worker `rank` of `run` with its coordinator. `deadline` bounds this and every later call that sends.
     ///
     /// # Errors
     /// There is no coordinator within the deadline, it made no place for this rank, or another process has taken it.
-    pub fn connect(run: &RunName, rank: usize, deadline: Duration) -> Result<ControlWorker, ControlError> {
+    pub fn connect(run: &RunName, rank: usize, deadline: Duration) -> Result<IceoryxWorker, ControlError> {
         if rank >= RANKS_MAX {
             return Err(ControlError::NoSuchRank { rank, ranks: RANKS_MAX });
         }
@@ -109,15 +89,12 @@ impl ControlWorker {
         shared_memory::reserve(run).map_err(|error| error.to_string())?;
 
         let coordinator = ProcessWatch::new(*pid.get() as u32);
-        let first = Heartbeat { pid: u64::from(std::process::id()), ..Heartbeat::default() };
-        let heartbeat = HeartbeatHandle { shared: Rc::new((heartbeat, Cell::new(first))) };
-        heartbeat.beat();
-        let _ = notifier.notify();
-        Ok(ControlWorker {
+        let worker = IceoryxWorker {
             deadline,
             sender,
             receiver,
             heartbeat,
+            beat: Cell::new(Beat { pid: u64::from(std::process::id()), ..Beat::default() }),
             coordinator,
             taken,
             taken_by_coordinator,
@@ -129,34 +106,10 @@ impl ControlWorker {
             _wakes: [own_wake, their_wake],
             _streams: [up, down],
             _node: node,
-        })
-    }
-
-    /// The worker's heartbeat, to be given by its wait hook and its steps. Waiting in this type gives it too.
-    pub fn heartbeat(&self) -> HeartbeatHandle {
-        self.heartbeat.clone()
-    }
-
-    /// True once the coordinator has ended, for whatever reason.
-    pub fn coordinator_has_ended(&self) -> bool {
-        self.coordinator.has_ended()
-    }
-
-    /// Sends `message`; returns when all of it is on its way, that is, at most two frames are not yet taken.
-    ///
-    /// # Errors
-    /// The coordinator has ended or takes nothing within the deadline.
-    pub fn send(&mut self, message: impl Into<Vec<u8>>) -> Result<(), ControlError> {
-        self.sender.outbox.push(message.into());
-        self.wait_until("the coordinator to take a message", |worker| worker.sender.outbox.is_empty())
-    }
-
-    /// Waits until the coordinator has taken everything sent. A worker that leaves without this may take its last
-    /// messages with it.
-    pub fn flush(&mut self) -> Result<(), ControlError> {
-        self.wait_until("the coordinator to take the last message", |worker| {
-            worker.sender.outbox.is_empty() && *worker.taken_by_coordinator.get() >= worker.sender.outbox.frames_sent()
-        })
+        };
+        worker.beat();
+        let _ = worker.notifier.notify();
+        Ok(worker)
     }
 
     fn wait_until(&mut self, what: &'static str, done: impl Fn(&Self) -> bool) -> Result<(), ControlError> {
@@ -175,8 +128,57 @@ impl ControlWorker {
         }
     }
 
-    /// The next complete message of the coordinator, if there is one. Never waits.
-    pub fn try_receive(&mut self) -> Result<Option<Vec<u8>>, ControlError> {
+    fn pump(&mut self) -> Result<(), ControlError> {
+        if self.sender.pump(*self.taken_by_coordinator.get())? {
+            let _ = self.notifier.notify();
+        }
+        Ok(())
+    }
+
+    fn check_coordinator(&self) -> Result<(), ControlError> {
+        match self.coordinator.has_ended() {
+            true => Err(ControlError::CoordinatorGone { who: format!("process {}", self.coordinator.pid()) }),
+            false => Ok(()),
+        }
+    }
+
+    fn sleep(&self, limit: Duration) -> Result<(), ControlError> {
+        self.beat();
+        match self.listener.timed_wait(|_| {}, limit.min(BEAT)) {
+            Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
+            Err(error) => Err(format!("waiting for the coordinator: {error:?}").into()),
+        }
+    }
+}
+
+impl ControlWorker for IceoryxWorker {
+    fn beat(&self) {
+        self.beat.update(|beat| Beat { counter: beat.counter + 1, ..beat });
+        self.heartbeat.update_with_copy(self.beat.get());
+    }
+
+    fn progress(&self, step: u64) {
+        self.beat.update(|beat| Beat { step, ..beat });
+        self.beat();
+    }
+
+    fn coordinator_has_ended(&self) -> bool {
+        self.coordinator.has_ended()
+    }
+
+    /// Returns when at most two frames are not yet taken.
+    fn send(&mut self, message: Vec<u8>) -> Result<(), ControlError> {
+        self.sender.outbox.push(message);
+        self.wait_until("the coordinator to take a message", |worker| worker.sender.outbox.is_empty())
+    }
+
+    fn flush(&mut self) -> Result<(), ControlError> {
+        self.wait_until("the coordinator to take the last message", |worker| {
+            worker.sender.outbox.is_empty() && *worker.taken_by_coordinator.get() >= worker.sender.outbox.frames_sent()
+        })
+    }
+
+    fn try_receive(&mut self) -> Result<Option<Vec<u8>>, ControlError> {
         while let Some(taken) = self.receiver.take()? {
             self.taken.update_with_copy(self.receiver.consumed());
             let _ = self.notifier.notify();
@@ -187,11 +189,7 @@ impl ControlWorker {
         Ok(None)
     }
 
-    /// The next message of the coordinator; none if there is none within `timeout`.
-    ///
-    /// # Errors
-    /// The coordinator has ended and left nothing to receive.
-    pub fn receive(&mut self, timeout: Duration) -> Result<Option<Vec<u8>>, ControlError> {
+    fn receive(&mut self, timeout: Duration) -> Result<Option<Vec<u8>>, ControlError> {
         let start = Instant::now();
         loop {
             // Asked before looking: what it sent before it ended is still received.
@@ -205,28 +203,6 @@ impl ControlWorker {
                 return Ok(None);
             }
             self.sleep(timeout - waited)?;
-        }
-    }
-
-    fn pump(&mut self) -> Result<(), ControlError> {
-        if self.sender.pump(*self.taken_by_coordinator.get())? {
-            let _ = self.notifier.notify();
-        }
-        Ok(())
-    }
-
-    fn check_coordinator(&self) -> Result<(), ControlError> {
-        match self.coordinator.has_ended() {
-            true => Err(ControlError::CoordinatorGone { pid: self.coordinator.pid() }),
-            false => Ok(()),
-        }
-    }
-
-    fn sleep(&self, limit: Duration) -> Result<(), ControlError> {
-        self.heartbeat.beat();
-        match self.listener.timed_wait(|_| {}, limit.min(BEAT)) {
-            Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
-            Err(error) => Err(format!("waiting for the coordinator: {error:?}").into()),
         }
     }
 }

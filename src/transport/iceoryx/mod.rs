@@ -13,6 +13,7 @@
 //! It promises nothing across machines, nor to processes of other users.
 
 mod cells;
+mod connect;
 mod control;
 mod control_worker;
 mod data;
@@ -20,7 +21,8 @@ mod frame_ports;
 mod node;
 mod ports;
 
-pub use control::{ControlCoordinator, ControlError, Heartbeat};
-pub use control_worker::{ControlWorker, HeartbeatHandle};
+pub use connect::IceoryxConnect;
+pub use control::IceoryxCoordinator;
+pub use control_worker::IceoryxWorker;
 pub use data::{IceoryxOptions, IceoryxTransport};
 pub(super) use node::BUFFERS;

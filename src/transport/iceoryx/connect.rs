@@ -1,0 +1,24 @@
+//! How a worker process joins the others.
+
+use crate::transport::connect::with_links;
+use crate::transport::{Connect, Connection, IceoryxOptions, IceoryxTransport, RunName, Transport, TransportError};
+
+/// Joins the processes of a run over shared memory.
+pub struct IceoryxConnect {
+    run: RunName,
+}
+
+impl IceoryxConnect {
+    /// Joins the ranks of `run`.
+    pub fn new(run: &RunName) -> IceoryxConnect {
+        IceoryxConnect { run: run.clone() }
+    }
+}
+
+impl Connect for IceoryxConnect {
+    fn connect(&mut self, connection: Connection) -> Result<Box<dyn Transport>, TransportError> {
+        let Connection { rank, ranks, epoch: _, max_len, deadline, on_wait, links } = connection;
+        let options = IceoryxOptions { rank, ranks, max_len, deadline, on_wait };
+        Ok(with_links(IceoryxTransport::connect(&self.run, options)?, links, deadline))
+    }
+}

@@ -1,0 +1,61 @@
+//! What the place where the workers of a run live offers: cores, and room for their transfers. Says nothing about GPUs
+//! (`gpu::adapters` does).
+
+use thiserror::Error;
+
+use super::{SharedMemoryError, check_shared_memory, shared_memory_space};
+
+/// Most ranks of a run.
+pub const RANKS_MAX: usize = 64;
+
+/// Threads that this process may run at once.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, |cores| cores.get())
+}
+
+/// Why a run does not fit.
+#[derive(Debug, Error)]
+pub enum MachineError {
+    /// Fewer workers or more room would help.
+    #[error("{0}")]
+    TooSmall(String),
+    /// It cannot be found out.
+    #[error("{0}")]
+    Unreadable(String),
+}
+
+/// The place where the workers of a run live.
+pub trait Machine {
+    /// Threads that all workers together may run at once.
+    fn cores(&self) -> usize {
+        cores()
+    }
+    /// Threads of each of `workers` workers that run side by side, those of all runs of this program counted.
+    fn threads_per_worker(&self, workers: usize) -> usize {
+        (self.cores() / workers.max(1)).max(1)
+    }
+    /// Says whether there is room for the transfers of `ranks` ranks whose longest message has `max_len` values.
+    fn check_transfers(&self, ranks: usize, max_len: usize) -> Result<(), MachineError>;
+}
+
+/// One machine whose workers are processes joined by shared memory.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SharedMemoryMachine;
+
+impl Machine for SharedMemoryMachine {
+    fn check_transfers(&self, ranks: usize, max_len: usize) -> Result<(), MachineError> {
+        let (_, free) = shared_memory_space().map_err(|error| MachineError::Unreadable(error.to_string()))?;
+        check_shared_memory(ranks, max_len, free)
+            .map_err(|error: SharedMemoryError| MachineError::TooSmall(error.to_string()))
+    }
+}
+
+/// This process: workers are threads of it, and their messages lie in its own memory.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OneProcess;
+
+impl Machine for OneProcess {
+    fn check_transfers(&self, _ranks: usize, _max_len: usize) -> Result<(), MachineError> {
+        Ok(())
+    }
+}

@@ -1,0 +1,106 @@
+//! [`Launcher`] whose workers are processes of this machine: children of this one, or processes that others start. It owns
+//! the run's name and with it what the run puts on the machine.
+
+use std::cell::RefCell;
+use std::io;
+use std::process::{Child, Command};
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::{Launcher, Life, Member, RunError, RunMember, RunName};
+
+/// Makes the command that starts a worker of a run.
+pub type WorkerCommand = Box<dyn FnMut(&RunName, usize) -> io::Result<Command>>;
+
+/// Starts workers as child processes, or knows those that others start by the run's list of processes.
+pub struct ProcessLauncher {
+    command: Option<WorkerCommand>,
+    children: Vec<Option<Child>>,
+    /// By rank: workers that others have started, as last seen.
+    seen: RefCell<Vec<Option<Member>>>,
+    run: RunName,
+    // Dropped last: as long as it lives, the run counts as alive.
+    _member: RunMember,
+}
+
+impl ProcessLauncher {
+    /// A new run of `ranks` workers, started with `command`; without one others start them. The calling process is its
+    /// coordinator.
+    pub fn new(ranks: usize, command: Option<WorkerCommand>) -> Result<ProcessLauncher, RunError> {
+        let (run, member) = RunName::create("coordinator")?;
+        let children = (0..ranks).map(|_| None).collect();
+        Ok(ProcessLauncher { command, children, seen: RefCell::new(vec![None; ranks]), run, _member: member })
+    }
+
+    /// The run.
+    pub fn run(&self) -> &RunName {
+        &self.run
+    }
+
+    /// The process of a worker that others have started; none if it has not registered (yet).
+    fn member(&self, rank: usize) -> Option<Member> {
+        let mut seen = self.seen.borrow_mut();
+        let seen = seen.get_mut(rank)?;
+        if seen.is_none() {
+            let role = worker_role(rank);
+            *seen = self.run.members().into_iter().find(|member| member.role == role);
+        }
+        seen.clone()
+    }
+}
+
+/// What a worker process registers as ([`RunName::join`]).
+pub fn worker_role(rank: usize) -> String {
+    format!("worker {rank}")
+}
+
+impl Launcher for ProcessLauncher {
+    fn start(&mut self, rank: usize) -> io::Result<()> {
+        if let Some(command) = &mut self.command {
+            self.children[rank] = Some(command(&self.run, rank)?.spawn()?);
+        }
+        Ok(())
+    }
+
+    fn life(&mut self, rank: usize) -> Life {
+        match self.children.get_mut(rank).and_then(Option::as_mut).map(Child::try_wait) {
+            None => Life::NotStarted,
+            Some(Ok(Some(_))) => Life::Ended,
+            Some(Ok(None) | Err(_)) => Life::Running,
+        }
+    }
+
+    fn describe(&self, rank: usize) -> String {
+        let child = self.children.get(rank).and_then(Option::as_ref).map(Child::id);
+        match child.or_else(|| self.member(rank).map(|member| member.pid)) {
+            Some(pid) => format!("process {pid}"),
+            None => "unknown process".to_string(),
+        }
+    }
+
+    fn kill(&mut self, rank: usize) {
+        match self.children.get_mut(rank) {
+            // A child that has been reaped is not signalled: its number may be another one's.
+            Some(Some(child)) => drop(child.kill()),
+            _ => {
+                let Some(member) = self.member(rank).filter(Member::is_alive) else { return };
+                if let Some(pid) = i32::try_from(member.pid).ok().and_then(Pid::from_raw) {
+                    let _ = kill_process(pid, Signal::KILL);
+                }
+            }
+        }
+    }
+
+    fn wait(&mut self, rank: usize) {
+        if let Some(Some(child)) = self.children.get_mut(rank) {
+            let _ = child.wait();
+        }
+    }
+
+    fn clean_up(&mut self) {
+        // Ports of killed workers are only given up by removing the run's files.
+        if let Err(error) = self.run.purge() {
+            tracing::warn!("cannot remove the run's files: {error}");
+        }
+    }
+}
