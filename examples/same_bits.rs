@@ -8,9 +8,7 @@ use std::thread;
 
 use loomtree::gpu::Executor;
 use loomtree::interconnect::fat_tree;
-use loomtree::math::Vec3;
-use loomtree::model::{GlobalModel, RankModel};
-use loomtree::output::state_hash;
+use loomtree::model::{GlobalModel, RankModel, State};
 use loomtree::partition::RowPartition;
 use loomtree::scene::{Overrides, Scene, load};
 use loomtree::solver::ExchangeMode;
@@ -60,14 +58,10 @@ fn simulate(scene: &Scene, ranks: usize, steps: u32) -> Result<String, Failure> 
         .collect();
 
     // Row blocks are contiguous ranges of the global order; the hash is over the mesh's own order.
-    let (mut positions, mut velocities) = (vec![Vec3::ZERO; model.rows()], vec![Vec3::ZERO; model.rows()]);
-    let mut order = model.original_from_global.iter();
-    for thread in threads {
-        let (x, v) = thread.join().map_err(|_| "a rank panicked")??;
-        for ((x, v), &vertex) in x.chunks_exact(3).zip(v.chunks_exact(3)).zip(order.by_ref()) {
-            positions[vertex as usize] = Vec3::from_slice(x);
-            velocities[vertex as usize] = Vec3::from_slice(v);
-        }
+    let mut state = State::zeros(model.rows());
+    for (rank, thread) in threads.into_iter().enumerate() {
+        let part = thread.join().map_err(|_| "a rank panicked")??;
+        state.scatter(&model.original_from_global[partition.rows_of(rank)], &part);
     }
-    Ok(state_hash(&positions, &velocities))
+    Ok(state.hash())
 }

@@ -27,7 +27,7 @@ use crate::integrator::advance::Advance;
 use crate::integrator::pins::{PinTargets, Pins};
 use crate::integrator::scatter::Scatter;
 use crate::interconnect::QueueNode;
-use crate::model::RankModel;
+use crate::model::{RankModel, RankState};
 use crate::scene::{Motion, Settings};
 use crate::solver::comparison::{MatrixFree, MatrixFreeProduct};
 use crate::solver::{ExchangeMode, LinearSolver, LinearSystem, PcgParams, RankPattern, Schwarz, TrafficCounter};
@@ -36,7 +36,7 @@ use crate::transport::{Transport, TransportError};
 
 use collisions::{Collisions, Resolved, Span};
 pub use error::{Failure, Imposed, SetupError};
-use own_state::{OwnState, StateCopy};
+use own_state::StateCopy;
 pub use stats::{QueryStats, StageSeconds, StepStats};
 use stats::{StageClock, peak_resident_bytes};
 
@@ -525,7 +525,7 @@ impl Simulation {
                 }
                 positions[at..at + 3].copy_from_slice(&x);
             }
-            self.set_own_state(Rc::new(OwnState { positions, velocities }));
+            self.set_own_state(Rc::new(RankState { positions, velocities }));
         }
         Ok(resolved)
     }

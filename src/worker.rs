@@ -97,11 +97,7 @@ fn simulate(
                 }
             }
             ToWorker::SendState => {
-                let (positions, velocities) = simulation.state();
-                inbox.send(
-                    &ToCoordinator::State,
-                    &[bytemuck::cast_slice(&positions), bytemuck::cast_slice(&velocities)],
-                )?;
+                inbox.send(&ToCoordinator::State, &simulation.state().to_bytes())?;
             }
             ToWorker::Stop => return Ok(()),
             ToWorker::Simulate { .. } | ToWorker::Solve { .. } => {

@@ -24,8 +24,7 @@ use progress::Progress;
 pub use recorder::RecordError;
 use recorder::Recorder;
 
-use crate::math::Vec3;
-use crate::model::RankModel;
+use crate::model::{NotFinite, RankModel, RankState, State};
 use crate::output::{Checkpoint, Status};
 use crate::protocol::{ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
 use crate::scene::Scene;
@@ -80,12 +79,6 @@ pub struct RunSummary {
     pub stopped: bool,
 }
 
-/// State of the whole cloth in the mesh's vertex order.
-struct State {
-    positions: Vec<Vec3>,
-    velocities: Vec<Vec3>,
-}
-
 /// Runs a plan to its end.
 pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
     launch.machine().check_transfers(plan.partition.ranks(), message_values(&plan))?;
@@ -96,13 +89,8 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
     })?;
     // The scene stays what it is at time 0: order of vertices and pins come from there.
     let (state, first_step) = match &resumed {
-        Some(Checkpoint { positions, velocities, step, .. }) => {
-            (State { positions: positions.clone(), velocities: velocities.clone() }, *step as u32)
-        }
-        None => {
-            let scene = &plan.scene;
-            (State { positions: scene.mesh.positions.clone(), velocities: scene.velocities.clone() }, 0)
-        }
+        Some(Checkpoint { state, step, .. }) => (state.clone(), *step as u32),
+        None => (State::start_of(&plan.scene), 0),
     };
     let mut crew = Crew::assemble(options.workers, launch, options.heartbeat()).map_err(failed)?;
     let mut driver = Driver {
@@ -200,7 +188,7 @@ impl Driver<'_> {
         let ready = self.set_up(crew)?;
         self.recorder.begin(self.plan, &ready)?;
         if resumed.is_none() {
-            self.recorder.frame(self.plan, 0, 0, &self.state.positions, &self.state.velocities)?;
+            self.recorder.frame(self.plan, 0, 0, &self.state)?;
         }
         let last_step = settings.frames * settings.steps_per_frame;
         let progress = Progress::new(settings.frames, first_step / settings.steps_per_frame);
@@ -220,8 +208,7 @@ impl Driver<'_> {
             }
             let frame = step / settings.steps_per_frame;
             if frame_ends {
-                let hash =
-                    self.recorder.frame(self.plan, frame, step, &self.state.positions, &self.state.velocities)?;
+                let hash = self.recorder.frame(self.plan, frame, step, &self.state)?;
                 let every = self.options.checkpoint_every;
                 if every > 0 && frame.is_multiple_of(every) && step != last_step {
                     self.recorder.keep_last_state()?;
@@ -229,7 +216,7 @@ impl Driver<'_> {
                 progress.frame(frame, step, &stats[0], &hash, self.seconds / (step - first_step) as f64);
             }
             if stop {
-                self.recorder.remember(frame, step, &self.state.positions, &self.state.velocities, self.plan);
+                self.recorder.remember(frame, step, &self.state, self.plan);
                 self.recorder.keep_last_state()?;
                 progress.end();
                 return Ok(true);
@@ -243,7 +230,7 @@ impl Driver<'_> {
     /// Sends every worker its part and waits until all are connected.
     fn set_up(&mut self, crew: &mut Crew) -> Result<Vec<WorkerReady>, DriveError> {
         let mut model = self.plan.model();
-        model.set_state(&self.state.positions, &self.state.velocities);
+        model.set_state(&self.state);
         let ranks = self.plan.partition.ranks();
         let setup = WorkerSetup {
             executor: self.options.executor,
@@ -304,15 +291,9 @@ impl Driver<'_> {
         let limit = self.options.heartbeat();
         crew.collect(limit, |rank, message, arrays| {
             let rows = partition.rows_of(rank);
-            let (ToCoordinator::State, [positions, velocities]) = (message, arrays) else { return false };
-            if positions.len() != rows.len() * 12 || velocities.len() != rows.len() * 12 {
-                return false;
-            }
-            for (target, bytes) in [(&mut state.positions, positions), (&mut state.velocities, velocities)] {
-                for (row, value) in rows.clone().zip(bytes.chunks_exact(12)) {
-                    target[order[row] as usize] = Vec3::from_array(bytemuck::pod_read_unaligned(value));
-                }
-            }
+            let ToCoordinator::State = message else { return false };
+            let Ok(part) = RankState::from_bytes(arrays, rows.len()) else { return false };
+            state.scatter(&order[rows], &part);
             true
         })?;
         Ok(())
@@ -320,18 +301,14 @@ impl Driver<'_> {
 
     /// A state that is not finite is neither shown as a frame nor kept as one to go on from.
     fn check_state(&self, step: u32) -> Result<(), DriveError> {
-        for (quantity, values) in [("position", &self.state.positions), ("velocity", &self.state.velocities)] {
-            if let Some(vertex) = values.iter().position(|value| !value.is_finite()) {
-                let row = self.original_from_global.iter().position(|&original| original as usize == vertex);
-                return Err(DriveError::State(Failure::NotFinite {
-                    step,
-                    row: row.unwrap_or(vertex) as u32,
-                    quantity: quantity.into(),
-                    cause: "after the step".into(),
-                    suspect: "simulation.step_s, the start velocity or a force".into(),
-                }));
-            }
-        }
-        Ok(())
+        let Some(NotFinite { vertex, quantity }) = self.state.first_not_finite() else { return Ok(()) };
+        let row = self.original_from_global.iter().position(|&original| original == vertex);
+        Err(DriveError::State(Failure::NotFinite {
+            step,
+            row: row.map_or(vertex, |row| row as u32),
+            quantity: quantity.into(),
+            cause: "after the step".into(),
+            suspect: "simulation.step_s, the start velocity or a force".into(),
+        }))
     }
 }

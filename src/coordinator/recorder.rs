@@ -7,10 +7,10 @@ use thiserror::Error;
 
 use super::{RunOptions, RunPlaces, RunPlan};
 use crate::impact_zone::ZoneCounts;
-use crate::math::Vec3;
+use crate::model::State;
 use crate::output::{
     Checkpoint, Existing, FrameRecord, FrameWriter, QueryRecord, RankEvents, ReportHeader, ReportWriter, RunDirectory,
-    RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, state_hash,
+    RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint,
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
@@ -69,7 +69,7 @@ impl Recorder {
                     directory.checkpoints().display()
                 )));
             };
-            if found.fingerprint != fingerprint || found.positions.len() != plan.scene.mesh.positions.len() {
+            if found.fingerprint != fingerprint || found.state.positions.len() != plan.scene.mesh.positions.len() {
                 return Err(RecordError::BadInput(format!(
                     "{} belongs to another scene, resolution or setting; resume with those of run.toml",
                     path.display()
@@ -195,17 +195,10 @@ impl Recorder {
     }
 
     /// Writes a frame and remembers it as the last good state; returns its hash.
-    pub fn frame(
-        &mut self,
-        plan: &RunPlan,
-        frame: u32,
-        step: u32,
-        positions: &[Vec3],
-        velocities: &[Vec3],
-    ) -> Result<String, RecordError> {
-        let hash = state_hash(positions, velocities);
+    pub fn frame(&mut self, plan: &RunPlan, frame: u32, step: u32, state: &State) -> Result<String, RecordError> {
+        let hash = state.hash();
         if let Some(frames) = &mut self.frames {
-            frames.write(frame, &plan.scene.mesh, positions).map_err(write_error)?;
+            frames.write(frame, &plan.scene.mesh, &state.positions).map_err(write_error)?;
             if !self.obstacles.is_empty() {
                 let mut values = Vec::new();
                 self.obstacles.positions_at(step as f64 * plan.scene.settings.step_s, &mut values);
@@ -222,26 +215,22 @@ impl Recorder {
                 })
                 .map_err(write_error)?;
         }
-        self.remember(frame, step, positions, velocities, plan);
+        self.remember(frame, step, state, plan);
         Ok(hash)
     }
 
     /// Keeps a state in memory for a checkpoint.
-    pub fn remember(&mut self, frame: u32, step: u32, positions: &[Vec3], velocities: &[Vec3], plan: &RunPlan) {
+    pub fn remember(&mut self, frame: u32, step: u32, state: &State, plan: &RunPlan) {
         let time_s = step as f64 * plan.scene.settings.step_s;
         let last = self.last.get_or_insert_with(|| Checkpoint {
             frame,
             step: 0,
             time_s,
             fingerprint: self.fingerprint,
-            positions: Vec::new(),
-            velocities: Vec::new(),
+            state: State::default(),
         });
         (last.frame, last.step, last.time_s) = (frame, step as u64, time_s);
-        last.positions.clear();
-        last.positions.extend_from_slice(positions);
-        last.velocities.clear();
-        last.velocities.extend_from_slice(velocities);
+        last.state.clone_from(state);
     }
 
     /// Writes the last good state as a checkpoint; says where, as the end of a sentence.

@@ -1,9 +1,10 @@
 //! The whole cloth in the global order. Vertices are renumbered for locality; the order depends on the scene only, so
 //! that row blocks of any rank count are contiguous ranges of the same order.
 
+use super::state::{RankState, State};
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
 use crate::integrator::pins::RankPin;
-use crate::math::{Vec2, Vec3};
+use crate::math::Vec2;
 use crate::mesh::{hinges, vertex_order};
 use crate::partition::chunk_rows;
 use crate::scene::{Motion, Obstacles, Scene, Settings};
@@ -46,9 +47,7 @@ impl GlobalModel {
             global_from_original[original as usize] = global as u32;
         }
         let map = |v: u32| global_from_original[v as usize];
-        let gather = |values: &[Vec3]| {
-            original_from_global.iter().flat_map(|&v| values[v as usize].to_array()).collect::<Vec<f32>>()
-        };
+        let RankState { positions, velocities } = State::start_of(scene).gather(&original_from_global);
 
         let mut masses = vec![0.0f64; mesh.positions.len()];
         let mut areas = vec![0.0f64; mesh.triangles.len()];
@@ -82,8 +81,8 @@ impl GlobalModel {
         bends.sort_by_key(|e| e.vertices.iter().min().copied());
 
         GlobalModel {
-            positions: gather(&mesh.positions),
-            velocities: gather(&scene.velocities),
+            positions,
+            velocities,
             masses: masses.iter().map(|&m| m as f32).collect(),
             triangles,
             hinges: bends,
@@ -107,11 +106,10 @@ impl GlobalModel {
         }
     }
 
-    /// Goes on from another state than the scene's, in the mesh's order. Order, pins and rest shape stay those of the scene.
-    pub fn set_state(&mut self, positions: &[Vec3], velocities: &[Vec3]) {
-        for (values, of) in [(&mut self.positions, positions), (&mut self.velocities, velocities)] {
-            *values = self.original_from_global.iter().flat_map(|&v| of[v as usize].to_array()).collect();
-        }
+    /// Goes on from another state than the scene's. Order, pins and rest shape stay those of the scene.
+    pub fn set_state(&mut self, state: &State) {
+        let RankState { positions, velocities } = state.gather(&self.original_from_global);
+        (self.positions, self.velocities) = (positions, velocities);
     }
 
     /// Number of vertices.

@@ -14,7 +14,7 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use super::atomic::{WriteError, write_atomically};
 use super::ply::{positions_from_bytes, write_words};
-use crate::math::Vec3;
+use crate::model::State;
 
 const MAGIC: &[u8; 8] = b"LOOMCKPT";
 const VERSION: u32 = 1;
@@ -37,10 +37,8 @@ pub struct Checkpoint {
     pub time_s: f64,
     /// [`super::scene_fingerprint`] of the scene.
     pub fingerprint: u64,
-    /// Positions in the mesh's original vertex order, metres.
-    pub positions: Vec<Vec3>,
-    /// Velocities in the mesh's original vertex order, m/s.
-    pub velocities: Vec<Vec3>,
+    /// The state.
+    pub state: State,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -81,16 +79,16 @@ pub enum CheckpointError {
 impl Checkpoint {
     /// Writes the file's bytes.
     fn put(&self, out: &mut dyn Write) -> io::Result<()> {
-        if self.positions.len() != self.velocities.len() {
+        let Some(vertices) = self.state.vertices() else {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "as many velocities as positions are needed"));
-        }
+        };
         let header = Header {
             program: env!("CARGO_PKG_VERSION").to_string(),
             frame: self.frame,
             step: self.step,
             time_s: self.time_s,
             fingerprint: self.fingerprint,
-            vertices: self.positions.len() as u64,
+            vertices: vertices as u64,
         };
         let header = bincode::serde::encode_to_vec(header, bincode_form()).map_err(io::Error::other)?;
         let mut out = Hashing { out, hasher: Xxh3::new() };
@@ -99,8 +97,8 @@ impl Checkpoint {
         out.write_all(&(header.len() as u32).to_le_bytes())?;
         out.write_all(&header)?;
         let mut buffer = Vec::new();
-        write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.positions))?;
-        write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.velocities))?;
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.state.positions))?;
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.state.velocities))?;
         let checksum = out.hasher.digest();
         out.out.write_all(&checksum.to_le_bytes())
     }
@@ -143,8 +141,7 @@ impl Checkpoint {
             step: header.step,
             time_s: header.time_s,
             fingerprint: header.fingerprint,
-            positions: positions_from_bytes(positions),
-            velocities: positions_from_bytes(velocities),
+            state: State { positions: positions_from_bytes(positions), velocities: positions_from_bytes(velocities) },
         })
     }
 }

@@ -1,23 +1,11 @@
-//! Hashes of bits: the state of a run (equal for every worker count) and the scene that a checkpoint belongs to.
-//!
-//! xxh3 finds accidents, not attacks.
+//! Hash of the scene that a state belongs to. xxh3 finds accidents, not attacks.
 
 use std::fmt::{self, Write};
 
-use bytemuck::Pod;
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::math::Vec3;
+use crate::model::hash_words;
 use crate::scene::{Obstacles, Scene};
-
-/// 16 hexadecimal digits over the bits of positions, then velocities, both in the mesh's original vertex order.
-/// `-0.0` and `0.0` differ: equal hashes mean equal bits.
-pub fn state_hash(positions: &[Vec3], velocities: &[Vec3]) -> String {
-    let mut hasher = Xxh3::new();
-    update_words(&mut hasher, positions);
-    update_words(&mut hasher, velocities);
-    format!("{:016x}", hasher.digest())
-}
 
 /// Hash of everything that decides how a state goes on: topology, rest shape, fabrics, pins, motions and settings.
 /// The start state is left out (the checkpoint holds its own), and so is the number of frames (a run may be prolonged).
@@ -25,8 +13,8 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     let mut hasher = Xxh3::new();
     hasher.update(&(scene.mesh.positions.len() as u64).to_le_bytes());
     hasher.update(&(scene.mesh.triangles.len() as u64).to_le_bytes());
-    update_words(&mut hasher, &scene.mesh.triangles);
-    update_words(&mut hasher, &scene.mesh.material_uv);
+    hash_words(&mut hasher, &scene.mesh.triangles);
+    hash_words(&mut hasher, &scene.mesh.material_uv);
     for fabric in &scene.fabric_of_triangle {
         hasher.update(&fabric.to_le_bytes());
     }
@@ -37,20 +25,11 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     let _ = write!(TextSink(&mut hasher), "{:?} {:?} {:?} {settings:?}", scene.fabrics, scene.pins, scene.motions);
     let obstacles = Obstacles::new(&scene.obstacles);
     let (positions, triangles) = obstacles.arrays();
-    update_words(&mut hasher, positions);
-    update_words(&mut hasher, triangles);
+    hash_words(&mut hasher, positions);
+    hash_words(&mut hasher, triangles);
     let frictions: Vec<f64> = scene.cloths.iter().map(|cloth| cloth.friction).collect();
     let _ = write!(TextSink(&mut hasher), "{:?} {frictions:?}", obstacles.header());
     hasher.digest()
-}
-
-/// Adds values made of 32-bit words, as little-endian bytes.
-fn update_words<T: Pod>(hasher: &mut Xxh3, values: &[T]) {
-    if cfg!(target_endian = "little") {
-        hasher.update(bytemuck::cast_slice(values));
-    } else {
-        bytemuck::cast_slice::<T, u32>(values).iter().for_each(|word| hasher.update(&word.to_le_bytes()));
-    }
 }
 
 /// Lets formatted text go into the hash without being stored.

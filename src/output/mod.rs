@@ -24,7 +24,7 @@ pub use atomic::{WriteError, write_atomically};
 pub use checkpoint::Checkpoint;
 pub use directory::{DirectoryError, Existing, RunDirectory};
 pub use frames::{FormatError, FrameError, FrameFormat, FrameWriter, parse_formats};
-pub use hash::{scene_fingerprint, state_hash};
+pub use hash::scene_fingerprint;
 pub use machine::Machine;
 pub use manifest::{Input, ManifestError, RunManifest};
 pub use read::{FrameMesh, FrameSource, FramesError, ReadError};

@@ -149,7 +149,7 @@ pub struct FrameRecord {
     pub frame: u32,
     /// Simulated time, seconds.
     pub time_s: f64,
-    /// [`super::state_hash`] of the state.
+    /// [`crate::model::State::hash`] of the state.
     pub state_hash: String,
 }
 

@@ -1,15 +1,15 @@
 //! What others may ask a simulation: its state, its memory, and why a solve failed.
 
 use super::{Failure, Simulation};
+use crate::model::RankState;
 use crate::scene::PreconditionerKind;
 use crate::solver::PcgError;
 use crate::solver::comparison::MatrixFree;
 
 impl Simulation {
-    /// Own rows' positions and velocities, xyz in global order.
-    pub fn state(&self) -> (Vec<f32>, Vec<f32>) {
-        let own = self.own_state();
-        (own.positions.clone(), own.velocities.clone())
+    /// State of the own rows; one wait for the executor if it has changed since the last time.
+    pub fn state(&self) -> RankState {
+        self.own_state().as_ref().clone()
     }
 
     /// Bytes of device memory (on the cpu executor: of host memory).

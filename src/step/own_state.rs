@@ -1,22 +1,17 @@
-//! The own rows' state on the host: read from the executor once where it changes, for all that looks at it until it changes
-//! again. On a device every read is a wait.
+//! Host copy of the own rows' state. It is read from the executor once after each change, because on a device every read
+//! is a wait; later readers share it.
 
 use std::cell::RefCell;
 use std::rc::Rc;
 
 use super::Simulation;
 use crate::gpu::ReadBatch;
+use crate::model::RankState;
 use crate::telemetry::{Activity, EventName};
-
-/// Positions (metres) and velocities (m/s) of the own rows, xyz in global order.
-pub(super) struct OwnState {
-    pub positions: Vec<f32>,
-    pub velocities: Vec<f32>,
-}
 
 /// What the host knows of the state that the executor holds.
 #[derive(Default)]
-pub(super) struct StateCopy(RefCell<Option<Rc<OwnState>>>);
+pub(super) struct StateCopy(RefCell<Option<Rc<RankState>>>);
 
 impl StateCopy {
     /// The executor's state is about to change.
@@ -25,19 +20,18 @@ impl StateCopy {
     }
 
     /// The executor's state is `state`, bit for bit.
-    pub fn is(&self, state: Rc<OwnState>) {
+    pub fn is(&self, state: Rc<RankState>) {
         self.0.replace(Some(state));
     }
 }
 
 impl Simulation {
     /// The state of the own rows; one wait for the executor if it has changed since the last time.
-    pub(super) fn own_state(&self) -> Rc<OwnState> {
+    pub(super) fn own_state(&self) -> Rc<RankState> {
         if let Some(known) = &*self.copy.0.borrow() {
             return Rc::clone(known);
         }
-        let values = self.own_rows * 3;
-        let mut state = OwnState { positions: vec![0.0; values], velocities: vec![0.0; values] };
+        let mut state = RankState::zeros(self.own_rows);
         let mut batch = ReadBatch::new();
         batch.add(&self.positions, self.own_start, &mut state.positions);
         batch.add(&self.velocities, self.own_start, &mut state.velocities);
@@ -48,20 +42,19 @@ impl Simulation {
     }
 
     /// The executor's state of the own rows becomes `state`.
-    pub(super) fn set_own_state(&mut self, state: Rc<OwnState>) {
+    pub(super) fn set_own_state(&mut self, state: Rc<RankState>) {
         self.positions.write_range(&self.executor, self.own_start, &state.positions);
         self.velocities.write_range(&self.executor, self.own_start, &state.velocities);
         self.copy.is(state);
     }
 
     /// As [`Simulation::own_state`], within a step: what is read is recorded.
-    pub(super) fn recorded_state(&mut self) -> Rc<OwnState> {
+    pub(super) fn recorded_state(&mut self) -> Rc<RankState> {
         let known = self.copy.0.borrow().clone();
         known.unwrap_or_else(|| {
             let start = self.recorder.now();
             let state = self.own_state();
-            let bytes = (size_of_val(&state.positions[..]) + size_of_val(&state.velocities[..])) as u64;
-            self.recorder.end(EventName::ReadState, Activity::Transfer, start, bytes, 0);
+            self.recorder.end(EventName::ReadState, Activity::Transfer, start, state.bytes(), 0);
             state
         })
     }

@@ -33,7 +33,7 @@ fn stack() -> Scene {
 fn products(scene: &Scene, ranks: usize, matrix_free: bool) -> (u64, Vec<Vec<f32>>) {
     let model = GlobalModel::new(scene);
     let results = on_ranks(&model, ranks, ExchangeMode::Halo, cpu, move |simulation, transport| {
-        let rows = simulation.state().0.len();
+        let rows = simulation.state().positions.len();
         if matrix_free {
             simulation.drop_matrix().unwrap();
         }
@@ -96,7 +96,7 @@ fn steps_end_where_those_of_the_stored_matrix_end() {
             for step in 1..=3 {
                 assert!(simulation.step(transport, step, false).unwrap().converged);
             }
-            simulation.state().0
+            simulation.state().positions
         });
         results.remove(0)
     };

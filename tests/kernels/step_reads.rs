@@ -3,7 +3,7 @@
 
 use loomtree::gpu::Executor;
 use loomtree::math::Vec3;
-use loomtree::model::GlobalModel;
+use loomtree::model::{GlobalModel, RankState};
 use loomtree::scene::Scene;
 use loomtree::solver::ExchangeMode;
 use loomtree::step::StepStats;
@@ -41,7 +41,7 @@ fn reads(scene: &Scene, ranks: usize, executor: fn(usize) -> Executor) -> Vec<Ve
         let mut reads = Vec::new();
         for step in 1..=STEPS {
             let stats = simulation.step(transport, step, true).unwrap();
-            let rows = simulation.state().0.len() as u64 / 3;
+            let rows = simulation.state().positions.len() as u64 / 3;
             let events = simulation.recorder.take();
             let found: Vec<_> = events.iter().filter(|event| event.name == EventName::ReadState as u32).collect();
             assert!(found.iter().all(|event| event.activity == Activity::Transfer as u32 && event.bytes == rows * 24));
@@ -91,7 +91,7 @@ fn states(executor: fn(usize) -> Executor, each_anew: bool) -> (Vec<f32>, Vec<f3
             }
             simulation.state()
         });
-        (model.positions, model.velocities) = run.into_iter().next().unwrap();
+        RankState { positions: model.positions, velocities: model.velocities } = run.into_iter().next().unwrap();
     }
     (model.positions, model.velocities)
 }

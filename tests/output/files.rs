@@ -6,6 +6,7 @@ use std::path::Path;
 
 use loomtree::math::{Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
+use loomtree::model::State;
 use loomtree::output::*;
 use proptest::prelude::*;
 
@@ -146,7 +147,8 @@ proptest! {
 
 fn checkpoint(step: u64) -> Checkpoint {
     let positions: Vec<Vec3> = (0..step).map(|i| Vec3::new(i as f32, 0.5, -0.0)).collect();
-    Checkpoint { frame: 2, step, time_s: 0.25, fingerprint: 77, velocities: positions.clone(), positions }
+    let state = State { velocities: positions.clone(), positions };
+    Checkpoint { frame: 2, step, time_s: 0.25, fingerprint: 77, state }
 }
 
 fn checkpoint_file(step: u64) -> Vec<u8> {

@@ -6,6 +6,7 @@ use std::path::Path;
 use loomtree::impact_zone::ZoneCounts;
 use loomtree::math::{Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
+use loomtree::model::State;
 use loomtree::output::*;
 use loomtree::scene::{Fabric, Pin, Scene, Settings};
 use loomtree::step::{QueryStats, StageSeconds};
@@ -18,21 +19,26 @@ fn run_directory(folder: &tempfile::TempDir) -> RunDirectory {
 #[test]
 fn state_hash_has_a_known_value_and_feels_every_bit() {
     // xxh3_64 of no bytes is the published 2d06800538d394c2.
-    assert_eq!(state_hash(&[], &[]), "2d06800538d394c2");
-    let positions = [Vec3::new(1.0, 2.0, 3.0), Vec3::new(-4.0, 0.5, 0.0)];
-    let velocities = [Vec3::ZERO, Vec3::new(0.0, 0.0, 9.0)];
-    let hash = state_hash(&positions, &velocities);
+    assert_eq!(State::default().hash(), "2d06800538d394c2");
+    let state = State {
+        positions: vec![Vec3::new(1.0, 2.0, 3.0), Vec3::new(-4.0, 0.5, 0.0)],
+        velocities: vec![Vec3::ZERO, Vec3::new(0.0, 0.0, 9.0)],
+    };
+    let hash = state.hash();
     assert_eq!(hash, "4ce35b4d826ae86d");
-    assert_ne!(hash, state_hash(&velocities, &positions));
-    for vertex in 0..2 {
-        for bit in 0..96 {
-            let mut changed = positions;
-            let component = &mut changed[vertex][bit / 32];
+    let State { positions, velocities } = state.clone();
+    assert_ne!(hash, State { positions: velocities, velocities: positions }.hash());
+    for (vertex, bit) in (0..2).flat_map(|vertex| (0..96).map(move |bit| (vertex, bit))) {
+        for field in 0..2 {
+            let mut changed = state.clone();
+            let values = if field == 0 { &mut changed.positions } else { &mut changed.velocities };
+            let component = &mut values[vertex][bit / 32];
             *component = f32::from_bits(component.to_bits() ^ 1 << (bit % 32));
-            assert_ne!(state_hash(&changed, &velocities), hash, "bit {bit} of vertex {vertex}");
+            assert_ne!(changed.hash(), hash, "bit {bit} of vertex {vertex}, field {field}");
         }
     }
-    assert_ne!(state_hash(&[Vec3::ZERO], &[Vec3::ZERO]), state_hash(&[Vec3::ZERO], &[-Vec3::ZERO]));
+    let zeros = State::zeros(1);
+    assert_ne!(zeros.hash(), State { velocities: vec![-Vec3::ZERO], ..zeros.clone() }.hash());
 }
 
 fn step_record(step: u64) -> StepRecord {

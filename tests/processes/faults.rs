@@ -223,7 +223,7 @@ fn plates_that_leave_no_room_are_named_and_the_last_good_state_is_kept() {
         // Between the plates at that time, not beyond them.
         let checkpoint = loomtree::output::checkpoint::latest(path.parent().expect("a folder")).found.expect("one").1;
         let room_m = (0.02 - 0.3 * 0.004 * step as f64) as f32;
-        assert!(checkpoint.positions.iter().all(|x| x.y.abs() < room_m), "step {step}: within {room_m} m");
+        assert!(checkpoint.state.positions.iter().all(|x| x.y.abs() < room_m), "step {step}: within {room_m} m");
         ends.push((step, error));
     }
     assert_eq!(ends[0], ends[1], "one worker and three end alike");

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use super::{CliError, Common};
 use crate::interconnect::QueueNode;
-use crate::model::{GlobalModel, RankModel};
+use crate::model::{GlobalModel, RankModel, RankState};
 use crate::partition::RowPartition;
 use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
@@ -44,7 +44,7 @@ impl ModelState {
                 break;
             }
         }
-        (model.positions, model.velocities) = simulation.state();
+        RankState { positions: model.positions, velocities: model.velocities } = simulation.state();
         let contacts = simulation.assemble(&mut transport, step + 1).map_err(|error| failed(&error))?;
         model.settings.preconditioner = PreconditionerKind::Jacobi;
         Ok(ModelState { model, step: step + 1, contacts })

@@ -149,8 +149,8 @@ pub fn watch(scene: &Scene, ranks: usize, steps: u32, executor: fn(usize) -> Exe
     model.original_from_global.iter().zip(&model.masses).for_each(|(&v, &m)| masses[v as usize] = f64::from(m));
     let mut watched = Watched { positions: Vec::new(), velocities: Vec::new(), stats: Vec::new(), masses };
     for step in 0..steps as usize {
-        watched.positions.push(original(results.iter().map(|rank| &rank[step].0.0[..]).collect()));
-        watched.velocities.push(original(results.iter().map(|rank| &rank[step].0.1[..]).collect()));
+        watched.positions.push(original(results.iter().map(|rank| &rank[step].0.positions[..]).collect()));
+        watched.velocities.push(original(results.iter().map(|rank| &rank[step].0.velocities[..]).collect()));
         watched.stats.push(results[0][step].1);
     }
     watched

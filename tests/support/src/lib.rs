@@ -13,7 +13,7 @@ use loomtree::gpu::Executor;
 use loomtree::interconnect::QueueNode;
 use loomtree::math::{Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
-use loomtree::model::{GlobalModel, RankModel};
+use loomtree::model::{GlobalModel, RankModel, RankState, State};
 use loomtree::partition::RowPartition;
 use loomtree::scene::{Fabric, Pin, Scene, Settings};
 use loomtree::solver::ExchangeMode;
@@ -152,17 +152,17 @@ pub fn simulate(
         let stats: Vec<StepStats> = (1..=steps).map(|step| simulation.step(transport, step, false).unwrap()).collect();
         (simulation.state(), stats)
     });
-    let mut outcome = Outcome {
-        positions: vec![Vec3::ZERO; model.rows()],
-        velocities: vec![Vec3::ZERO; model.rows()],
-        stats: results[0].1.clone(),
-    };
-    let rows = results.iter().flat_map(|((x, v), _)| x.chunks_exact(3).zip(v.chunks_exact(3)));
-    for (&original, (x, v)) in model.original_from_global.iter().zip(rows) {
-        outcome.positions[original as usize] = Vec3::from_slice(x);
-        outcome.velocities[original as usize] = Vec3::from_slice(v);
-    }
-    outcome
+    let State { positions, velocities } = whole_state(&model, results.iter().map(|(state, _)| state));
+    Outcome { positions, velocities, stats: results[0].1.clone() }
+}
+
+/// The state of the whole cloth, from the parts of all ranks in rank order.
+pub fn whole_state<'a>(model: &GlobalModel, parts: impl ExactSizeIterator<Item = &'a RankState>) -> State {
+    let (mut state, partition) = (State::zeros(model.rows()), RowPartition::new(model.rows(), parts.len()));
+    parts.enumerate().for_each(|(rank, part)| {
+        state.scatter(&model.original_from_global[partition.rows_of(rank)], part);
+    });
+    state
 }
 
 /// The native executor with one thread.

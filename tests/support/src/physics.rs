@@ -104,12 +104,12 @@ impl OneRank {
 
     /// Positions in the mesh's order, metres.
     pub fn positions(&self) -> Vec<Vec3> {
-        self.original(&self.simulation.state().0)
+        self.original(&self.simulation.state().positions)
     }
 
     /// Velocities in the mesh's order, m/s.
     pub fn velocities(&self) -> Vec<Vec3> {
-        self.original(&self.simulation.state().1)
+        self.original(&self.simulation.state().velocities)
     }
 
     /// Masses in the mesh's order, kg.
@@ -135,7 +135,7 @@ impl OneRank {
 
     /// Stretching energy; the fabric must be the same at every strain.
     pub fn stretch_energy_j(&self) -> f64 {
-        let x = self.simulation.state().0;
+        let x = self.simulation.state().positions;
         let stiffness = |fabric: u32| stretch_stiffness(&self.model.fabrics[fabric as usize], [0.0; 3]);
         let at = |v: u32| Vec3::from_slice(&x[v as usize * 3..][..3]);
         self.model.triangles.iter().map(|e| stretch_energy(e, stiffness(e.fabric), e.vertices.map(at))).sum()
@@ -143,7 +143,7 @@ impl OneRank {
 
     /// Bending energy; the fabric must be the same at every curvature.
     pub fn bend_energy_j(&self) -> f64 {
-        let x = self.simulation.state().0;
+        let x = self.simulation.state().positions;
         let angle = |v: [u32; 4]| dihedral_angle(v.map(|v| Vec3::from_slice(&x[v as usize * 3..][..3]))).0;
         self.model.hinges.iter().map(|e| bend_energy(&self.model.fabrics, e, 0.0, angle(e.vertices))).sum()
     }

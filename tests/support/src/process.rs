@@ -183,7 +183,7 @@ impl Place {
         let latest = loomtree::output::checkpoint::latest(&self.path(out).join("checkpoint"));
         assert!(latest.notes.is_empty(), "{:?}", latest.notes);
         let (path, checkpoint) = latest.found.expect("a checkpoint");
-        assert!(checkpoint.positions.iter().chain(&checkpoint.velocities).all(|v| v.is_finite()));
+        assert!(checkpoint.state.first_not_finite().is_none());
         (path, checkpoint.frame, checkpoint.step)
     }
 }

@@ -1,0 +1,200 @@
+//! The state of the cloth between two steps: all that a step remembers of the steps before it. Whatever else a rank holds
+//! is derived from the scene, from this state or from the number of the step, so a run can go on from any state.
+//!
+//! A new thing to remember becomes a field of [`State`] and of [`RankState`]; every function below then has to name it.
+
+use bytemuck::Pod;
+use thiserror::Error;
+use xxhash_rust::xxh3::Xxh3;
+
+use crate::math::{DIM, Vec3};
+use crate::scene::Scene;
+
+/// State of the whole cloth, in the mesh's vertex order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct State {
+    /// Metres.
+    pub positions: Vec<Vec3>,
+    /// m/s.
+    pub velocities: Vec<Vec3>,
+}
+
+/// A value that no step can go on from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotFinite {
+    /// Vertex of the mesh.
+    pub vertex: u32,
+    /// `position` or `velocity`.
+    pub quantity: &'static str,
+}
+
+impl State {
+    /// The state that a scene starts in.
+    pub fn start_of(scene: &Scene) -> State {
+        State { positions: scene.mesh.positions.clone(), velocities: scene.velocities.clone() }
+    }
+
+    /// All zero; a place for [`State::scatter`].
+    pub fn zeros(vertices: usize) -> State {
+        State { positions: vec![Vec3::ZERO; vertices], velocities: vec![Vec3::ZERO; vertices] }
+    }
+
+    /// Vertices of the mesh that it belongs to; none if the fields do not belong to the same mesh.
+    pub fn vertices(&self) -> Option<usize> {
+        (self.positions.len() == self.velocities.len()).then_some(self.positions.len())
+    }
+
+    /// 16 hexadecimal digits over the bits of positions, then velocities. `-0.0` and `0.0` differ, so
+    /// equal hashes mean equal bits, except for an accident of one in 2^64.
+    pub fn hash(&self) -> String {
+        let State { positions, velocities } = self;
+        let mut hasher = Xxh3::new();
+        hash_words(&mut hasher, positions);
+        hash_words(&mut hasher, velocities);
+        format!("{:016x}", hasher.digest())
+    }
+
+    /// The first value that is not finite: positions are looked at first.
+    pub fn first_not_finite(&self) -> Option<NotFinite> {
+        let State { positions, velocities } = self;
+        [("position", positions), ("velocity", velocities)].into_iter().find_map(|(quantity, values)| {
+            let vertex = values.iter().position(|value| !value.is_finite())? as u32;
+            Some(NotFinite { vertex, quantity })
+        })
+    }
+
+    /// The rows of a rank. `order` holds the vertex of each of them, in the order of the rows.
+    pub fn gather(&self, order: &[u32]) -> RankState {
+        let State { positions, velocities } = self;
+        let rows = |values: &[Vec3]| order.iter().flat_map(|&v| values[v as usize].to_array()).collect();
+        RankState { positions: rows(positions), velocities: rows(velocities) }
+    }
+
+    /// Takes over the rows of a rank; the inverse of [`State::gather`].
+    pub fn scatter(&mut self, order: &[u32], part: &RankState) {
+        let State { positions, velocities } = self;
+        for (values, rows) in [(positions, &part.positions), (velocities, &part.velocities)] {
+            assert_eq!(rows.len(), order.len() * DIM, "a rank's state has as many rows as its part of the order");
+            for (&v, row) in order.iter().zip(rows.as_chunks::<DIM>().0) {
+                values[v as usize] = Vec3::from_array(*row);
+            }
+        }
+    }
+}
+
+/// A rank's part of a [`State`]: its rows in the global order, three values each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RankState {
+    /// Metres.
+    pub positions: Vec<f32>,
+    /// m/s.
+    pub velocities: Vec<f32>,
+}
+
+/// Why bytes are not the state of a rank.
+#[derive(Debug, Error)]
+#[error("state of a rank: {0}")]
+pub struct RankStateError(String);
+
+impl RankState {
+    /// All zero.
+    pub fn zeros(rows: usize) -> RankState {
+        RankState { positions: vec![0.0; rows * DIM], velocities: vec![0.0; rows * DIM] }
+    }
+
+    /// The arrays as bytes, in a fixed order; they travel beside a message.
+    pub fn to_bytes(&self) -> [&[u8]; 2] {
+        let RankState { positions, velocities } = self;
+        [bytemuck::cast_slice(positions), bytemuck::cast_slice(velocities)]
+    }
+
+    /// The arrays from bytes in the order of [`RankState::to_bytes`].
+    ///
+    /// # Errors
+    /// They are not those of `rows` rows.
+    pub fn from_bytes(arrays: &[&[u8]], rows: usize) -> Result<RankState, RankStateError> {
+        let mut state = RankState::zeros(rows);
+        let RankState { positions, velocities } = &mut state;
+        let fields = [positions, velocities];
+        if arrays.len() != fields.len() {
+            return Err(RankStateError(format!("{} arrays instead of {}", arrays.len(), fields.len())));
+        }
+        for (field, bytes) in fields.into_iter().zip(arrays) {
+            let field: &mut [u8] = bytemuck::cast_slice_mut(field);
+            if field.len() != bytes.len() {
+                return Err(RankStateError(format!(
+                    "{} bytes instead of {} for {rows} rows",
+                    bytes.len(),
+                    field.len()
+                )));
+            }
+            field.copy_from_slice(bytes);
+        }
+        Ok(state)
+    }
+
+    /// Bytes of the arrays.
+    pub fn bytes(&self) -> u64 {
+        self.to_bytes().iter().map(|array| array.len() as u64).sum()
+    }
+}
+
+/// Adds values made of 32-bit words to a hash, as little-endian bytes.
+pub fn hash_words<T: Pod>(hasher: &mut Xxh3, values: &[T]) {
+    if cfg!(target_endian = "little") {
+        hasher.update(bytemuck::cast_slice(values));
+    } else {
+        bytemuck::cast_slice::<T, u32>(values).iter().for_each(|word| hasher.update(&word.to_le_bytes()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbered(vertices: usize) -> State {
+        let at = |v: usize, offset: f32| Vec3::new(v as f32, offset, -(v as f32));
+        State {
+            positions: (0..vertices).map(|v| at(v, 0.5)).collect(),
+            velocities: (0..vertices).map(|v| at(v, 7.0)).collect(),
+        }
+    }
+
+    #[test]
+    fn the_parts_of_all_ranks_are_the_whole() {
+        let (whole, order) = (numbered(5), [3u32, 0, 4, 1, 2]);
+        let parts = [0..2, 2..5].map(|rows| (rows.clone(), whole.gather(&order[rows])));
+        assert_eq!(parts[0].1.positions, [3.0, 0.5, -3.0, 0.0, 0.5, -0.0]);
+        assert_eq!(parts[0].1.velocities[..3], [3.0, 7.0, -3.0]);
+        let mut again = State::zeros(5);
+        for (rows, part) in parts {
+            let part = RankState::from_bytes(&part.to_bytes(), rows.len()).unwrap();
+            again.scatter(&order[rows], &part);
+        }
+        assert_eq!(again.hash(), whole.hash());
+        assert_ne!(again.hash(), State::zeros(5).hash());
+    }
+
+    #[test]
+    fn bytes_of_another_shape_are_refused() {
+        let part = numbered(2).gather(&[0, 1]);
+        let bytes = part.to_bytes();
+        assert_eq!(part.bytes(), 48);
+        for (arrays, rows) in [(&bytes[..1], 2), (&bytes[..], 1), (&[bytes[0], &bytes[1][1..]][..], 2)] {
+            let error = RankState::from_bytes(arrays, rows).unwrap_err().to_string();
+            assert!(error.contains("instead of"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_first_value_that_is_not_finite_is_named() {
+        let mut state = numbered(4);
+        assert_eq!(state.first_not_finite(), None);
+        state.velocities[1].y = f32::INFINITY;
+        assert_eq!(state.first_not_finite(), Some(NotFinite { vertex: 1, quantity: "velocity" }));
+        state.positions[3].x = f32::NAN;
+        assert_eq!(state.first_not_finite(), Some(NotFinite { vertex: 3, quantity: "position" }));
+        state.positions.pop();
+        assert_eq!(state.vertices(), None);
+    }
+}
