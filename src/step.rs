@@ -82,6 +82,8 @@ pub struct Simulation {
     motions: Vec<Motion>,
     pins: Pins,
     pins_move: bool,
+    /// The state was set from outside and no step has been made from it yet.
+    state_is_new: bool,
     rows_start: usize,
     own_rows: usize,
     own_start: usize,
@@ -194,6 +196,7 @@ impl Simulation {
             own_start: own.start * 3,
             pins: Pins::new(pins),
             pins_move,
+            state_is_new: true,
             motions,
             settings,
             recorder: Recorder::new(executor.clock()),
@@ -215,6 +218,7 @@ impl Simulation {
         let mut stats = StepStats { step, converged: true, ..StepStats::default() };
         self.solver.spmv.traffic = TrafficCounter::default();
         self.advance_over(transport, span, 0, &mut stats)?;
+        self.state_is_new = false;
         if let Some(fault) = self.executor.take_fault() {
             return Err(Failure::in_step(step, fault));
         }
@@ -265,6 +269,7 @@ impl Simulation {
 
         // 1. Pins and obstacles at t1.
         let targets = self.move_pins(span);
+        let prescribed = self.starts_prescribed(transport, &targets)?;
 
         // 2. Proximity: pairs closer than the thickness become contact elements; with them come halo rows.
         self.find_contacts(transport, span, stats)?;
@@ -285,7 +290,7 @@ impl Simulation {
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.solver.vectors.x.fill_zero(&self.executor);
         self.scatter.apply(&self.executor, &targets.rows, &targets.velocity_changes, 0, &mut self.solver.vectors.x);
-        self.solve(transport, stats)?;
+        self.solve(transport, prescribed, stats)?;
         clock.lap_kernels(&self.executor, &mut stats.seconds.solve);
 
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
@@ -306,6 +311,24 @@ impl Simulation {
             self.pinned.write_range(&self.executor, 0, &pinned);
         }
         self.pins.targets(time_s, step_s, &self.motions)
+    }
+
+    /// Whether a pin of any rank changes its velocity, so that the solve starts from prescribed values. A pin that rests
+    /// does so only in the first step from a state that was set.
+    fn starts_prescribed(
+        &mut self,
+        transport: &mut dyn Transport,
+        targets: &PinTargets,
+    ) -> Result<bool, TransportError> {
+        if self.pins_move || !self.state_is_new {
+            return Ok(self.pins_move);
+        }
+        let start = self.recorder.now();
+        let own = targets.velocity_changes.iter().any(|change| *change != [0.0; 3]);
+        let mut all = Vec::new();
+        transport.all_gather(&[f64::from(u8::from(own))], &mut all)?;
+        self.recorder.end(EventName::AllReduce, Activity::Wait, start, size_of::<f64>() as u64, 0);
+        Ok(all.iter().flatten().any(|&of_rank| of_rank != 0.0))
     }
 
     /// Contacts of the state at t0: their elements, their halo rows, and the obstacle vertices they touch.
@@ -444,11 +467,16 @@ impl Simulation {
         self.recorder.end(EventName::ValueFill, Activity::Compute, start, bytes, self.matrix.blocks as u64 * 90);
     }
 
-    fn solve(&mut self, transport: &mut dyn Transport, stats: &mut StepStats) -> Result<(), Failure> {
+    fn solve(
+        &mut self,
+        transport: &mut dyn Transport,
+        prescribed: bool,
+        stats: &mut StepStats,
+    ) -> Result<(), Failure> {
         let params = PcgParams {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,
-            nonzero_start: self.pins_move,
+            nonzero_start: prescribed,
         };
         let rank = &mut RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
         let solved = match &mut self.matrix_free {

@@ -54,12 +54,17 @@ impl Pins {
         Pins { held: vec![None; pins.len()], pins }
     }
 
-    /// True if the set of held rows changes in the step that starts at `time_s` (always in the first step of a run or resume).
+    /// True if the set of held rows changes in the step that starts at `time_s` (always in the first step from a state that was set).
     pub fn changes(&self, time_s: f64, step_s: f64) -> bool {
         self.pins
             .iter()
             .zip(&self.held)
             .any(|(pin, held)| is_held((pin.start_s, pin.end_s), time_s, step_s) != held.is_some())
+    }
+
+    /// Lets go of all pins, because the state is another one. The next step takes hold of what it must.
+    pub fn release_all(&mut self) {
+        self.held.fill(None);
     }
 
     /// Takes hold of and releases pins for the step that starts at `time_s`, given the own rows' state. Call when

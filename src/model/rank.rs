@@ -23,7 +23,7 @@ pub struct RankModel {
     pub motions: Vec<Motion>,
     /// Numbers of the run.
     pub settings: Settings,
-    /// True if any pin of any rank moves or lets go: then the solve starts from prescribed values.
+    /// True if a pin of any rank moves or takes hold later: then every solve starts from prescribed values.
     pub pins_move: bool,
     /// The whole scene as collisions see it; none if the scene wants no collisions.
     pub collision: Option<CollisionModel>,
@@ -66,8 +66,7 @@ impl RankModel {
         mut emit: impl FnMut(usize, RankModel) -> Result<(), E>,
     ) -> Result<(), E> {
         let collision = model.settings.collisions.then(|| CollisionModel::new(model));
-        let pins_move = model.pins.iter().any(|pin| pin.motion.is_some() || pin.start_s > 0.0)
-            || model.pins.iter().any(|pin| model.velocities[pin.row as usize * 3..][..3] != [0.0; 3]);
+        let pins_move = model.pins.iter().any(|pin| pin.motion.is_some() || pin.start_s > 0.0);
         for (rank, plan) in RankModel::halo_plans(model, partition).into_iter().enumerate() {
             let mut part = RankModel::part(model, partition, plan, pins_move);
             part.collision.clone_from(&collision);

@@ -129,6 +129,11 @@ impl Collisions {
         })
     }
 
+    /// The state is no longer the end of the step before.
+    pub fn forget_state(&mut self) {
+        self.state_known = false;
+    }
+
     /// Bytes held besides the tables of queries: mesh, positions, masses.
     pub fn mesh_bytes(&self) -> u64 {
         4 * (self.x_t0.len() + self.x_t1.len() + self.model.arrays.masses.len()) as u64

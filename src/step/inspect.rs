@@ -1,6 +1,7 @@
 //! What others may ask a simulation: its state, its memory, and why a solve failed.
 
 use super::{Failure, Simulation};
+use crate::gpu::Executor;
 use crate::model::RankState;
 use crate::scene::PreconditionerKind;
 use crate::solver::PcgError;
@@ -10,6 +11,11 @@ impl Simulation {
     /// State of the own rows; one wait for the executor if it has changed since the last time.
     pub fn state(&self) -> RankState {
         self.own_state().as_ref().clone()
+    }
+
+    /// Gives all of it up but the executor, for another simulation.
+    pub fn into_executor(self) -> Executor {
+        self.executor
     }
 
     /// Bytes of device memory (on the cpu executor: of host memory).

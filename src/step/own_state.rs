@@ -6,6 +6,7 @@ use std::rc::Rc;
 
 use super::Simulation;
 use crate::gpu::ReadBatch;
+use crate::math::DIM;
 use crate::model::RankState;
 use crate::telemetry::{Activity, EventName};
 
@@ -39,6 +40,20 @@ impl Simulation {
         let state = Rc::new(state);
         self.copy.is(Rc::clone(&state));
         state
+    }
+
+    /// Goes on from `state`, the own rows of a state that every rank is given before the next step. Nothing that earlier
+    /// steps have left is used again: pins take hold anew, and collisions ask again where the cloth is.
+    pub fn set_state(&mut self, state: RankState) {
+        let values = self.own_rows * DIM;
+        assert_eq!((state.positions.len(), state.velocities.len()), (values, values), "the state of the own rows");
+        self.set_own_state(Rc::new(state));
+        self.pins.release_all();
+        self.pinned.fill_zero(&self.executor);
+        if let Some(collisions) = &mut self.collisions {
+            collisions.forget_state();
+        }
+        self.state_is_new = true;
     }
 
     /// The executor's state of the own rows becomes `state`.

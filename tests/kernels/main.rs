@@ -5,4 +5,5 @@ mod gpu_kernels;
 mod gpu_step;
 mod matrix_free;
 mod same_bits;
+mod set_state;
 mod step_reads;

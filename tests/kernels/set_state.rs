@@ -1,0 +1,199 @@
+//! A step depends on the scene, the state and its number only: a state that is set, after every step, late, or once more
+//! after other steps, leads to the bits of the run that went through it. Ranks as threads, native executor.
+
+use loomtree::gpu::Executor;
+use loomtree::math::{DVec3, Vec3};
+use loomtree::model::{GlobalModel, RankModel, RankState};
+use loomtree::partition::RowPartition;
+use loomtree::scene::{Keyframe, Motion, Pin, PreconditionerKind, Scene};
+use loomtree::solver::ExchangeMode;
+use loomtree::step::{ExchangePlan, Simulation};
+use loomtree::transport::Transport;
+use support::contact::{ball, contact_scene, floor, together};
+use support::{cpu, direct_queue, isotropic_fabric, on_ranks, scene, sheet};
+
+const STEPS: u32 = 14;
+/// Step whose state is set late or again.
+const MIDDLE: u32 = 8;
+const STEP_S: f64 = 0.004;
+const DOWN: Vec3 = Vec3::new(0.0, 0.0, -9.81);
+
+/// A sheet in the wind. One pin rests until step 6, one moves, one holds during steps 5 to 11, one rests although its
+/// vertex starts with a velocity.
+fn flag() -> Scene {
+    const CELLS: u32 = 20;
+    let side = CELLS as usize + 1;
+    let mesh = sheet(side, side, [0.4; 2], Vec3::ZERO, Vec3::X, Vec3::Y);
+    let mut scene = scene(mesh, isotropic_fabric(200.0, 0.3, 2e-5, 0.15, 0.001), &[], STEP_S, DOWN);
+    scene.settings.wind_m_s = Vec3::new(1.0, 2.0, 0.5);
+    scene.settings.air_density_kg_m3 = 1.2;
+    let forward = Keyframe { translation_m: DVec3::new(0.01, 0.0, 0.02), ..Keyframe::identity(0.04) };
+    scene.motions = vec![Motion { keyframes: vec![Keyframe::identity(0.01), forward] }];
+    let pin = |vertex, motion, start_s, end_s| Pin { vertex, motion, start_s, end_s };
+    scene.pins = vec![
+        pin(0, None, 0.0, 6.0 * STEP_S),
+        pin(CELLS, Some(0), 0.0, f64::INFINITY),
+        pin(CELLS * (CELLS + 1), None, 4.0 * STEP_S, 11.0 * STEP_S),
+        pin(CELLS * (CELLS + 2), None, 0.0, f64::INFINITY),
+    ];
+    scene.velocities[(CELLS * (CELLS + 2)) as usize] = Vec3::new(0.3, -0.2, 0.4);
+    scene
+}
+
+/// The same with pins that rest from the start: only their first step prescribes a velocity.
+fn resting() -> Scene {
+    let mut scene = flag();
+    scene.motions.clear();
+    scene.pins = vec![scene.pins[0], scene.pins[3]].into_iter().map(|pin| Pin { motion: None, ..pin }).collect();
+    scene
+}
+
+/// A sheet that has just hit a ball.
+fn sphere() -> Scene {
+    let mesh = sheet(17, 17, [0.3, 0.3], Vec3::new(-0.14, -0.155, 0.003), Vec3::X, Vec3::Y);
+    let mut scene = contact_scene(mesh, 1e-3, 0.3, DOWN);
+    scene.velocities.iter_mut().for_each(|velocity| velocity.z = -1.0);
+    scene.obstacles = vec![ball(0.08, 6, Vec3::new(0.0, 0.0, -0.08), 0.3)];
+    scene.pins = vec![Pin { vertex: 3, motion: None, start_s: 3.0 * STEP_S, end_s: 10.0 * STEP_S }];
+    scene
+}
+
+/// Three sheets that hit each other and a floor so fast that zones have work.
+fn stack() -> Scene {
+    let sheets = (0..3).map(|i| {
+        let (sin, cos) = (0.1 * i as f32).sin_cos();
+        let (u, v) = (Vec3::new(cos, sin, 0.0), Vec3::new(-sin, cos, 0.0));
+        sheet(9, 9, [0.2; 2], Vec3::new(-0.1, -0.1, 0.02 + 0.01 * i as f32), u, v)
+    });
+    let mut scene = contact_scene(together(sheets), 1e-3, 0.3, DOWN);
+    scene.velocities.iter_mut().for_each(|velocity| velocity.z = -8.0);
+    scene.obstacles = vec![floor(1.0, 4, 0.3)];
+    scene
+}
+
+fn step(simulation: &mut Simulation, transport: &mut dyn Transport, step: u32) -> RankState {
+    simulation.step(transport, step, false).unwrap();
+    simulation.state()
+}
+
+/// Goes from `state`, that of step `from`, to the last step.
+fn go_on(simulation: &mut Simulation, transport: &mut dyn Transport, state: &RankState, from: u32) -> RankState {
+    simulation.set_state(state.clone());
+    (from + 1..=STEPS).map(|number| step(simulation, transport, number)).last().expect("a step")
+}
+
+fn assert_bits(name: &str, states: &[RankState], expected: &[RankState]) {
+    let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+    for (rank, (state, expected)) in states.iter().zip(expected).enumerate() {
+        assert!(bits(&state.positions) == bits(&expected.positions), "{name}: positions of rank {rank}");
+        assert!(bits(&state.velocities) == bits(&expected.velocities), "{name}: velocities of rank {rank}");
+    }
+}
+
+fn check(name: &str, scene: &Scene, ranks: usize, mode: ExchangeMode) {
+    let name = format!("{name} on {ranks} ranks, {mode:?}");
+    let model = GlobalModel::new(scene);
+    let through = on_ranks(&model, ranks, mode, cpu, |simulation, transport| {
+        let mut states = vec![simulation.state()];
+        states.extend((1..=STEPS).map(|number| step(simulation, transport, number)));
+        // What later steps have left must not count when an earlier state comes back.
+        let again = [MIDDLE, 0].map(|from| go_on(simulation, transport, &states[from as usize], from));
+        (states, again)
+    });
+    let of_step = |step: u32| through.iter().map(|(states, _)| states[step as usize].clone()).collect::<Vec<_>>();
+    let last = of_step(STEPS);
+    assert_ne!(last[0].positions, through[0].0[0].positions, "{name}: something moves");
+    for (which, from) in [MIDDLE, 0].into_iter().enumerate() {
+        let again: Vec<_> = through.iter().map(|(_, again)| again[which].clone()).collect();
+        assert_bits(&format!("{name}, again from step {from}"), &again, &last);
+    }
+
+    let anew = on_ranks(&model, ranks, mode, cpu, |simulation, transport| {
+        for number in 1..=STEPS {
+            let state = step(simulation, transport, number);
+            simulation.set_state(state);
+        }
+        simulation.state()
+    });
+    assert_bits(&format!("{name}, set after every step"), &anew, &last);
+
+    let middle = of_step(MIDDLE);
+    let late = on_ranks(&model, ranks, mode, cpu, {
+        let middle = middle.clone();
+        move |simulation, transport| {
+            let state = middle[transport.rank()].clone();
+            go_on(simulation, transport, &state, MIDDLE)
+        }
+    });
+    assert_bits(&format!("{name}, loaded and set"), &late, &last);
+}
+
+fn parts(model: &GlobalModel, ranks: usize) -> Vec<RankModel> {
+    let mut parts = Vec::new();
+    let split = RankModel::split(model, &RowPartition::new(model.rows(), ranks), |_, part| {
+        parts.push(part);
+        Ok::<(), ()>(())
+    });
+    split.expect("parts");
+    parts
+}
+
+#[test]
+fn pins_that_begin_and_end() {
+    for ranks in [1, 3] {
+        for kind in [PreconditionerKind::Jacobi, PreconditionerKind::Schwarz] {
+            for mut scene in [flag(), resting()] {
+                scene.settings.preconditioner = kind;
+                check("flag", &scene, ranks, ExchangeMode::Halo);
+            }
+        }
+    }
+    check("flag", &flag(), 3, ExchangeMode::Full);
+}
+
+#[test]
+fn a_sphere_in_contact() {
+    for ranks in [1, 3] {
+        check("sphere", &sphere(), ranks, ExchangeMode::Halo);
+    }
+    check("sphere", &sphere(), 3, ExchangeMode::Full);
+}
+
+#[test]
+fn a_stack_with_impact_zones() {
+    for (ranks, kind) in
+        [(1, PreconditionerKind::Schwarz), (3, PreconditionerKind::Schwarz), (3, PreconditionerKind::Jacobi)]
+    {
+        let mut scene = stack();
+        scene.settings.preconditioner = kind;
+        check("stack", &scene, ranks, ExchangeMode::Halo);
+    }
+}
+
+#[test]
+fn another_resolution_in_between_leaves_nothing() {
+    let fine = GlobalModel::new(&sphere());
+    let mut coarse = sphere();
+    coarse.mesh = sheet(9, 9, [0.3, 0.3], Vec3::new(-0.14, -0.155, 0.003), Vec3::X, Vec3::Y);
+    coarse.velocities = vec![Vec3::new(0.0, 0.0, -1.0); coarse.mesh.positions.len()];
+    coarse.fabric_of_triangle = vec![0; coarse.mesh.triangles.len()];
+    let coarse = GlobalModel::new(&coarse);
+    for ranks in [1, 3] {
+        let levels = (parts(&fine, ranks), parts(&coarse, ranks));
+        let states = on_ranks(&fine, ranks, ExchangeMode::Halo, cpu, move |simulation, transport| {
+            let rank = transport.rank();
+            let plan = ExchangePlan { mode: ExchangeMode::Halo, queue: direct_queue(rank, ranks) };
+            let load = |executor: Executor, level: &[RankModel]| {
+                Simulation::new(executor, level[rank].clone(), &plan).expect("a simulation")
+            };
+            let states: Vec<_> = (1..=STEPS).map(|number| step(simulation, transport, number)).collect();
+            let mut other = load(cpu(rank), &levels.1);
+            (1..=3).for_each(|number| drop(step(&mut other, transport, number)));
+            let mut back = load(other.into_executor(), &levels.0);
+            let again = go_on(&mut back, transport, &states[MIDDLE as usize - 1], MIDDLE);
+            (again, states.into_iter().last().expect("a state"))
+        });
+        let (again, last): (Vec<_>, Vec<_>) = states.into_iter().unzip();
+        assert_bits(&format!("sphere on {ranks} ranks, after a coarse one"), &again, &last);
+    }
+}
