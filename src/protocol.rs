@@ -45,6 +45,12 @@ pub struct WorkerSetup {
     pub bind_cores: BindCores,
     /// Number of ranks.
     pub ranks: usize,
+    /// Place of rank 0 among the ranks of all sessions side by side: adapters and cores are handed out in that order.
+    pub first_place: usize,
+    /// Ranks of all sessions side by side.
+    pub places: usize,
+    /// Number of the data ports: another one than before says that all ranks give theirs up and connect anew.
+    pub epoch: u32,
     /// Longest message between ranks, values.
     pub max_message_values: usize,
     /// Longest wait for another rank, seconds.
@@ -56,13 +62,16 @@ pub struct WorkerSetup {
 /// Coordinator -> worker.
 #[derive(Debug, Serialize, Deserialize)]
 pub enum ToWorker {
-    /// Be this rank of a simulation; arrays: those of the model.
-    Simulate { setup: WorkerSetup, exchange: ExchangePlan, model: Box<RankModel> },
-    /// Be this rank of a linear solve, answer [`ToCoordinator::Solved`] and leave; arrays: those of the system.
+    /// Be this rank of a simulation from now on, in the state that its scene starts in (step 0); arrays: those of the
+    /// model. May come again, also with another mesh.
+    Load { setup: WorkerSetup, exchange: ExchangePlan, model: Box<RankModel> },
+    /// Be this rank of a linear solve and answer [`ToCoordinator::Solved`]; arrays: those of the system.
     Solve { setup: WorkerSetup, exchange: ExchangePlan, params: SolveParams, system: Box<RankSystem> },
-    /// Advance to this step.
+    /// Go on from this state of the own rows, that of step `step`; arrays: [`crate::model::RankState::to_bytes`].
+    SetState { step: u32 },
+    /// Advance to this step, which must be the one after that of the state.
     Step { step: u32, record: bool },
-    /// Send positions and velocities of the own rows.
+    /// Send the state of the own rows.
     SendState,
     /// Leave.
     Stop,
@@ -75,7 +84,7 @@ pub enum ToCoordinator {
     Ready(WorkerReady),
     /// A step is done; arrays: its events, if they were recorded.
     StepDone(Box<StepStats>),
-    /// Arrays: positions and velocities of the own rows.
+    /// Arrays: [`crate::model::RankState::to_bytes`] of the own rows.
     State,
     /// A linear solve is done; arrays: the solution on the own rows, f64, and the record's events.
     Solved { stats: SolveStats, executor: String, record: SolveRecord },

@@ -467,12 +467,7 @@ impl Simulation {
         self.recorder.end(EventName::ValueFill, Activity::Compute, start, bytes, self.matrix.blocks as u64 * 90);
     }
 
-    fn solve(
-        &mut self,
-        transport: &mut dyn Transport,
-        prescribed: bool,
-        stats: &mut StepStats,
-    ) -> Result<(), Failure> {
+    fn solve(&mut self, transport: &mut dyn Transport, prescribed: bool, stats: &mut StepStats) -> Result<(), Failure> {
         let params = PcgParams {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,

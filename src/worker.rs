@@ -4,6 +4,7 @@
 mod error;
 mod inbox;
 
+use std::ops::ControlFlow;
 use std::time::Duration;
 
 pub use error::WorkerError;
@@ -11,7 +12,7 @@ use inbox::Inbox;
 
 use crate::gpu::Executor;
 use crate::linear_system::{RankSystem, RankSystemArrays, SolveParams, solve_rank};
-use crate::model::RankModel;
+use crate::model::{RankModel, RankState};
 use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Failure, Simulation};
 use crate::transport::{
@@ -38,99 +39,190 @@ pub fn run(run: &RunName, rank: usize) -> Result<(), WorkerError> {
 
 /// Does what the coordinator's messages over `control` say, as rank `rank`, until they say stop; joins the other ranks by
 /// `data`.
-pub fn serve(rank: usize, control: Box<dyn ControlWorker>, mut data: Box<dyn Connect>) -> Result<(), WorkerError> {
-    let inbox = Inbox::new(control);
-    let bytes = inbox.next()?;
-    let (message, arrays) = decode::<ToWorker>(&bytes)?;
-    match message {
-        ToWorker::Simulate { setup, exchange, mut model } => {
-            model.set_arrays(&arrays).map_err(|error| inbox.fail(Failure::Other(error.to_string())))?;
-            drop(arrays);
-            drop(bytes);
-            simulate(data.as_mut(), rank, &inbox, &setup, &exchange, *model)
-        }
-        ToWorker::Solve { setup, exchange, params, mut system } => {
-            let arrays = RankSystemArrays::from_bytes(&arrays, system.double_precision);
-            system.arrays = arrays.map_err(|error| inbox.fail(Failure::Other(error.to_string())))?;
-            drop(bytes);
-            solve(data.as_mut(), rank, &inbox, &setup, &exchange, &params, &system)
-        }
-        ToWorker::Stop => Ok(()),
-        other => Err(inbox.fail(Failure::Other(format!("{other:?} before this worker was set up")))),
-    }
+pub fn serve(rank: usize, control: Box<dyn ControlWorker>, data: Box<dyn Connect>) -> Result<(), WorkerError> {
+    let mut worker = Worker { rank, inbox: Inbox::new(control), data, executor: None, ports: None, loaded: None };
+    while worker.obey()?.is_continue() {}
+    Ok(())
 }
 
-fn simulate(
-    data: &mut dyn Connect,
+/// What a worker holds between two messages.
+struct Worker {
     rank: usize,
-    inbox: &Inbox,
-    setup: &WorkerSetup,
-    exchange: &ExchangePlan,
-    model: RankModel,
-) -> Result<(), WorkerError> {
-    let executor = make_executor(setup, rank).map_err(|message| inbox.fail(Failure::BadInput(message)))?;
-    let (name, device) = (executor.name().to_string(), executor.device_name());
-    let mut simulation = Simulation::new(executor, model, exchange).map_err(|error| inbox.fail(error.into()))?;
-    let mut transport = match connect(data, rank, inbox, setup) {
-        Ok(transport) => transport,
-        Err(error) => return inbox.interrupted(error.into()),
-    };
-    let ready = WorkerReady {
-        executor: name,
-        device,
-        padding_ratio: simulation.padding_ratio,
-        epoch_unix_ns: simulation.recorder.epoch_unix_ns,
-        memory_bytes: simulation.memory_bytes(),
-        preconditioner: simulation.preconditioner(),
-    };
-    inbox.send(&ToCoordinator::Ready(ready), &[])?;
-    loop {
-        match decode::<ToWorker>(&inbox.next()?)?.0 {
-            ToWorker::Step { step, record } => {
-                inbox.progress(step);
-                match simulation.step(transport.as_mut(), step, record) {
-                    Ok(stats) => {
-                        let events = simulation.recorder.take();
-                        inbox.send(&ToCoordinator::StepDone(Box::new(stats)), &[bytemuck::cast_slice(&events)])?;
-                    }
-                    Err(error) => return inbox.interrupted(error),
-                }
+    inbox: Inbox,
+    data: Box<dyn Connect>,
+    /// What it was made for, and the executor unless a simulation has it.
+    executor: Option<(ExecutorKind, Option<Executor>)>,
+    ports: Option<Ports>,
+    loaded: Option<Loaded>,
+}
+
+/// What an executor is made for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct ExecutorKind {
+    choice: ExecutorChoice,
+    adapter: Option<usize>,
+    threads: usize,
+    place: usize,
+}
+
+/// Connections with all other ranks.
+struct Ports {
+    epoch: u32,
+    transport: Box<dyn Transport>,
+}
+
+/// A simulation and the step of its state.
+struct Loaded {
+    simulation: Simulation,
+    step: u32,
+}
+
+impl Worker {
+    /// Waits for a message and does what it says; breaks when the run is over.
+    fn obey(&mut self) -> Result<ControlFlow<()>, WorkerError> {
+        let bytes = self.inbox.next()?;
+        let (message, arrays) = decode::<ToWorker>(&bytes)?;
+        match message {
+            ToWorker::Load { setup, exchange, mut model } => {
+                model.set_arrays(&arrays).map_err(|error| self.other(error.to_string()))?;
+                drop(arrays);
+                drop(bytes);
+                self.load(&setup, &exchange, *model)
             }
+            ToWorker::Solve { setup, exchange, params, mut system } => {
+                let arrays = RankSystemArrays::from_bytes(&arrays, system.double_precision);
+                system.arrays = arrays.map_err(|error| self.other(error.to_string()))?;
+                drop(bytes);
+                self.solve(&setup, &exchange, &params, &system)
+            }
+            ToWorker::SetState { step } => self.set_state(step, &arrays),
+            ToWorker::Step { step, record } => self.step(step, record),
             ToWorker::SendState => {
-                inbox.send(&ToCoordinator::State, &simulation.state().to_bytes())?;
+                let state = self.loaded("SendState")?.simulation.state();
+                self.inbox.send(&ToCoordinator::State, &state.to_bytes())?;
+                Ok(ControlFlow::Continue(()))
             }
-            ToWorker::Stop => return Ok(()),
-            ToWorker::Simulate { .. } | ToWorker::Solve { .. } => {
-                return Err(inbox.fail(Failure::Other("this worker is set up already".into())));
-            }
+            ToWorker::Stop => Ok(ControlFlow::Break(())),
         }
     }
-}
 
-/// One linear solve; the worker leaves afterwards.
-fn solve(
-    data: &mut dyn Connect,
-    rank: usize,
-    inbox: &Inbox,
-    setup: &WorkerSetup,
-    exchange: &ExchangePlan,
-    params: &SolveParams,
-    system: &RankSystem,
-) -> Result<(), WorkerError> {
-    let executor = make_executor(setup, rank).map_err(|message| inbox.fail(Failure::BadInput(message)))?;
-    let mut transport = match connect(data, rank, inbox, setup) {
-        Ok(transport) => transport,
-        Err(error) => return inbox.interrupted(error.into()),
-    };
-    match solve_rank(&executor, transport.as_mut(), system, exchange.mode, &exchange.queue, params) {
-        Ok(mut result) => {
-            let events = std::mem::take(&mut result.record.events);
-            let (stats, executor, record) = (result.stats, executor.name().to_string(), result.record);
-            let solved = ToCoordinator::Solved { stats, executor, record };
-            inbox.send(&solved, &[bytemuck::cast_slice(&result.x), bytemuck::cast_slice(&events)])?;
-            inbox.flush()
+    fn load(
+        &mut self,
+        setup: &WorkerSetup,
+        exchange: &ExchangePlan,
+        model: RankModel,
+    ) -> Result<ControlFlow<()>, WorkerError> {
+        self.inbox.progress(0);
+        let executor = self.executor(setup)?;
+        let (name, device) = (executor.name().to_string(), executor.device_name());
+        let simulation = Simulation::new(executor, model, exchange).map_err(|error| self.inbox.fail(error.into()))?;
+        if let Err(error) = self.connect(setup) {
+            return self.inbox.interrupted(error.into());
         }
-        Err(error) => inbox.interrupted(error.into()),
+        let ready = WorkerReady {
+            executor: name,
+            device,
+            padding_ratio: simulation.padding_ratio,
+            epoch_unix_ns: simulation.recorder.epoch_unix_ns,
+            memory_bytes: simulation.memory_bytes(),
+            preconditioner: simulation.preconditioner(),
+        };
+        self.loaded = Some(Loaded { simulation, step: 0 });
+        self.inbox.send(&ToCoordinator::Ready(ready), &[])?;
+        Ok(ControlFlow::Continue(()))
+    }
+
+    fn set_state(&mut self, step: u32, arrays: &[&[u8]]) -> Result<ControlFlow<()>, WorkerError> {
+        let rows = self.loaded("SetState")?.simulation.rows().len();
+        let state = RankState::from_bytes(arrays, rows).map_err(|error| self.other(error.to_string()))?;
+        let loaded = self.loaded("SetState")?;
+        loaded.simulation.set_state(state);
+        loaded.step = step;
+        Ok(ControlFlow::Continue(()))
+    }
+
+    fn step(&mut self, step: u32, record: bool) -> Result<ControlFlow<()>, WorkerError> {
+        let before = self.loaded("Step")?.step;
+        if step != before + 1 {
+            return Err(self.other(format!("step {step} was asked of the state of step {before}")));
+        }
+        self.inbox.progress(step);
+        let (Some(Loaded { simulation, step: at }), Some(ports)) = (&mut self.loaded, &mut self.ports) else {
+            return Err(self.other("a step without connections to other ranks".into()));
+        };
+        match simulation.step(ports.transport.as_mut(), step, record) {
+            Ok(stats) => {
+                *at = step;
+                let events = simulation.recorder.take();
+                self.inbox.send(&ToCoordinator::StepDone(Box::new(stats)), &[bytemuck::cast_slice(&events)])?;
+                Ok(ControlFlow::Continue(()))
+            }
+            Err(error) => self.inbox.interrupted(error),
+        }
+    }
+
+    fn solve(
+        &mut self,
+        setup: &WorkerSetup,
+        exchange: &ExchangePlan,
+        params: &SolveParams,
+        system: &RankSystem,
+    ) -> Result<ControlFlow<()>, WorkerError> {
+        let executor = self.executor(setup)?;
+        if let Err(error) = self.connect(setup) {
+            return self.inbox.interrupted(error.into());
+        }
+        let Some(ports) = &mut self.ports else { return Err(self.other("a solve without connections".into())) };
+        let solved = solve_rank(&executor, ports.transport.as_mut(), system, exchange.mode, &exchange.queue, params);
+        match solved {
+            Ok(mut result) => {
+                let events = std::mem::take(&mut result.record.events);
+                let (stats, name, record) = (result.stats, executor.name().to_string(), result.record);
+                let solved = ToCoordinator::Solved { stats, executor: name, record };
+                self.inbox.send(&solved, &[bytemuck::cast_slice(&result.x), bytemuck::cast_slice(&events)])?;
+                self.executor = self.executor.take().map(|(kind, _)| (kind, Some(executor)));
+                Ok(ControlFlow::Continue(()))
+            }
+            Err(error) => self.inbox.interrupted(error.into()),
+        }
+    }
+
+    /// The executor that `setup` asks for: the one there is, if it was made for the same. Gives up what was loaded.
+    fn executor(&mut self, setup: &WorkerSetup) -> Result<Executor, WorkerError> {
+        let WorkerSetup { executor: choice, adapter, threads, first_place, .. } = *setup;
+        let kind = ExecutorKind { choice, adapter, threads, place: first_place + self.rank };
+        let used = self.loaded.take().map(|loaded| loaded.simulation.into_executor());
+        let there = self.executor.take().and_then(|(made_for, spare)| Some((made_for, used.or(spare)?)));
+        let executor = match there {
+            Some((made_for, executor)) if made_for == kind => executor,
+            _ => make_executor(setup, kind.place).map_err(|text| self.inbox.fail(Failure::BadInput(text)))?,
+        };
+        self.executor = Some((kind, None));
+        Ok(executor)
+    }
+
+    /// Connects with all other ranks unless that has been done for this epoch.
+    fn connect(&mut self, setup: &WorkerSetup) -> Result<(), TransportError> {
+        if self.ports.as_ref().is_some_and(|ports| ports.epoch == setup.epoch) {
+            return Ok(());
+        }
+        // Their shared memory is free for the new ones.
+        self.ports = None;
+        let transport = connect(self.data.as_mut(), self.rank, &self.inbox, setup)?;
+        self.ports = Some(Ports { epoch: setup.epoch, transport });
+        Ok(())
+    }
+
+    /// What was loaded; `message` needs it.
+    fn loaded(&mut self, message: &str) -> Result<&mut Loaded, WorkerError> {
+        match &mut self.loaded {
+            Some(loaded) => Ok(loaded),
+            None => Err(self.inbox.fail(Failure::Other(format!("{message} before a model was loaded")))),
+        }
+    }
+
+    fn other(&self, text: String) -> WorkerError {
+        self.inbox.fail(Failure::Other(text))
     }
 }
 
@@ -143,7 +235,7 @@ fn connect(
 ) -> Result<Box<dyn Transport>, TransportError> {
     let hook = inbox.clone();
     if setup.threads == 1 && setup.bind_cores == BindCores::Auto {
-        share_cores(rank, setup.ranks);
+        share_cores(setup.first_place + rank, setup.places);
     }
     if setup.ranks == 1 {
         let transport = SoloTransport::new(Box::new(move || hook.should_stop()));
@@ -152,7 +244,7 @@ fn connect(
     data.connect(Connection {
         rank,
         ranks: setup.ranks,
-        epoch: 0,
+        epoch: setup.epoch,
         max_len: setup.max_message_values,
         deadline: Duration::from_secs_f64(setup.patience_s),
         on_wait: Box::new(move || hook.should_stop()),
@@ -160,12 +252,12 @@ fn connect(
     })
 }
 
-/// The executor that `setup` asks for.
-pub fn make_executor(setup: &WorkerSetup, rank: usize) -> Result<Executor, String> {
+/// The executor that `setup` asks for; `place`: of this rank among those of all sessions.
+pub fn make_executor(setup: &WorkerSetup, place: usize) -> Result<Executor, String> {
     let executor = match setup.executor {
         ExecutorChoice::Cpu => return Ok(Executor::cpu(setup.threads)),
-        ExecutorChoice::Gpu => Executor::gpu(setup.adapter, rank),
-        ExecutorChoice::Auto => Executor::auto(setup.adapter, rank, setup.threads),
+        ExecutorChoice::Gpu => Executor::gpu(setup.adapter, place),
+        ExecutorChoice::Auto => Executor::auto(setup.adapter, place, setup.threads),
     };
     executor.map_err(|error| error.to_string())
 }

@@ -7,7 +7,7 @@ use clap::ValueEnum;
 
 use super::CliError;
 use super::start_state::{Places, untangled_line};
-use crate::coordinator::{Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan, STOP_REQUESTED};
+use crate::coordinator::{KeepStates, Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan, STOP_REQUESTED};
 use crate::interconnect::ScheduleKind;
 use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest, parse_formats};
 use crate::protocol::{BindCores, ExecutorChoice};
@@ -69,6 +69,9 @@ pub struct RunArgs {
     /// Write a checkpoint every K frames (one is always left at the end, at Ctrl-C and after a failure) [default: 10]
     #[arg(long, value_name = "K")]
     pub checkpoint_every: Option<u32>,
+    /// Keep states for good, as states/step_%08d.ltc (positions and velocities): that of every frame, or of every K steps
+    #[arg(long, value_name = "frames|K")]
+    pub keep_states: Option<KeepStates>,
     /// Go on from the newest checkpoint in the run directory, on any number of workers
     #[arg(long, conflicts_with = "overwrite")]
     pub resume: bool,
@@ -144,13 +147,6 @@ pub enum PreconditionerArg {
     Schwarz,
 }
 
-impl PreconditionerArg {
-    /// True unless it is Jacobi.
-    pub fn may_sweep(self) -> bool {
-        self != PreconditionerArg::Jacobi
-    }
-}
-
 impl From<PreconditionerArg> for PreconditionerKind {
     fn from(arg: PreconditionerArg) -> PreconditionerKind {
         match arg {
@@ -214,6 +210,7 @@ impl RunArgs {
         base.memory_limit_bytes = self.memory_limit.or(base.memory_limit_bytes);
         base.preconditioner = self.preconditioner.map(Into::into).or(base.preconditioner);
         base.checkpoint_every = self.checkpoint_every.unwrap_or(base.checkpoint_every);
+        base.keep_states = self.keep_states.or(base.keep_states);
         base.formats = self.format.clone().map_or(base.formats, |list| list.0);
         base.heartbeat_s = self.heartbeat.unwrap_or(base.heartbeat_s);
         base.trace_steps = self.trace_steps.unwrap_or(base.trace_steps);
@@ -239,6 +236,7 @@ pub fn defaults() -> RunOptions {
         memory_limit_bytes: None,
         preconditioner: None,
         checkpoint_every: 10,
+        keep_states: None,
         formats: vec![FrameFormat::Ply],
         heartbeat_s: 10.0,
         trace_steps: 20,

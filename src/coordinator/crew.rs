@@ -151,6 +151,11 @@ impl Crew {
         Ok(crew)
     }
 
+    /// Name of the run on this machine, if its workers are processes.
+    pub fn run_name(&self) -> Option<&RunName> {
+        self.launcher.run_name()
+    }
+
     /// Number of workers.
     pub fn ranks(&self) -> usize {
         self.control.ranks()

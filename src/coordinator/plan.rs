@@ -1,20 +1,24 @@
 //! What a run is made of, before any process starts: scene, model, partition, schedule. Everything that can be refused is
 //! refused here.
 
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::session::SessionOptions;
 use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology, TopologyError, Traffic, plan};
+use crate::math::DIM;
 use crate::model::{GlobalModel, RankModel};
 use crate::output::FrameFormat;
 use crate::partition::RowPartition;
 use crate::protocol::{BindCores, ExecutorChoice};
 use crate::scene::{Overrides, PreconditionerKind, Scene, SceneError, Untangling, load, load_untangled};
 use crate::solver::ExchangeMode;
-use crate::transport::RANKS_MAX;
+use crate::transport::{RANKS_MAX, STAMP_VALUES};
 
 /// Everything the command line decides about a run; kept in `run.toml`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -60,6 +64,9 @@ pub struct RunOptions {
     pub preconditioner: Option<PreconditionerKind>,
     /// Frames between checkpoints; 0: only when stopped.
     pub checkpoint_every: u32,
+    /// Which states are kept for good; none: none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub keep_states: Option<KeepStates>,
     /// Frame formats.
     #[serde(with = "format_names")]
     pub formats: Vec<FrameFormat>,
@@ -74,6 +81,67 @@ impl RunOptions {
     pub fn heartbeat(&self) -> Duration {
         let forever = Duration::from_secs(1_000_000_000);
         Duration::try_from_secs_f64(self.heartbeat_s).unwrap_or(forever).min(forever)
+    }
+
+    /// What the workers run on.
+    pub fn session(&self) -> SessionOptions {
+        SessionOptions {
+            workers: self.workers,
+            executor: self.executor,
+            adapter: self.adapter,
+            threads: self.threads,
+            bind_cores: self.bind_cores,
+            silence: self.heartbeat(),
+        }
+    }
+}
+
+/// States that a run keeps for good, that of step 0 included: `frames`, or a number of steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum KeepStates {
+    /// That of every frame.
+    Frames,
+    /// That of every so many steps.
+    Every(NonZeroU32),
+}
+
+impl KeepStates {
+    /// Whether the state after `step` is kept.
+    pub fn wants(self, step: u32, steps_per_frame: u32) -> bool {
+        match self {
+            KeepStates::Frames => step.is_multiple_of(steps_per_frame),
+            KeepStates::Every(steps) => step.is_multiple_of(steps.get()),
+        }
+    }
+}
+
+impl FromStr for KeepStates {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<KeepStates, String> {
+        match (text, text.parse()) {
+            ("frames", _) => Ok(KeepStates::Frames),
+            (_, Ok(steps)) => Ok(KeepStates::Every(steps)),
+            _ => Err(format!("'{text}' is neither 'frames' nor a number of steps from 1 on")),
+        }
+    }
+}
+
+impl TryFrom<String> for KeepStates {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<KeepStates, String> {
+        text.parse()
+    }
+}
+
+impl From<KeepStates> for String {
+    fn from(keep: KeepStates) -> String {
+        match keep {
+            KeepStates::Frames => "frames".into(),
+            KeepStates::Every(steps) => steps.to_string(),
+        }
     }
 }
 
@@ -134,14 +202,17 @@ pub enum PlanError {
     Steps { frames: u32, steps_per_frame: u32 },
 }
 
-/// A run that can start.
+/// A level of a scene on the ranks of a session: a run that can start.
 pub struct RunPlan {
     /// The scene.
     pub scene: Scene,
     /// What untangling the start state took, if it was asked for and needed.
     pub untangled: Option<Untangling>,
-    /// Memory for the collision tables of a worker beside the solver, if a topology file says what a GPU has.
+    /// Bytes that the collision tables of a worker may take: what was asked for, or what a GPU of the topology file has
+    /// beside the solver; none: as many as they need.
     pub table_bytes: Option<u64>,
+    /// What SpMV exchanges.
+    pub exchange: ExchangeMode,
     /// Rows and ranks.
     pub partition: RowPartition,
     /// Work queues and how they were chosen.
@@ -168,15 +239,7 @@ impl RunPlan {
         scene.settings.preconditioner = options.preconditioner.unwrap_or(scene.settings.preconditioner);
         let rows = scene.mesh.positions.len();
         let workers = options.workers;
-        if workers == 0 || workers > RANKS_MAX {
-            return Err(PlanError::Workers { workers, what: format!("expected 1 to {RANKS_MAX}") });
-        }
-        if workers > rows {
-            return Err(PlanError::Workers {
-                workers,
-                what: format!("the cloth has only {rows} vertices; use at most as many workers"),
-            });
-        }
+        check_workers(workers, rows, &format!("the cloth has only {rows} vertices"))?;
         let (frames, steps_per_frame) = (scene.settings.frames, scene.settings.steps_per_frame);
         // The last number stays free, so that counting past the last step is possible.
         if frames.checked_mul(steps_per_frame).is_none_or(|steps| steps == u32::MAX) {
@@ -202,12 +265,19 @@ impl RunPlan {
         if emulated.is_some() {
             topology += " (links emulated)";
         }
-        Ok(RunPlan { scene, untangled: None, table_bytes, partition, transfers, topology, emulated })
+        let (table_bytes, exchange) = (options.memory_limit_bytes.or(table_bytes), options.exchange);
+        Ok(RunPlan { scene, untangled: None, table_bytes, exchange, partition, transfers, topology, emulated })
     }
 
     /// The model in global order.
     pub fn model(&self) -> GlobalModel {
         GlobalModel::new(&self.scene)
+    }
+
+    /// Longest message between ranks: positions and velocities of a whole row block. None where there is nobody to send to.
+    pub fn message_values(&self) -> usize {
+        let stamp = if self.emulated.is_some() { STAMP_VALUES } else { 0 };
+        if self.partition.ranks() == 1 { 0 } else { self.partition.sub_vector_rows() * 2 * DIM + stamp }
     }
 
     /// What the emulated links mean for every rank; none if none are emulated.
@@ -216,6 +286,17 @@ impl RunPlan {
         let sub_vector_bytes = self.partition.sub_vector_rows() as f64 * ROW_BYTES;
         Some(RankLinks::of(topology, &self.transfers, sub_vector_bytes, &halo_traffic(model, &self.partition)))
     }
+}
+
+/// Refuses a number of workers that is out of range, or more than one a row; `few` says that, up to the semicolon.
+pub fn check_workers(workers: usize, rows: usize, few: &str) -> Result<(), PlanError> {
+    if workers == 0 || workers > RANKS_MAX {
+        return Err(PlanError::Workers { workers, what: format!("expected 1 to {RANKS_MAX}") });
+    }
+    if workers > rows {
+        return Err(PlanError::Workers { workers, what: format!("{few}; use at most as many workers") });
+    }
+    Ok(())
 }
 
 /// Bytes of a row of a vector.

@@ -1,10 +1,12 @@
 //! What a run leaves in its directory while it goes on: frames, report, trace, recipe, checkpoints.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use super::session::StepDone;
 use super::{RunOptions, RunPlaces, RunPlan};
 use crate::impact_zone::ZoneCounts;
 use crate::model::State;
@@ -14,8 +16,7 @@ use crate::output::{
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
-use crate::step::{StageSeconds, StepStats};
-use crate::telemetry::Event;
+use crate::step::StageSeconds;
 
 /// Why something could not be written or resumed.
 #[derive(Debug, Error)]
@@ -44,7 +45,11 @@ pub struct Recorder {
     obstacles: Obstacles,
     report: Option<ReportWriter>,
     trace: Option<TraceWriter>,
-    epochs: Vec<u64>,
+    /// By session: the clocks of its ranks.
+    epochs: BTreeMap<usize, Vec<u64>>,
+    /// The first frame that is missing, and those written beyond it.
+    next_frame: u32,
+    ahead: BTreeSet<u32>,
     last: Option<Checkpoint>,
 }
 
@@ -91,14 +96,20 @@ impl Recorder {
             obstacles: Obstacles::new(&plan.scene.obstacles),
             report: None,
             trace: None,
-            epochs: Vec::new(),
+            epochs: BTreeMap::new(),
+            next_frame: resumed.as_ref().map_or(0, |from| from.frame + 1),
+            ahead: BTreeSet::new(),
             last: None,
         };
         Ok((recorder, resumed))
     }
 
-    /// The workers are there: starts recipe, report, trace and frames. Before this nothing is written.
-    pub fn begin(&mut self, plan: &RunPlan, ready: &[WorkerReady]) -> Result<(), RecordError> {
+    /// The workers of a session are there. The first of them start recipe, report, trace and frames; before this nothing is
+    /// written.
+    pub fn begin(&mut self, plan: &RunPlan, session: usize, ready: &[WorkerReady]) -> Result<(), RecordError> {
+        if self.report.is_some() {
+            return self.begin_trace(session, ready);
+        }
         self.made.0.clear();
         if let Some(manifest) = &mut self.manifest {
             manifest.save(&self.directory).map_err(write_error)?;
@@ -109,7 +120,7 @@ impl Recorder {
             scene: scene.name.clone(),
             workers: ready.len(),
             executor: ready.first().map_or_else(String::new, |worker| worker.executor.clone()),
-            devices: devices.clone(),
+            devices,
             exchange: format!("{:?}", self.options.exchange).to_lowercase(),
             schedule: plan.transfers.kind.name().to_string(),
             preconditioner: ready.first().map_or_else(String::new, |worker| worker.preconditioner.name().into()),
@@ -133,34 +144,47 @@ impl Recorder {
         self.frames = Some(
             FrameWriter::new(&self.directory, &self.options.formats, &scene.mesh, first_frame).map_err(write_error)?,
         );
-        if self.options.trace_steps > 0 {
-            self.epochs = ready.iter().map(|worker| worker.epoch_unix_ns).collect();
-            let base = self.epochs.iter().copied().min().unwrap_or(0);
-            self.trace = Some(TraceWriter::create(&self.directory.trace(), &devices, base).map_err(write_error)?);
+        if self.options.keep_states.is_some() {
+            std::fs::create_dir_all(self.directory.states()).map_err(write_error)?;
         }
+        self.begin_trace(session, ready)
+    }
+
+    /// Tracks for the ranks of a session.
+    fn begin_trace(&mut self, session: usize, ready: &[WorkerReady]) -> Result<(), RecordError> {
+        if self.options.trace_steps == 0 {
+            return Ok(());
+        }
+        let epochs: Vec<u64> = ready.iter().map(|worker| worker.epoch_unix_ns).collect();
+        let devices: Vec<String> = ready.iter().map(|worker| worker.device.clone()).collect();
+        match &mut self.trace {
+            Some(trace) => trace.add_session(session, &devices).map_err(write_error)?,
+            None => {
+                let base = epochs.iter().copied().min().unwrap_or(0);
+                let trace = TraceWriter::create(&self.directory.trace(), &devices, base);
+                self.trace = Some(trace.map_err(write_error)?);
+            }
+        }
+        self.epochs.insert(session, epochs);
         Ok(())
     }
 
-    /// A step is done on all ranks; `wall_s` = its wall time as the coordinator saw it.
-    pub fn step(
-        &mut self,
-        plan: &RunPlan,
-        ranks: &[StepStats],
-        events: &[Vec<Event>],
-        wall_s: f64,
-    ) -> Result<(), RecordError> {
+    /// A step is done on all ranks of a session.
+    pub fn step(&mut self, plan: &RunPlan, session: usize, done: &StepDone) -> Result<(), RecordError> {
         let settings = &plan.scene.settings;
+        let StepDone { ranks, events, wall_s, .. } = done;
         let first = ranks[0];
         let slowest = ranks.iter().map(|rank| rank.seconds).fold(StageSeconds::default(), StageSeconds::max);
         let spmv_bytes: u64 = ranks.iter().map(|rank| rank.spmv_bytes).sum();
         let record = StepRecord {
             step: first.step as u64,
+            session,
             frame: first.step.div_ceil(settings.steps_per_frame),
             time_s: first.step as f64 * settings.step_s,
             iterations: first.iterations,
             residual: first.residual,
             converged: first.converged,
-            stage_seconds: StageSeconds { total: wall_s, ..slowest },
+            stage_seconds: StageSeconds { total: *wall_s, ..slowest },
             bytes_moved: spmv_bytes + ranks.iter().map(|rank| rank.state_bytes).sum::<u64>(),
             bytes_per_spmv: spmv_bytes / first.products.max(1) as u64,
             contacts: first.contacts,
@@ -184,53 +208,57 @@ impl Recorder {
             report.step(record);
         }
         if let Some(trace) = &mut self.trace {
-            let ranks: Vec<RankEvents> = events
-                .iter()
-                .enumerate()
-                .map(|(rank, events)| RankEvents { rank, epoch_unix_ns: self.epochs[rank], events })
+            let epochs = self.epochs.get(&session).into_iter().flatten();
+            let first_track = session * ranks.len();
+            let ranks: Vec<RankEvents> = (first_track..)
+                .zip(epochs.zip(events))
+                .map(|(rank, (&epoch_unix_ns, events))| RankEvents { rank, epoch_unix_ns, events })
                 .collect();
             trace.append(&ranks).map_err(write_error)?;
         }
         Ok(())
     }
 
-    /// Writes a frame and remembers it as the last good state; returns its hash.
-    pub fn frame(&mut self, plan: &RunPlan, frame: u32, step: u32, state: &State) -> Result<String, RecordError> {
-        let hash = state.hash();
+    /// Takes the state after a step, in any order: writes it as a frame if one ends there (then returns its hash), keeps it if
+    /// that is wanted, and remembers it as the last good state if no frame before it is missing.
+    pub fn state(&mut self, plan: &RunPlan, step: u32, state: State) -> Result<Option<String>, RecordError> {
+        let settings = &plan.scene.settings;
+        let frame = step / settings.steps_per_frame;
+        let time_s = step as f64 * settings.step_s;
+        let mut hash = None;
+        if step.is_multiple_of(settings.steps_per_frame) {
+            hash = Some(self.frame(plan, frame, time_s, &state)?);
+            self.ahead.insert(frame);
+            while self.ahead.remove(&self.next_frame) {
+                self.next_frame += 1;
+            }
+        }
+        let reached = Checkpoint { frame, step: step as u64, time_s, fingerprint: self.fingerprint, state };
+        if self.options.keep_states.is_some_and(|keep| keep.wants(step, settings.steps_per_frame)) {
+            checkpoint::keep(&self.directory.states(), &reached).map_err(write_error)?;
+        }
+        if frame < self.next_frame && self.last.as_ref().is_none_or(|last| last.step <= reached.step) {
+            self.last = Some(reached);
+        }
+        Ok(hash)
+    }
+
+    fn frame(&mut self, plan: &RunPlan, frame: u32, time_s: f64, state: &State) -> Result<String, RecordError> {
+        let state_hash = state.hash();
         if let Some(frames) = &mut self.frames {
             frames.write(frame, &plan.scene.mesh, &state.positions).map_err(write_error)?;
             if !self.obstacles.is_empty() {
                 let mut values = Vec::new();
-                self.obstacles.positions_at(step as f64 * plan.scene.settings.step_s, &mut values);
+                self.obstacles.positions_at(time_s, &mut values);
                 let positions = bytemuck::cast_slice(&values);
                 frames.write_obstacle(frame, positions, self.obstacles.triangles()).map_err(write_error)?;
             }
         }
         if let Some(report) = &mut self.report {
-            report
-                .frame(FrameRecord {
-                    frame,
-                    time_s: step as f64 * plan.scene.settings.step_s,
-                    state_hash: hash.clone(),
-                })
-                .map_err(write_error)?;
+            let record = FrameRecord { frame, time_s, state_hash: state_hash.clone() };
+            report.frame(record).map_err(write_error)?;
         }
-        self.remember(frame, step, state, plan);
-        Ok(hash)
-    }
-
-    /// Keeps a state in memory for a checkpoint.
-    pub fn remember(&mut self, frame: u32, step: u32, state: &State, plan: &RunPlan) {
-        let time_s = step as f64 * plan.scene.settings.step_s;
-        let last = self.last.get_or_insert_with(|| Checkpoint {
-            frame,
-            step: 0,
-            time_s,
-            fingerprint: self.fingerprint,
-            state: State::default(),
-        });
-        (last.frame, last.step, last.time_s) = (frame, step as u64, time_s);
-        last.state.clone_from(state);
+        Ok(state_hash)
     }
 
     /// Writes the last good state as a checkpoint; says where, as the end of a sentence.
@@ -255,7 +283,7 @@ struct MadeFolders(Vec<PathBuf>);
 impl MadeFolders {
     /// Call before the folders are made.
     fn for_run(out: &Path) -> MadeFolders {
-        let inner = [out.join("frames"), out.join("checkpoint")];
+        let inner = [out.join("frames"), out.join("checkpoint"), out.join("states")];
         let all = inner.iter().map(PathBuf::as_path).chain(out.ancestors());
         MadeFolders(
             all.filter(|folder| !folder.as_os_str().is_empty() && !folder.exists()).map(PathBuf::from).collect(),

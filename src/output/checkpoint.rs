@@ -1,6 +1,6 @@
 //! Checkpoints: the state after a step, from which any number of workers continues with the same bits.
 //!
-//! `checkpoint/step_%08d.ltc`, little-endian: "LOOMCKPT", version (u32), header length (u32), header (bincode),
+//! `checkpoint/step_%08d.ltc` (the newest three) and `states/step_%08d.ltc` (all that were asked for), little-endian: "LOOMCKPT", version (u32), header length (u32), header (bincode),
 //! positions and velocities (3 f32 per vertex, original vertex order), xxh3 of all bytes before (u64).
 //! A damaged file is found and skipped; nothing is repaired.
 
@@ -167,11 +167,17 @@ impl Write for Hashing<'_> {
     }
 }
 
+/// Writes `folder/step_%08d.ltc` and leaves all others there.
+pub fn keep(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf, WriteError> {
+    let path = folder.join(format!("step_{:08}.ltc", checkpoint.step));
+    write_atomically(&path, |out| checkpoint.put(out))?;
+    Ok(path)
+}
+
 /// Writes `folder/step_%08d.ltc` and keeps the newest three. Files of later steps are removed too: they belong to a
 /// future that was given up when the run was taken up from an earlier step.
 pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf, WriteError> {
-    let path = folder.join(format!("step_{:08}.ltc", checkpoint.step));
-    write_atomically(&path, |out| checkpoint.put(out))?;
+    let path = keep(folder, checkpoint)?;
     let (later, mut files): (Vec<_>, Vec<_>) = list(folder).into_iter().partition(|(step, _)| *step > checkpoint.step);
     files.truncate(files.len().saturating_sub(KEPT));
     for (_, old) in files.into_iter().chain(later) {

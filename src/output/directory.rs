@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! RUN_DIR/report.json  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
-//!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc  pictures/*.png
+//!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc
+//!         states/step_%08d.ltc  pictures/*.png
 //! ```
 //! Does not promise to keep two machines apart on a network file system without locks.
 
@@ -65,8 +66,12 @@ pub struct RunDirectory {
 const FILES: [&str; 7] =
     ["report.json", "run.toml", "run_scene.toml", "run_scene.json", "trace.json", "cloth.pc2", "rest.obj"];
 /// Sub-folders, and how the names of a run's files in them begin.
-const FOLDERS: [(&str, &[&str]); 3] =
-    [("frames", &["frame_", "obstacle_"]), ("checkpoint", &["step_"]), ("pictures", &["frame_", "contact_sheet"])];
+const FOLDERS: [(&str, &[&str]); 4] = [
+    ("frames", &["frame_", "obstacle_"]),
+    ("checkpoint", &["step_"]),
+    ("states", &["step_"]),
+    ("pictures", &["frame_", "contact_sheet"]),
+];
 
 impl RunDirectory {
     /// Prepares `path` for a run: makes the folders, locks them against a second run, and clears leftovers.
@@ -92,6 +97,7 @@ impl RunDirectory {
             fs::create_dir_all(path.join(folder)).map_err(unwritable)?;
             atomic::remove_parts(&path.join(folder));
         }
+        atomic::remove_parts(&path.join("states"));
         atomic::remove_parts(path);
         Ok(RunDirectory { path: own(), _lock: lock })
     }
@@ -136,6 +142,10 @@ impl RunDirectory {
     /// `checkpoint/`.
     pub fn checkpoints(&self) -> PathBuf {
         self.path.join("checkpoint")
+    }
+    /// `states/`: states that are kept for good.
+    pub fn states(&self) -> PathBuf {
+        self.path.join("states")
     }
     /// `pictures/`.
     pub fn pictures(&self) -> PathBuf {

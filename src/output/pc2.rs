@@ -3,6 +3,7 @@
 //! Header, 32 bytes little-endian: "POINTCACHE2\0", version 1, points, start frame (f32), frames per sample (f32), samples.
 //! The sample count is raised after a sample is whole, so that the file of an interrupted run still loads.
 
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -40,7 +41,7 @@ pub enum Pc2Error {
         /// What is wrong.
         problem: String,
     },
-    /// A gap between frames.
+    /// A gap before the first frame to be written.
     #[error("frame {frame} does not follow the {samples} frames that {} holds; start without --resume or leave out --format pc2", path.display())]
     Gap {
         /// The point cache.
@@ -76,7 +77,10 @@ pub struct Pc2Writer {
     path: PathBuf,
     file: File,
     points: usize,
+    /// Frames that the header counts: the first one that is missing.
     samples: u32,
+    /// Frames written beyond it.
+    ahead: BTreeSet<u32>,
     buffer: Vec<u8>,
 }
 
@@ -98,7 +102,14 @@ impl Pc2Writer {
                 Ok(file)
             };
             let file = create().map_err(WriteError::at(path))?;
-            return Ok(Pc2Writer { path: path.to_path_buf(), file, points, samples: 0, buffer: Vec::new() });
+            return Ok(Pc2Writer {
+                path: path.to_path_buf(),
+                file,
+                points,
+                samples: 0,
+                ahead: BTreeSet::new(),
+                buffer: Vec::new(),
+            });
         }
         let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(WriteError::at(path))?;
         let header = read_header(&mut file, path)?;
@@ -108,16 +119,30 @@ impl Pc2Writer {
         if header.samples < first_frame {
             return Err(Pc2Error::Gap { path: path.to_path_buf(), frame: first_frame, samples: header.samples });
         }
-        Ok(Pc2Writer { path: path.to_path_buf(), file, points, samples: header.samples, buffer: Vec::new() })
+        Ok(Pc2Writer {
+            path: path.to_path_buf(),
+            file,
+            points,
+            samples: header.samples,
+            ahead: BTreeSet::new(),
+            buffer: Vec::new(),
+        })
     }
 
-    /// Writes frame `frame`: the next one, or one that is there already (a resumed run repeats some).
+    /// Writes frame `frame`, in any order; one that is there already is replaced. The header counts the frames before the
+    /// first one that is missing.
     pub fn write(&mut self, frame: u32, positions: &[Vec3]) -> Result<(), Pc2Error> {
-        if frame > self.samples || positions.len() != self.points {
-            return Err(Pc2Error::Gap { path: self.path.clone(), frame, samples: self.samples });
+        if positions.len() != self.points {
+            let problem = format!("it holds {} points, frame {frame} has {}", self.points, positions.len());
+            return Err(Pc2Error::Unfit { path: self.path.clone(), problem });
         }
         let offset = HEADER_BYTES + u64::from(frame) * self.points as u64 * 12;
-        let samples = self.samples.max(frame + 1);
+        self.ahead.insert(frame);
+        let mut samples = self.samples;
+        while self.ahead.remove(&samples) {
+            samples += 1;
+        }
+        self.ahead = self.ahead.split_off(&samples);
         let (file, buffer) = (&mut self.file, &mut self.buffer);
         let mut put = || -> io::Result<()> {
             file.seek(SeekFrom::Start(offset))?;

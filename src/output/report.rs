@@ -185,6 +185,9 @@ impl QueryRecord {
 pub struct StepRecord {
     /// Number of the step, from 1.
     pub step: u64,
+    /// Session that made it; left out where it is 0, as in a run on one session.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub session: usize,
     /// Frame that the step leads to.
     pub frame: u32,
     /// Simulated time after the step, seconds.
@@ -220,6 +223,10 @@ pub struct StepRecord {
     pub resident_bytes_per_rank: Vec<u64>,
     /// Smallest gap between two parts of the cloth, metres, if it was measured.
     pub smallest_gap_m: Option<f64>,
+}
+
+fn is_zero(number: &usize) -> bool {
+    *number == 0
 }
 
 /// JSON has no NaN: serde_json writes null.
@@ -326,14 +333,18 @@ impl ReportWriter {
         Ok(ReportWriter { path: path.to_path_buf(), report, written: Instant::now() })
     }
 
-    /// Adds a step.
+    /// Adds a step; they may come in any order.
     pub fn step(&mut self, record: StepRecord) {
-        self.report.steps.push(record);
+        let steps = &mut self.report.steps;
+        let place = steps.partition_point(|other| other.step <= record.step);
+        steps.insert(place, record);
     }
 
-    /// Adds a frame; writes the file if the last time is more than a second ago.
+    /// Adds a frame; they may come in any order. Writes the file if the last time is more than a second ago.
     pub fn frame(&mut self, record: FrameRecord) -> Result<(), WriteError> {
-        self.report.frames.push(record);
+        let frames = &mut self.report.frames;
+        let place = frames.partition_point(|other| other.frame <= record.frame);
+        frames.insert(place, record);
         if self.written.elapsed() < PAUSE {
             return Ok(());
         }

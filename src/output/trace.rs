@@ -65,19 +65,30 @@ impl TraceWriter {
             empty: true,
             buffer: b"[".to_vec(),
         };
-        for (rank, device) in devices.iter().enumerate() {
-            let name = serde_json::Value::from(format!("rank {rank} ({device})"));
-            writer.entry(format_args!(
-                r#"{{"ph":"M","name":"process_name","pid":{rank},"tid":0,"args":{{"name":{name}}}}}"#
-            ));
-            writer.entry(format_args!(
-                r#"{{"ph":"M","name":"process_sort_index","pid":{rank},"tid":0,"args":{{"sort_index":{rank}}}}}"#
-            ));
-        }
+        writer.name_ranks(0, devices, "");
         writer.buffer.extend_from_slice(END);
         let buffer = std::mem::take(&mut writer.buffer);
         writer.file.write_all(&buffer).map_err(WriteError::at(path))?;
         Ok(writer)
+    }
+
+    /// Adds the ranks of another session: rank r of session s is rank s * n + r of the trace, for n ranks a session.
+    pub fn add_session(&mut self, session: usize, devices: &[String]) -> Result<(), WriteError> {
+        self.name_ranks(session * devices.len(), devices, &format!("session {session} "));
+        self.append(&[])
+    }
+
+    fn name_ranks(&mut self, first: usize, devices: &[String], session: &str) {
+        for (rank, device) in devices.iter().enumerate() {
+            let name = serde_json::Value::from(format!("{session}rank {rank} ({device})"));
+            let pid = first + rank;
+            self.entry(format_args!(
+                r#"{{"ph":"M","name":"process_name","pid":{pid},"tid":0,"args":{{"name":{name}}}}}"#
+            ));
+            self.entry(format_args!(
+                r#"{{"ph":"M","name":"process_sort_index","pid":{pid},"tid":0,"args":{{"sort_index":{pid}}}}}"#
+            ));
+        }
     }
 
     /// Appends the events of all ranks from one step (or several). Arrows are drawn within one call.

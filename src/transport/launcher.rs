@@ -8,6 +8,8 @@
 
 use std::io;
 
+use super::RunName;
+
 /// What a launcher knows of a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Life {
@@ -21,6 +23,10 @@ pub enum Life {
 
 /// Starts the workers of one run and ends them.
 pub trait Launcher {
+    /// Name of the run on this machine, which workers that others start must be told; none if workers are no processes.
+    fn run_name(&self) -> Option<&RunName> {
+        None
+    }
     /// Starts worker `rank`, or leaves that to others.
     fn start(&mut self, rank: usize) -> io::Result<()>;
     /// Whether worker `rank` runs. Never waits.

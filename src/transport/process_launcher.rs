@@ -55,6 +55,10 @@ pub fn worker_role(rank: usize) -> String {
 }
 
 impl Launcher for ProcessLauncher {
+    fn run_name(&self) -> Option<&RunName> {
+        Some(&self.run)
+    }
+
     fn start(&mut self, rank: usize) -> io::Result<()> {
         if let Some(command) = &mut self.command {
             self.children[rank] = Some(command(&self.run, rank)?.spawn()?);

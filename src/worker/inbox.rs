@@ -3,6 +3,7 @@
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
+use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -68,9 +69,9 @@ impl Inbox {
         Ok(self.control.borrow_mut().flush()?)
     }
 
-    /// What is left to do after a failed transfer: nothing if it failed because the run is over, else report it.
-    pub(super) fn interrupted(&self, failure: Failure) -> Result<(), WorkerError> {
-        if self.told_to_stop.get() { Ok(()) } else { Err(self.fail(failure)) }
+    /// What is left to do after a failed transfer: to leave if it failed because the run is over, else to report it.
+    pub(super) fn interrupted(&self, failure: Failure) -> Result<ControlFlow<()>, WorkerError> {
+        if self.told_to_stop.get() { Ok(ControlFlow::Break(())) } else { Err(self.fail(failure)) }
     }
 
     pub(super) fn fail(&self, failure: Failure) -> WorkerError {

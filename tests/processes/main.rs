@@ -9,6 +9,7 @@ mod launch;
 mod one_process;
 mod resume;
 mod same_bits;
+mod session;
 mod solve_command;
 mod transport_conformance;
 mod transport_control;

@@ -115,7 +115,7 @@ impl Group for Iceoryx {
 }
 
 fn options(rank: usize, ranks: usize, deadline: Duration) -> IceoryxOptions {
-    IceoryxOptions { rank, ranks, max_len: MAX_LEN, deadline, on_wait: Box::new(|| false) }
+    IceoryxOptions { rank, ranks, epoch: 0, max_len: MAX_LEN, deadline, on_wait: Box::new(|| false) }
 }
 
 /// Message number `round` of `source`: uneven lengths, some empty.

@@ -99,7 +99,7 @@ fn a_waiting_rank_beats_and_stops_with_the_coordinator() {
             }
             worker.coordinator_has_ended()
         });
-        let options = IceoryxOptions { rank: 0, ranks: 2, max_len: 1, deadline: WATCHDOG, on_wait };
+        let options = IceoryxOptions { rank: 0, ranks: 2, epoch: 0, max_len: 1, deadline: WATCHDOG, on_wait };
         let error = IceoryxTransport::connect(&run, options).map(|transport| transport.rank()).unwrap_err();
         assert!(matches!(error, TransportError::Aborted { .. }), "{error}");
         assert!(beats.get() >= 3);

@@ -61,7 +61,7 @@ impl Children {
 }
 
 fn connect(run: &RunName, rank: usize, ranks: usize, max_len: usize, deadline: Duration) -> IceoryxTransport {
-    let options = IceoryxOptions { rank, ranks, max_len, deadline, on_wait: Box::new(|| false) };
+    let options = IceoryxOptions { rank, ranks, epoch: 0, max_len, deadline, on_wait: Box::new(|| false) };
     IceoryxTransport::connect(run, options).expect("connect")
 }
 

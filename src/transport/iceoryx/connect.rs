@@ -17,8 +17,8 @@ impl IceoryxConnect {
 
 impl Connect for IceoryxConnect {
     fn connect(&mut self, connection: Connection) -> Result<Box<dyn Transport>, TransportError> {
-        let Connection { rank, ranks, epoch: _, max_len, deadline, on_wait, links } = connection;
-        let options = IceoryxOptions { rank, ranks, max_len, deadline, on_wait };
+        let Connection { rank, ranks, epoch, max_len, deadline, on_wait, links } = connection;
+        let options = IceoryxOptions { rank, ranks, epoch, max_len, deadline, on_wait };
         Ok(with_links(IceoryxTransport::connect(&self.run, options)?, links, deadline))
     }
 }

@@ -15,7 +15,7 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use super::cells::{OwnCells, before_waking};
 use super::node::{DEPTH, Ipc, create_node, create_wake, service_name, text};
-use super::ports::{Header, Peer, ValueSample, Values, create_values, open_peer, stopped_error};
+use super::ports::{Header, Peer, ValueSample, Values, create_values, open_peer, port_name, stopped_error};
 use crate::transport::wait::{Patience, WaitHook};
 use crate::transport::{ALL_GATHER_MAX, RANKS_MAX, RunName, Transport, TransportError, shared_memory};
 
@@ -25,6 +25,8 @@ pub struct IceoryxOptions {
     pub rank: usize,
     /// Number of ranks, at most [`RANKS_MAX`].
     pub ranks: usize,
+    /// Number of this connection, the same on all ranks. A run that connects again must count up.
+    pub epoch: u32,
     /// Most values of one message, the same on all ranks: memory is reserved for it at the start.
     pub max_len: usize,
     /// Longest wait of one call, also while connecting.
@@ -65,23 +67,24 @@ impl IceoryxTransport {
     /// A rank did not show up before the deadline, the hook gave up, or the machine lacks a resource (shared memory is
     /// reserved here, so that running out of it cannot strike later).
     pub fn connect(run: &RunName, options: IceoryxOptions) -> Result<IceoryxTransport, TransportError> {
-        let IceoryxOptions { rank, ranks, max_len, deadline, on_wait } = options;
+        let IceoryxOptions { rank, ranks, epoch, max_len, deadline, on_wait } = options;
         let fail = |message: String| TransportError::Mechanism { rank, message };
         if rank >= ranks || ranks > RANKS_MAX {
             return Err(fail(format!("rank {rank} of {ranks} ranks: expected rank < ranks <= {RANKS_MAX}")));
         }
         shared_memory::check_free_for_rank(ranks, max_len).map_err(|error| fail(error.to_string()))?;
         let mut patience = Patience::new(deadline, ranks, on_wait);
-        let node = create_node(run, &format!("rank {rank}")).map_err(fail)?;
-        let own = OwnCells::create(&node, &format!("rank/{rank}/cells"), ranks).map_err(fail)?;
-        let (values, publisher) = create_values(&node, rank, ranks, max_len).map_err(fail)?;
-        let wake_name = service_name(&format!("rank/{rank}/wake")).map_err(fail)?;
+        let node = create_node(run, &format!("rank {rank} epoch {epoch}")).map_err(fail)?;
+        let name = |kind: &str| port_name(epoch, rank, kind);
+        let own = OwnCells::create(&node, &name("cells"), ranks).map_err(fail)?;
+        let (values, publisher) = create_values(&node, &name("values"), ranks, max_len).map_err(fail)?;
+        let wake_name = service_name(&name("wake")).map_err(fail)?;
         let wake = create_wake(&node, &wake_name, ranks - 1).map_err(fail)?;
         let listener = wake.listener_builder().create().map_err(text("listener")).map_err(fail)?;
         shared_memory::reserve(run).map_err(|error| fail(error.to_string()))?;
         let mut peers = Vec::with_capacity(ranks);
         for source in 0..ranks {
-            let opened = (source != rank).then(|| open_peer(&node, rank, source, &mut patience));
+            let opened = (source != rank).then(|| open_peer(&node, rank, epoch, source, &mut patience));
             peers.push(opened.transpose()?);
         }
         let links = Links { rank, own, publisher, listener, peers, _values: values, _wake: wake, _node: node };

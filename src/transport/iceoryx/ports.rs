@@ -47,11 +47,16 @@ pub(super) fn stopped_error(rank: usize, source_rank: usize, what: &'static str,
 
 type OwnValues = (publish_subscribe::PortFactory<Ipc, Values, Header>, Publisher<Ipc, Values, Header>);
 
+/// Name of what `rank` offers to the others in connection `epoch`.
+pub(super) fn port_name(epoch: u32, rank: usize, kind: &str) -> String {
+    format!("epoch/{epoch}/rank/{rank}/{kind}")
+}
+
 /// The service of the own messages and its publisher.
-pub(super) fn create_values(node: &Node<Ipc>, rank: usize, ranks: usize, max_len: usize) -> Result<OwnValues, String> {
+pub(super) fn create_values(node: &Node<Ipc>, name: &str, ranks: usize, max_len: usize) -> Result<OwnValues, String> {
     // No `payload_alignment`: it would round the size of every single value up to it.
     let service = node
-        .service_builder(&service_name(&format!("rank/{rank}/values"))?)
+        .service_builder(&service_name(name)?)
         .publish_subscribe::<Values>()
         .user_header::<Header>()
         .max_publishers(1)
@@ -80,6 +85,7 @@ pub(super) fn create_values(node: &Node<Ipc>, rank: usize, ranks: usize, max_len
 pub(super) fn open_peer(
     node: &Node<Ipc>,
     rank: usize,
+    epoch: u32,
     source: usize,
     patience: &mut Patience,
 ) -> Result<Peer, TransportError> {
@@ -88,7 +94,7 @@ pub(super) fn open_peer(
         OpenError::Stopped(stopped) => stopped_error(rank, source, "its start", stopped),
         OpenError::Failed(message) => fail(format!("rank {source}: {message}")),
     };
-    let name = |kind: &str| service_name(&format!("rank/{source}/{kind}")).map_err(fail);
+    let name = |kind: &str| service_name(&port_name(epoch, source, kind)).map_err(fail);
     let cells_name = name("cells")?;
     let cells = open_when_created(patience, "blackboard", || {
         node.service_builder(&cells_name).blackboard_opener::<u64>().open()

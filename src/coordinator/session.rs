@@ -1,0 +1,399 @@
+//! A session: a crew of workers that holds one level of a scene at a time and a state of it, and steps from there. Loading,
+//! setting a state and advancing may follow each other in any order and as often as wanted, on the same processes.
+//!
+//! Several sessions may run side by side in one program, each on a thread of its own and with a run name of its own.
+
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use super::{Crew, CrewError, Launch, RunPlan};
+use crate::linear_system::{BlockSystem, SolveParams, SolveResult};
+use crate::math::DIM;
+use crate::model::{NotFinite, RankModel, RankState, State};
+use crate::partition::RowPartition;
+use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
+use crate::step::{ExchangePlan, Failure, Imposed, StepStats};
+use crate::telemetry::Event;
+use crate::transport::{Machine, MachineError, RunName};
+
+/// Longest silence of a worker that reads its part or sets it up: much longer than any later one.
+const SETUP_LIMIT: Duration = Duration::from_secs(300);
+/// Longest wait of a worker for another one, seconds. Who is dead or hangs is found long before, by heartbeats.
+const PATIENCE_S: f64 = 3600.0;
+
+/// What the workers of a session run on.
+#[derive(Clone, Debug)]
+pub struct SessionOptions {
+    /// Number of workers.
+    pub workers: usize,
+    /// Executor of the workers.
+    pub executor: ExecutorChoice,
+    /// Adapter of the gpu executor; none: the ranks of all sessions take the adapters in turn.
+    pub adapter: Option<usize>,
+    /// Threads of each worker on the cpu executor; none: an even share of the cores.
+    pub threads: Option<usize>,
+    /// Whether workers that share cores keep to one each.
+    pub bind_cores: BindCores,
+    /// Time without a sign of life after which a worker counts as hung.
+    pub silence: Duration,
+}
+
+/// Which of the sessions side by side this one is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SessionPlace {
+    /// Number of the session, from 0.
+    pub session: usize,
+    /// Sessions side by side.
+    pub sessions: usize,
+}
+
+impl SessionPlace {
+    /// The only session of a program.
+    pub const ALONE: SessionPlace = SessionPlace { session: 0, sessions: 1 };
+}
+
+impl SessionOptions {
+    /// Threads of each worker of `sessions` sessions side by side on `machine`.
+    pub fn threads_of(&self, sessions: usize, machine: &dyn Machine) -> usize {
+        self.threads.unwrap_or_else(|| machine.threads_per_worker(sessions * self.workers))
+    }
+}
+
+/// Why a session cannot go on.
+#[derive(Debug, Error)]
+pub enum SessionError {
+    /// The workers.
+    #[error(transparent)]
+    Crew(#[from] CrewError),
+    /// There is no room for the transfers.
+    #[error(transparent)]
+    Machine(#[from] MachineError),
+    /// Seen in the collected state; what a solve runs into is seen by a worker.
+    #[error(transparent)]
+    State(Failure),
+    /// A state of another mesh.
+    #[error("a state of {positions} vertices does not fit the loaded level, which has {vertices}")]
+    Unfit { positions: usize, vertices: usize },
+    /// Something was asked of a session on which no level is loaded.
+    #[error("no level is loaded")]
+    NotLoaded,
+}
+
+/// A step that all ranks have done.
+#[derive(Clone, Debug)]
+pub struct StepDone {
+    /// Number of the step, from 1.
+    pub step: u32,
+    /// By rank.
+    pub ranks: Vec<StepStats>,
+    /// By rank; empty if they were not wanted.
+    pub events: Vec<Vec<Event>>,
+    /// Wall time as the coordinator saw it, seconds.
+    pub wall_s: f64,
+}
+
+/// What follows a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// The next step.
+    Step,
+    /// The state first.
+    State,
+    /// Nothing: leave the workers in this state.
+    Leave,
+}
+
+/// Looks on while a session advances.
+pub trait Watch {
+    /// Whether the events of a step are wanted.
+    fn wants_events(&self, step: u32) -> bool;
+    /// A step is done.
+    fn step(&mut self, done: StepDone) -> Next;
+    /// The state that [`Next::State`] asked for; every value of it is finite.
+    fn state(&mut self, step: u32, state: State) -> ControlFlow<()>;
+}
+
+/// What the workers hold.
+struct Loaded {
+    partition: RowPartition,
+    /// Vertex of the mesh of every row.
+    order: Vec<u32>,
+    /// Step of the state.
+    step: u32,
+}
+
+/// The data ports of the workers.
+struct Ports {
+    epoch: u32,
+    max_message_values: usize,
+    emulated: bool,
+}
+
+/// Workers that can be loaded. Bound to the thread that made it.
+pub struct Session {
+    crew: Crew,
+    options: SessionOptions,
+    place: SessionPlace,
+    ports: Option<Ports>,
+    loaded: Option<Loaded>,
+}
+
+impl Session {
+    /// Starts (or waits for) the workers. Returns at once; that one is missing is seen when a level is loaded.
+    ///
+    /// # Errors
+    /// A worker cannot be started or the machine lacks a resource.
+    pub fn assemble(place: SessionPlace, options: &SessionOptions, launch: &Launch) -> Result<Session, SessionError> {
+        let crew = Crew::assemble(options.workers, launch, options.silence)?;
+        Ok(Session { crew, options: options.clone(), place, ports: None, loaded: None })
+    }
+
+    /// Name of the run on this machine, if the workers are processes.
+    pub fn run_name(&self) -> Option<&RunName> {
+        self.crew.run_name()
+    }
+
+    /// Gives every worker its part of `level`, in the state that the scene starts in (step 0), and waits until all are
+    /// connected. What they held before is given up first.
+    ///
+    /// # Errors
+    /// A worker failed, or the transfers do not fit into shared memory.
+    pub fn load(&mut self, level: &RunPlan) -> Result<Vec<WorkerReady>, SessionError> {
+        self.loaded = None;
+        let model = level.model();
+        let links = level.links(&model);
+        let setup = self.setup(level.message_values(), links.is_some())?;
+        RankModel::split(&model, &level.partition, |rank, mut part| {
+            let exchange = ExchangePlan { mode: level.exchange, queue: level.transfers.schedule.queues[rank].clone() };
+            if let Some(collision) = &mut part.collision {
+                collision.memory_limit_bytes = level.table_bytes;
+            }
+            // The serializer skips the arrays; they travel beside the message.
+            let setup = WorkerSetup { links: links.as_ref().map(|links| links[rank].clone()), ..setup.clone() };
+            let message = ToWorker::Load { setup, exchange, model: Box::new(part) };
+            let ToWorker::Load { model, .. } = &message else { unreachable!("made above") };
+            self.crew.send(rank, &message, &model.to_bytes())?;
+            // One part at a time in flight: the coordinator's memory stays at one part.
+            self.crew.flush(rank, SETUP_LIMIT)
+        })?;
+        let mut ready: Vec<Option<WorkerReady>> = vec![None; level.partition.ranks()];
+        self.crew.collect(SETUP_LIMIT, |rank, message, _| match message {
+            ToCoordinator::Ready(worker) => {
+                ready[rank] = Some(worker);
+                true
+            }
+            _ => false,
+        })?;
+        self.loaded = Some(Loaded { partition: level.partition, order: model.original_from_global, step: 0 });
+        Ok(ready.into_iter().flatten().collect())
+    }
+
+    /// Makes `state`, that of step `step`, the state of the loaded level.
+    ///
+    /// # Errors
+    /// A worker failed, no level is loaded, or the state does not belong to a mesh of this size.
+    pub fn set_state(&mut self, state: &State, step: u32) -> Result<(), SessionError> {
+        let loaded = self.loaded.as_mut().ok_or(SessionError::NotLoaded)?;
+        let vertices = loaded.order.len();
+        if state.vertices() != Some(vertices) {
+            return Err(SessionError::Unfit { positions: state.positions.len(), vertices });
+        }
+        for rank in 0..loaded.partition.ranks() {
+            let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)]);
+            self.crew.send(rank, &ToWorker::SetState { step }, &part.to_bytes())?;
+            self.crew.flush(rank, SETUP_LIMIT)?;
+        }
+        loaded.step = step;
+        Ok(())
+    }
+
+    /// Steps up to step `to`, or until `watch` says otherwise.
+    ///
+    /// # Errors
+    /// A worker failed, or a value of a state that was asked for is not finite. The workers are of no use afterwards.
+    pub fn advance(&mut self, to: u32, watch: &mut dyn Watch) -> Result<(), SessionError> {
+        let from = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?.step;
+        for step in from + 1..=to {
+            let done = self.step(step, watch.wants_events(step))?;
+            match watch.step(done) {
+                Next::Step => {}
+                Next::Leave => break,
+                Next::State => {
+                    let state = self.state()?;
+                    if let Some(found) = state.first_not_finite() {
+                        return Err(SessionError::State(not_finite(step, found)));
+                    }
+                    if watch.state(step, state).is_break() {
+                        break;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn step(&mut self, step: u32, record: bool) -> Result<StepDone, SessionError> {
+        let start = Instant::now();
+        self.crew.broadcast(&ToWorker::Step { step, record })?;
+        let ranks = self.crew.ranks();
+        let mut stats = vec![StepStats::default(); ranks];
+        let mut events = vec![Vec::new(); ranks];
+        let collected = self.crew.collect(self.options.silence, |rank, message, arrays| match (message, arrays) {
+            (ToCoordinator::StepDone(done), [bytes]) => {
+                stats[rank] = *done;
+                events[rank] = bytes.chunks_exact(size_of::<Event>()).map(bytemuck::pod_read_unaligned).collect();
+                true
+            }
+            _ => false,
+        });
+        let loaded = self.loaded.as_mut().ok_or(SessionError::NotLoaded)?;
+        collected.map_err(|error| in_mesh_order(error, &loaded.order))?;
+        loaded.step = step;
+        Ok(StepDone { step, ranks: stats, events, wall_s: start.elapsed().as_secs_f64() })
+    }
+
+    /// The state of the whole cloth.
+    ///
+    /// # Errors
+    /// A worker failed, or no level is loaded.
+    pub fn state(&mut self) -> Result<State, SessionError> {
+        let Loaded { partition, order, .. } = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?;
+        self.crew.broadcast(&ToWorker::SendState)?;
+        let mut state = State::zeros(order.len());
+        self.crew.collect(self.options.silence, |rank, message, arrays| {
+            let rows = partition.rows_of(rank);
+            let ToCoordinator::State = message else { return false };
+            let Ok(part) = RankState::from_bytes(arrays, rows.len()) else { return false };
+            state.scatter(&order[rows], &part);
+            true
+        })?;
+        Ok(state)
+    }
+
+    /// Solves a linear system on all workers, each with its part of `system` and `rhs`; results by rank and the name of the
+    /// executor. `exchange`: of every rank. What was loaded before is given up.
+    ///
+    /// # Errors
+    /// A worker failed, or the transfers do not fit into shared memory.
+    pub fn solve(
+        &mut self,
+        system: BlockSystem,
+        rhs: Vec<f64>,
+        partition: &RowPartition,
+        exchange: &[ExchangePlan],
+        params: SolveParams,
+    ) -> Result<(Vec<SolveResult>, String), SessionError> {
+        self.loaded = None;
+        // The exchange of a solution in double precision carries two f32 per value.
+        let setup = self.setup(partition.sub_vector_rows() * 2 * DIM, false)?;
+        system.split(rhs, partition, |rank, mut part| {
+            let arrays = std::mem::take(&mut part.arrays);
+            let (setup, exchange) = (setup.clone(), exchange[rank].clone());
+            let message = ToWorker::Solve { setup, exchange, params, system: Box::new(part) };
+            self.crew.send(rank, &message, &arrays.to_bytes())?;
+            self.crew.flush(rank, SETUP_LIMIT)
+        })?;
+        let mut results: Vec<Option<SolveResult>> = vec![None; partition.ranks()];
+        let mut name = String::new();
+        self.crew.collect(self.options.silence, |rank, message, arrays| match (message, arrays) {
+            (ToCoordinator::Solved { stats, executor, mut record }, [x, events]) => {
+                let x = x.chunks_exact(size_of::<f64>()).map(bytemuck::pod_read_unaligned).collect();
+                record.events = events.chunks_exact(size_of::<Event>()).map(bytemuck::pod_read_unaligned).collect();
+                results[rank] = Some(SolveResult { stats, x, record });
+                name = executor;
+                true
+            }
+            _ => false,
+        })?;
+        Ok((results.into_iter().flatten().collect(), name))
+    }
+
+    /// Tells the workers to leave and makes sure that they have.
+    pub fn dismiss(self) {
+        self.crew.dismiss();
+    }
+
+    /// What every worker is told of itself. Messages that do not fit into the ports there are ask for new ones.
+    fn setup(&mut self, max_message_values: usize, emulated: bool) -> Result<WorkerSetup, SessionError> {
+        let ranks = self.crew.ranks();
+        // A single rank has nobody to send to.
+        let max_message_values = if ranks == 1 { 0 } else { max_message_values };
+        let epoch = match &self.ports {
+            // Emulated links belong to a level.
+            Some(ports) if max_message_values <= ports.max_message_values && !emulated && !ports.emulated => {
+                ports.epoch
+            }
+            there => {
+                // Later the workers give up their ports first, and see for themselves what is free then.
+                if there.is_none() {
+                    self.crew.machine().check_transfers(ranks, max_message_values)?;
+                }
+                let epoch = there.as_ref().map_or(0, |ports| ports.epoch + 1);
+                self.ports = Some(Ports { epoch, max_message_values, emulated });
+                epoch
+            }
+        };
+        Ok(WorkerSetup {
+            executor: self.options.executor,
+            adapter: self.options.adapter,
+            threads: self.options.threads_of(self.place.sessions, self.crew.machine()),
+            bind_cores: self.options.bind_cores,
+            ranks,
+            first_place: self.place.session * ranks,
+            places: self.place.sessions * ranks,
+            epoch,
+            max_message_values: self.ports.as_ref().map_or(max_message_values, |ports| ports.max_message_values),
+            patience_s: PATIENCE_S,
+            links: None,
+        })
+    }
+}
+
+impl SessionError {
+    /// The sentence for the user; `vertex_name` names a vertex of the mesh.
+    pub fn sentence(&self, vertex_name: &dyn Fn(u32) -> String) -> String {
+        match self {
+            SessionError::Crew(error) => error.sentence(vertex_name),
+            SessionError::State(failure) => failure.sentence(vertex_name),
+            other => other.to_string(),
+        }
+    }
+
+    /// True if the user can mend it before the run starts.
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            SessionError::Crew(error) => error.is_bad_input(),
+            SessionError::Machine(error) => matches!(error, MachineError::TooSmall(_)),
+            _ => false,
+        }
+    }
+}
+
+/// Its row is the vertex of the mesh, as in everything that leaves a session.
+fn not_finite(step: u32, found: NotFinite) -> Failure {
+    Failure::NotFinite {
+        step,
+        row: found.vertex,
+        quantity: found.quantity.into(),
+        cause: "after the step".into(),
+        suspect: "simulation.step_s, the start velocity or a force".into(),
+    }
+}
+
+/// The rows that workers name become vertices of the mesh.
+fn in_mesh_order(mut error: CrewError, order: &[u32]) -> CrewError {
+    let vertex = |row: &mut u32| *row = order.get(*row as usize).copied().unwrap_or(*row);
+    if let CrewError::Failed { failure, .. } = &mut error {
+        match failure {
+            Failure::NotFinite { row, .. } => vertex(row),
+            Failure::Squeezed { imposed, .. } => imposed.iter_mut().for_each(|one| match one {
+                Imposed::Pin(row) => vertex(row),
+                Imposed::Obstacle(_) => {}
+            }),
+            _ => {}
+        }
+    }
+    error
+}

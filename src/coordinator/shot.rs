@@ -1,0 +1,227 @@
+//! A shot: which segment of its steps runs on which session when. Sessions run side by side, each on a thread of its own;
+//! a free session takes the next segment. A plain run is one segment on one session.
+//!
+//! News of all segments come to one place, in the order of the steps of a segment and in any order between segments.
+
+use std::ops::ControlFlow;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+use super::session::{Next, Session, SessionError, SessionOptions, SessionPlace, StepDone, Watch};
+use super::{Launch, RunPlan, STOP_REQUESTED};
+use crate::model::State;
+use crate::protocol::WorkerReady;
+
+/// News that a session may be ahead of whoever listens.
+const AHEAD: usize = 1;
+
+/// Steps that follow one another on one session.
+#[derive(Clone, Copy)]
+pub struct Segment<'a> {
+    /// What is simulated.
+    pub level: &'a RunPlan,
+    /// State that it starts from; none: the start state of the scene, which is that of step 0.
+    pub start: Option<&'a State>,
+    /// Step of the start state.
+    pub first_step: u32,
+    /// Step that it ends with.
+    pub last_step: u32,
+    /// Steps from the first one whose events are wanted.
+    pub trace_steps: u32,
+    /// Whether the state after a step is wanted.
+    pub wants_state: &'a (dyn Fn(u32) -> bool + Sync),
+}
+
+/// What happens in a segment.
+pub enum News {
+    /// The level of the segment has been loaded.
+    Ready(Vec<WorkerReady>),
+    /// A step is done.
+    Step(StepDone),
+    /// The state after a step: one that was wanted, or the last one before a stop.
+    State { step: u32, state: State },
+}
+
+/// News, and whose.
+pub struct Told {
+    /// Session.
+    pub session: usize,
+    /// Number of the segment.
+    pub segment: usize,
+    /// The news.
+    pub news: News,
+}
+
+/// How a shot ended that nothing went wrong with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// All segments are done.
+    Done,
+    /// The user asked for a stop.
+    Stopped,
+}
+
+/// Why a shot did not end as it should.
+#[derive(Debug)]
+pub enum ShotError<E> {
+    /// A session, in this segment.
+    Session { segment: usize, error: SessionError },
+    /// Whoever is told refused to hear more.
+    Listener(E),
+}
+
+/// Runs `segments` on `sessions` sessions at once (fewer if there are fewer segments). `tell` hears the news on the thread of
+/// the caller; its error ends the shot.
+///
+/// # Errors
+/// Of what failed first; the other sessions leave after their current step.
+pub fn play<E>(
+    segments: &[Segment],
+    sessions: usize,
+    options: &SessionOptions,
+    launch: &Launch,
+    tell: &mut dyn FnMut(Told) -> Result<(), E>,
+) -> Result<Ended, ShotError<E>> {
+    let sessions = sessions.clamp(1, segments.len().max(1));
+    let halt = AtomicBool::new(false);
+    let waiting = Mutex::new(segments.iter().enumerate());
+    let next = || waiting.lock().ok()?.next();
+    let (sender, receiver) = sync_channel(AHEAD);
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..sessions)
+            .map(|session| {
+                let (place, sender) = (SessionPlace { session, sessions }, sender.clone());
+                let (next, halt) = (&next, &halt);
+                scope.spawn(move || {
+                    let mut player = Player { place, session: None, level: None, halt, sender };
+                    let played = player.play(next, options, launch);
+                    halt.fetch_or(played.is_err(), Ordering::Relaxed);
+                    player.end();
+                    played
+                })
+            })
+            .collect();
+        drop(sender);
+        let told = listen(receiver, tell);
+        halt.fetch_or(told.is_err(), Ordering::Relaxed);
+        let mut ended = Ended::Done;
+        let mut failed = told.err().map(ShotError::Listener);
+        for thread in threads {
+            match thread.join() {
+                Ok(Ok(Ended::Done)) => {}
+                Ok(Ok(Ended::Stopped)) => ended = Ended::Stopped,
+                Ok(Err((segment, error))) => failed = failed.or(Some(ShotError::Session { segment, error })),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        }
+        failed.map_or(Ok(ended), Err)
+    })
+}
+
+/// Until all sessions have ended or `tell` has had enough; then the sessions cannot tell any more and leave.
+fn listen<E>(receiver: Receiver<Told>, tell: &mut dyn FnMut(Told) -> Result<(), E>) -> Result<(), E> {
+    receiver.into_iter().try_for_each(tell)
+}
+
+/// One session and the segments that it takes.
+struct Player<'a> {
+    place: SessionPlace,
+    session: Option<Session>,
+    /// What is loaded.
+    level: Option<&'a RunPlan>,
+    halt: &'a AtomicBool,
+    sender: SyncSender<Told>,
+}
+
+impl<'a> Player<'a> {
+    fn play(
+        &mut self,
+        next: &dyn Fn() -> Option<(usize, &'a Segment<'a>)>,
+        options: &SessionOptions,
+        launch: &Launch,
+    ) -> Result<Ended, (usize, SessionError)> {
+        while let Some((number, segment)) = next() {
+            let ended = self.segment(number, segment, options, launch).map_err(|error| (number, error))?;
+            if ended == Ended::Stopped || self.halt.load(Ordering::Relaxed) {
+                return Ok(ended);
+            }
+        }
+        Ok(Ended::Done)
+    }
+
+    fn segment(
+        &mut self,
+        number: usize,
+        segment: &'a Segment<'a>,
+        options: &SessionOptions,
+        launch: &Launch,
+    ) -> Result<Ended, SessionError> {
+        let session = match &mut self.session {
+            Some(session) => session,
+            none => none.insert(Session::assemble(self.place, options, launch)?),
+        };
+        let whose = |news| Told { session: self.place.session, segment: number, news };
+        let is_loaded = self.level.is_some_and(|level| std::ptr::eq(level, segment.level));
+        if !is_loaded {
+            let ready = session.load(segment.level)?;
+            self.level = Some(segment.level);
+            if self.sender.send(whose(News::Ready(ready))).is_err() {
+                return Ok(Ended::Done);
+            }
+        }
+        match segment.start {
+            Some(state) => session.set_state(state, segment.first_step)?,
+            None if is_loaded => session.set_state(&State::start_of(&segment.level.scene), 0)?,
+            None => {}
+        }
+        let mut watcher = Watcher { segment, halt: self.halt, sender: &self.sender, whose: &whose, stopped: false };
+        session.advance(segment.last_step, &mut watcher)?;
+        Ok(if watcher.stopped { Ended::Stopped } else { Ended::Done })
+    }
+
+    /// The workers leave; after a failure those that hang are killed.
+    fn end(self) {
+        if let Some(session) = self.session {
+            session.dismiss();
+        }
+    }
+}
+
+/// Passes on what happens, and stops when it has to.
+struct Watcher<'a> {
+    segment: &'a Segment<'a>,
+    halt: &'a AtomicBool,
+    sender: &'a SyncSender<Told>,
+    whose: &'a dyn Fn(News) -> Told,
+    stopped: bool,
+}
+
+impl Watcher<'_> {
+    fn tell(&self, news: News) -> ControlFlow<()> {
+        match self.sender.send((self.whose)(news)) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(_) => ControlFlow::Break(()),
+        }
+    }
+}
+
+impl Watch for Watcher<'_> {
+    fn wants_events(&self, step: u32) -> bool {
+        step <= self.segment.first_step.saturating_add(self.segment.trace_steps)
+    }
+
+    fn step(&mut self, done: StepDone) -> Next {
+        let step = done.step;
+        if self.tell(News::Step(done)).is_break() || self.halt.load(Ordering::Relaxed) {
+            return Next::Leave;
+        }
+        self.stopped = STOP_REQUESTED.load(Ordering::Relaxed);
+        if self.stopped || (self.segment.wants_state)(step) { Next::State } else { Next::Step }
+    }
+
+    fn state(&mut self, step: u32, state: State) -> ControlFlow<()> {
+        self.tell(News::State { step, state })?;
+        if self.stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+}
