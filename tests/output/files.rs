@@ -157,6 +157,18 @@ fn checkpoint_file(step: u64) -> Vec<u8> {
 }
 
 #[test]
+fn kept_states_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    for step in [8, 2, 4, 6, 0] {
+        checkpoint::keep(folder.path(), &checkpoint(step)).unwrap();
+    }
+    for step in [0, 2, 4, 6, 8] {
+        let file = fs::read(folder.path().join(format!("step_{step:08}.ltc"))).unwrap();
+        assert_eq!(Checkpoint::from_bytes(&file).unwrap(), checkpoint(step));
+    }
+}
+
+#[test]
 fn the_newest_valid_checkpoint_is_found_and_three_are_kept() {
     let folder = tempfile::tempdir().unwrap();
     assert!(checkpoint::latest(folder.path()).found.is_none());
@@ -285,6 +297,23 @@ fn a_point_cache_has_the_header_that_players_expect() {
     fs::write(&path, &expected[..50]).unwrap();
     assert!(pc2::read(&path, 0).unwrap_err().to_string().ends_with("frame 0 is missing or cut off"));
     assert!(pc2::Pc2Writer::open(&path, 3, 1).is_err());
+}
+
+#[test]
+fn a_point_cache_takes_frames_in_any_order_and_counts_those_before_the_first_gap() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cloth.pc2");
+    let mut writer = pc2::Pc2Writer::open(&path, 2, 0).unwrap();
+    let positions = |frame: u32| [Vec3::splat(frame as f32), Vec3::ONE];
+    for (frame, samples) in [(2, 0), (0, 1), (3, 1), (1, 4), (1, 4)] {
+        writer.write(frame, &positions(frame)).unwrap();
+        assert_eq!(pc2::samples(&path).unwrap(), samples, "after frame {frame}");
+    }
+    for frame in 0..4 {
+        assert_eq!(pc2::read(&path, frame).unwrap(), positions(frame));
+    }
+    let error = writer.write(4, &[Vec3::ZERO]).unwrap_err().to_string();
+    assert!(error.contains("it holds 2 points, frame 4 has 1"), "{error}");
 }
 
 #[test]

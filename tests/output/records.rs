@@ -95,6 +95,24 @@ fn frame_record(frame: u32) -> FrameRecord {
 }
 
 #[test]
+fn a_report_takes_frames_and_steps_in_any_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.json");
+    let mut writer = ReportWriter::create(&path, ReportHeader::now()).unwrap();
+    for number in [3, 1, 4, 2] {
+        writer.step(StepRecord { session: number as usize % 2, ..step_record(number) });
+        writer.frame(frame_record(number as u32)).unwrap();
+    }
+    let report = writer.finish(Status::Done).unwrap();
+    assert_eq!(Report::load(&path).unwrap(), report);
+    assert_eq!(report.frames.iter().map(|record| record.frame).collect::<Vec<_>>(), [1, 2, 3, 4]);
+    assert_eq!(report.steps.iter().map(|record| record.step).collect::<Vec<_>>(), [1, 2, 3, 4]);
+    // Only who is not on the first session says so: other readers know no sessions.
+    let sessions = report.steps.iter().map(|record| serde_json::to_value(record).unwrap()["session"].clone());
+    assert_eq!(sessions.collect::<Vec<_>>(), [serde_json::json!(1), serde_json::Value::Null, 1.into(), serde_json::Value::Null]);
+}
+
+#[test]
 fn a_report_is_valid_from_the_start_and_resumes() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("report.json");

@@ -53,6 +53,34 @@ fn write_two_ranks(path: &Path) {
 }
 
 #[test]
+fn another_session_has_tracks_of_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("trace.json");
+    let devices = ["cpu".to_string(), "cpu".to_string()];
+    let mut writer = TraceWriter::create(&path, &devices, 1_000).unwrap();
+    let events = [event(EventName::Step, Activity::Compute, (0, 9_000), (0, 0, 0))];
+    writer.append(&[RankEvents { rank: 1, epoch_unix_ns: 1_000, events: &events }]).unwrap();
+    writer.add_session(1, &devices).unwrap();
+    // Its clock started before that of the first one.
+    writer.append(&[RankEvents { rank: 3, epoch_unix_ns: 500, events: &events }]).unwrap();
+    let entries = load(&path);
+    let names: Vec<(u64, &str)> = entries
+        .iter()
+        .filter(|entry| entry["name"] == "process_name")
+        .map(|entry| (entry["pid"].as_u64().unwrap(), entry["args"]["name"].as_str().unwrap()))
+        .collect();
+    let expected =
+        [(0, "rank 0 (cpu)"), (1, "rank 1 (cpu)"), (2, "session 1 rank 0 (cpu)"), (3, "session 1 rank 1 (cpu)")];
+    assert_eq!(names, expected);
+    let steps: Vec<(u64, i64)> = entries
+        .iter()
+        .filter(|entry| entry["ph"] == "X")
+        .map(|entry| (entry["pid"].as_u64().unwrap(), ns(&entry["ts"])))
+        .collect();
+    assert_eq!(steps, [(1, 0), (3, -500)]);
+}
+
+#[test]
 fn slices_are_on_one_axis_and_do_not_overlap() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("trace.json");

@@ -9,6 +9,7 @@ use loomtree::coordinator::session::{Next, StepDone, Watch};
 use loomtree::coordinator::shot::{Ended, News, Segment, play};
 use loomtree::coordinator::{Launch, RunOptions, RunPlan, Session, SessionError, SessionOptions, SessionPlace};
 use loomtree::model::State;
+use loomtree::output::Checkpoint;
 use loomtree::protocol::ExecutorChoice;
 use loomtree::scene::PreconditionerKind;
 use loomtree::transport::RunName;
@@ -228,4 +229,38 @@ fn a_listener_that_has_had_enough_ends_the_shot() {
         _ => Ok(()),
     });
     assert!(matches!(ended, Err(loomtree::coordinator::shot::ShotError::Listener("enough"))));
+}
+
+#[test]
+fn a_run_keeps_the_states_that_were_asked_for() {
+    let place = Place::new();
+    place.write("flag.toml", flag(500, 3, 4));
+    let states = |out: &str| {
+        let mut kept: Vec<Checkpoint> = std::fs::read_dir(place.path(out).join("states"))
+            .expect("states")
+            .map(|entry| std::fs::read(entry.expect("an entry").path()).expect("a state"))
+            .map(|bytes| Checkpoint::from_bytes(&bytes).expect("a checkpoint"))
+            .collect();
+        kept.sort_by_key(|kept| kept.step);
+        kept
+    };
+    let steps = |out: &str| states(out).iter().map(|kept| kept.step).collect::<Vec<_>>();
+    let run = "run flag.toml --executor cpu --threads 1";
+    place.run(&format!("{run} --workers 2 --keep-states frames --out frames")).expect(0);
+    assert_eq!(steps("frames"), [0, 3, 6, 9, 12]);
+    let hashes: Vec<(u64, String)> =
+        states("frames").iter().map(|kept| (u64::from(kept.frame), kept.state.hash())).collect();
+    assert_eq!(hashes, place.hashes("frames"));
+    // Without being asked again, a resumed run keeps on keeping; other steps than those of frames change no frame.
+    place.run(&format!("{run} --workers 1 --keep-states 5 --frames 2 --out fives")).expect(0);
+    assert_eq!(steps("fives"), [0, 5]);
+    place.run("run --resume --out fives --frames 4").expect(0);
+    assert_eq!(steps("fives"), [0, 5, 10]);
+    assert_eq!(place.hashes("fives"), place.hashes("frames"));
+    place.run(&format!("{run} --overwrite --frames 1 --out fives")).expect(0);
+    assert!(!place.path("fives").join("states").join("step_00000005.ltc").exists());
+    for bad in ["0", "-3", "every"] {
+        let ended = place.run(&format!("{run} --keep-states={bad} --out bad")).expect(2);
+        assert!(ended.stderr.contains("neither 'frames' nor a number of steps"), "{}", ended.story);
+    }
 }
