@@ -18,26 +18,21 @@ pub mod session;
 pub mod shot;
 pub mod solve;
 
-use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
-
 use thiserror::Error;
 
 pub use crew::{Crew, CrewError, Launch};
-pub use plan::{KeepStates, PlanError, RunOptions, RunPlan};
+pub use plan::{KeepStates, PlanError, RunOptions, RunPlan, SessionOptions};
 use progress::Progress;
-pub use recorder::RecordError;
 use recorder::Recorder;
-pub use session::{Session, SessionError, SessionOptions, SessionPlace};
+pub use recorder::{RecordError, RunPlaces};
+pub use session::{Session, SessionError, SessionPlace};
+pub use shot::STOP_REQUESTED;
 use shot::{Ended, News, Segment, ShotError, Told};
 
 use crate::model::State;
 use crate::output::{Checkpoint, Status};
 use crate::step::StepStats;
 use crate::transport::MachineError;
-
-/// Set by the first Ctrl-C: the run stops after the current step.
-pub static STOP_REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// Why a run did not end as it should.
 #[derive(Debug, Error)]
@@ -72,17 +67,6 @@ impl From<RecordError> for RunError {
             RecordError::Write(text) => RunError::Failed(text),
         }
     }
-}
-
-/// Where a run reads and writes.
-#[derive(Clone, Debug)]
-pub struct RunPlaces {
-    /// Scene file.
-    pub scene: PathBuf,
-    /// Run directory.
-    pub out: PathBuf,
-    /// What to do with a run that is there.
-    pub existing: crate::output::Existing,
 }
 
 /// How a run ended.

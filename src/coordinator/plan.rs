@@ -9,7 +9,6 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::session::SessionOptions;
 use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology, TopologyError, Traffic, plan};
 use crate::math::DIM;
 use crate::model::{GlobalModel, RankModel};
@@ -18,7 +17,7 @@ use crate::partition::RowPartition;
 use crate::protocol::{BindCores, ExecutorChoice};
 use crate::scene::{Overrides, PreconditionerKind, Scene, SceneError, Untangling, load, load_untangled};
 use crate::solver::ExchangeMode;
-use crate::transport::{RANKS_MAX, STAMP_VALUES};
+use crate::transport::{Machine, RANKS_MAX, STAMP_VALUES};
 
 /// Everything the command line decides about a run; kept in `run.toml`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -93,6 +92,30 @@ impl RunOptions {
             bind_cores: self.bind_cores,
             silence: self.heartbeat(),
         }
+    }
+}
+
+/// What the workers of a session run on.
+#[derive(Clone, Debug)]
+pub struct SessionOptions {
+    /// Number of workers.
+    pub workers: usize,
+    /// Executor of the workers.
+    pub executor: ExecutorChoice,
+    /// Adapter of the gpu executor; none: the ranks of all sessions take the adapters in turn.
+    pub adapter: Option<usize>,
+    /// Threads of each worker on the cpu executor; none: an even share of the cores.
+    pub threads: Option<usize>,
+    /// Whether workers that share cores keep to one each.
+    pub bind_cores: BindCores,
+    /// Time without a sign of life after which a worker counts as hung.
+    pub silence: Duration,
+}
+
+impl SessionOptions {
+    /// Threads of each worker of `sessions` sessions side by side on `machine`.
+    pub fn threads_of(&self, sessions: usize, machine: &dyn Machine) -> usize {
+        self.threads.unwrap_or_else(|| machine.threads_per_worker(sessions * self.workers))
     }
 }
 

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use super::plan::{RunOptions, RunPlan};
 use super::session::StepDone;
-use super::{RunOptions, RunPlaces, RunPlan};
 use crate::impact_zone::ZoneCounts;
 use crate::model::State;
 use crate::output::{
@@ -17,6 +17,17 @@ use crate::output::{
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
 use crate::step::StageSeconds;
+
+/// Where a run reads and writes.
+#[derive(Clone, Debug)]
+pub struct RunPlaces {
+    /// Scene file.
+    pub scene: PathBuf,
+    /// Run directory.
+    pub out: PathBuf,
+    /// What to do with a run that is there.
+    pub existing: Existing,
+}
 
 /// Why something could not be written or resumed.
 #[derive(Debug, Error)]

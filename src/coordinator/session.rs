@@ -8,37 +8,21 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use super::{Crew, CrewError, Launch, RunPlan};
+use super::crew::{Crew, CrewError, Launch};
+use super::plan::{RunPlan, SessionOptions};
 use crate::linear_system::{BlockSystem, SolveParams, SolveResult};
 use crate::math::DIM;
 use crate::model::{NotFinite, RankModel, RankState, State};
 use crate::partition::RowPartition;
-use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
+use crate::protocol::{ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Failure, Imposed, StepStats};
 use crate::telemetry::Event;
-use crate::transport::{Machine, MachineError, RunName};
+use crate::transport::{MachineError, RunName};
 
 /// Longest silence of a worker that reads its part or sets it up: much longer than any later one.
 const SETUP_LIMIT: Duration = Duration::from_secs(300);
 /// Longest wait of a worker for another one, seconds. Who is dead or hangs is found long before, by heartbeats.
 const PATIENCE_S: f64 = 3600.0;
-
-/// What the workers of a session run on.
-#[derive(Clone, Debug)]
-pub struct SessionOptions {
-    /// Number of workers.
-    pub workers: usize,
-    /// Executor of the workers.
-    pub executor: ExecutorChoice,
-    /// Adapter of the gpu executor; none: the ranks of all sessions take the adapters in turn.
-    pub adapter: Option<usize>,
-    /// Threads of each worker on the cpu executor; none: an even share of the cores.
-    pub threads: Option<usize>,
-    /// Whether workers that share cores keep to one each.
-    pub bind_cores: BindCores,
-    /// Time without a sign of life after which a worker counts as hung.
-    pub silence: Duration,
-}
 
 /// Which of the sessions side by side this one is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,13 +36,6 @@ pub struct SessionPlace {
 impl SessionPlace {
     /// The only session of a program.
     pub const ALONE: SessionPlace = SessionPlace { session: 0, sessions: 1 };
-}
-
-impl SessionOptions {
-    /// Threads of each worker of `sessions` sessions side by side on `machine`.
-    pub fn threads_of(&self, sessions: usize, machine: &dyn Machine) -> usize {
-        self.threads.unwrap_or_else(|| machine.threads_per_worker(sessions * self.workers))
-    }
 }
 
 /// Why a session cannot go on.

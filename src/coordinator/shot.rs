@@ -8,10 +8,14 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-use super::session::{Next, Session, SessionError, SessionOptions, SessionPlace, StepDone, Watch};
-use super::{Launch, RunPlan, STOP_REQUESTED};
+use super::crew::Launch;
+use super::plan::{RunPlan, SessionOptions};
+use super::session::{Next, Session, SessionError, SessionPlace, StepDone, Watch};
 use crate::model::State;
 use crate::protocol::WorkerReady;
+
+/// Set by the first Ctrl-C: every session stops after its current step.
+pub static STOP_REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// News that a session may be ahead of whoever listens.
 const AHEAD: usize = 1;

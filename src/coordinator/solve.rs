@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::Launch;
-use super::plan::{PlanError, check_workers, plan_transfers};
-use super::session::{Session, SessionError, SessionOptions, SessionPlace};
+use super::crew::Launch;
+use super::plan::{PlanError, SessionOptions, check_workers, plan_transfers};
+use super::session::{Session, SessionError, SessionPlace};
 use crate::interconnect::{Plan, ScheduleKind};
 use crate::linear_system::{BlockSystem, SolveParams, SolveResult, locality_order, share_between_chunks};
 use crate::math::DIM;

@@ -109,7 +109,10 @@ fn a_report_takes_frames_and_steps_in_any_order() {
     assert_eq!(report.steps.iter().map(|record| record.step).collect::<Vec<_>>(), [1, 2, 3, 4]);
     // Only who is not on the first session says so: other readers know no sessions.
     let sessions = report.steps.iter().map(|record| serde_json::to_value(record).unwrap()["session"].clone());
-    assert_eq!(sessions.collect::<Vec<_>>(), [serde_json::json!(1), serde_json::Value::Null, 1.into(), serde_json::Value::Null]);
+    assert_eq!(
+        sessions.collect::<Vec<_>>(),
+        [serde_json::json!(1), serde_json::Value::Null, 1.into(), serde_json::Value::Null]
+    );
 }
 
 #[test]
