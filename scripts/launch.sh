@@ -47,7 +47,9 @@ set -m
 coordinator_pid=$!
 set +m
 trap 'kill -INT "$coordinator_pid" 2>/dev/null' INT
-trap 'kill -TERM "$coordinator_pid" 2>/dev/null' TERM HUP
+trap 'kill -TERM "$coordinator_pid" 2>/dev/null' TERM
+# Under nohup the signal is ignored, and this line changes nothing about that.
+trap 'kill -HUP "$coordinator_pid" 2>/dev/null' HUP
 
 # The coordinator prints the run's identifier once workers may come.
 run=

@@ -4,6 +4,7 @@
 //! it (`tests/tidy/` fails on an upward import). `ARCHITECTURE.md` draws the house.
 
 pub mod math;
+pub mod os;
 pub mod telemetry;
 pub mod gpu;
 pub mod interconnect;

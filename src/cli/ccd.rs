@@ -16,8 +16,8 @@ use std::time::Instant;
 use clap::ValueEnum;
 use serde::Serialize;
 
-use super::CliError;
 use super::ccd_frames::write_frames;
+use super::{CliError, print_to};
 use crate::collision::elementary::{DecidedBy, StencilKind, ccd};
 use crate::math::Vec3;
 
@@ -154,10 +154,7 @@ pub fn write_ccd(args: &CcdArgs, out: &mut impl Write) -> Result<(), CliError> {
 /// Prints a report; a reader that went away is no error.
 pub(super) fn write_json(report: &impl Serialize, out: &mut impl Write) -> Result<(), CliError> {
     let text = serde_json::to_string_pretty(report).map_err(CliError::failed)?;
-    match writeln!(out, "{text}") {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(CliError::failed(error)),
-        _ => Ok(()),
-    }
+    print_to(out, &(text + "\n"))
 }
 
 /// Tests all queries and compares with the truth; `truth` has one entry per query.

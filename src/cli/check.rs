@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use crate::mesh::{MaterialSource, TriangleMesh, first_intersection, hinges, read_mesh};
 use crate::scene::{Movement, Overrides, Scene, load, load_fabric, load_untangled};
 
-use super::CliError;
 use super::start_state::{Places, untangled_line, write_mesh};
+use super::{CliError, print_to};
 
 /// Arguments of `loomtree check`.
 #[derive(Debug, clap::Args)]
@@ -66,13 +66,7 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
             }
         }
     };
-    match out.write_all(summary.as_bytes()) {
-        // A reader that has seen enough (`| head`) is no failure.
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            Err(CliError::failed(format!("cannot write the summary: {error}")))
-        }
-        _ => Ok(()),
-    }
+    print_to(out, &summary)
 }
 
 /// A fabric file has a density and no cloths; anything that does not parse is taken for a scene, which then says why not.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::CliError;
+use super::{CliError, print};
 use crate::transport::{
     FoundRun, RANKS_MAX, SHARED_MEMORY_FOLDER, check_shared_memory, cores, list_runs, required_shared_memory_bytes,
     shared_memory_space,
@@ -114,10 +114,11 @@ pub fn run(
         runs,
     };
     match args.format {
-        Format::Text => print!("{}", report.text()),
+        Format::Text => print(&report.text())?,
         Format::Json => {
             let json = serde_json::to_string_pretty(&report);
-            println!("{}", json.map_err(|error| CliError::failed(format!("cannot print the report: {error}")))?);
+            let json = json.map_err(|error| CliError::failed(format!("cannot print the report: {error}")))?;
+            print(&(json + "\n"))?;
         }
     }
     if let Some(message) = clean_error {

@@ -16,10 +16,13 @@ mod start_state;
 pub mod topology;
 pub mod worker;
 
+use crate::os::console::{self, note};
+use crate::os::signals;
+
 /// A command that ended without its result: what to print to stderr and how to exit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CliError {
-    /// 1 for a run that failed, 2 for bad usage or bad input.
+    /// 1 for a run that failed, 2 for bad usage or bad input, 128 + signal for a run that a signal stopped.
     pub exit_code: u8,
     /// One sentence for the user.
     pub message: String,
@@ -37,6 +40,23 @@ impl CliError {
     }
 }
 
+/// Writes a result to stdout. A reader that has seen enough (`| head`) is not a failure.
+///
+/// # Errors
+/// Stdout cannot take it: exit code 1.
+fn print(text: &str) -> Result<(), CliError> {
+    printed(console::print(text))
+}
+
+/// [`print`] to any stream.
+fn print_to(out: &mut dyn std::io::Write, text: &str) -> Result<(), CliError> {
+    printed(console::print_to(out, text))
+}
+
+fn printed(result: std::io::Result<()>) -> Result<(), CliError> {
+    result.map_err(|error| CliError::failed(format!("cannot write the result to stdout: {error}")))
+}
+
 impl std::fmt::Display for CliError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&self.message)
@@ -51,7 +71,7 @@ pub fn exit_code(result: Result<(), CliError>) -> std::process::ExitCode {
         Ok(()) => std::process::ExitCode::SUCCESS,
         Err(error) => {
             if !error.message.is_empty() {
-                eprintln!("error: {error}");
+                note(format_args!("error: {error}"));
             }
             std::process::ExitCode::from(error.exit_code)
         }
@@ -64,8 +84,11 @@ pub fn start_log() {
         // SAFETY: called first in `main`, before any other thread exists.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
+    signals::survive_file_size_limit();
     let filter = tracing_subscriber::EnvFilter::try_from_env("LOOMTREE_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("loomtree=warn"));
+    // Errors of the log itself would be printed to the stream that has just failed, with a macro that panics then.
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
     // A second call (tests) keeps the first log.
-    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().try_init();
+    let _ = log.without_time().try_init();
 }

@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use clap::Args;
 
-use super::CliError;
 use super::run::ExecutorArg;
+use super::{CliError, print};
 use crate::gpu::{Executor, GpuError};
 use crate::output::picture::{Coloring, PictureError, PictureOptions, UpAxis, draw_frames};
 use crate::output::{FrameSource, FramesError, Report, RunDirectory};
@@ -133,14 +133,7 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
     }
     let sheet = sheet.map_err(cli_error)?;
     let (count, pictures, device) = (numbers.len(), directory.pictures(), executor.device_name());
-    // A closed pipe (`| head`) is no failure of the command.
-    let _ = writeln!(
-        io::stdout(),
-        "{count} pictures in {}, overview in {} (drawn by {device})",
-        pictures.display(),
-        sheet.display()
-    );
-    Ok(())
+    print(&format!("{count} pictures in {}, overview in {} (drawn by {device})\n", pictures.display(), sheet.display()))
 }
 
 /// What draws. Software adapters only on request: the native path is faster.

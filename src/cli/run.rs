@@ -1,14 +1,15 @@
 //! `loomtree run`: coordinator in this process, workers as its children.
 
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
 
 use clap::ValueEnum;
 
 use super::CliError;
 use super::start_state::{Places, untangled_line};
-use crate::coordinator::{KeepStates, Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan, STOP_REQUESTED};
+use crate::coordinator::{KeepStates, Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan};
 use crate::interconnect::ScheduleKind;
+use crate::os::console::note;
+use crate::os::signals;
 use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest, parse_formats};
 use crate::protocol::{BindCores, ExecutorChoice};
 use crate::scene::PreconditionerKind;
@@ -244,39 +245,45 @@ pub fn defaults() -> RunOptions {
 }
 
 /// Runs the command.
+///
+/// # Errors
+/// Bad input, a run that failed, or one that a signal has stopped (exit code 128 + its number).
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     let (places, options) = resolve(&args)?;
-    stop_on_ctrl_c()?;
+    signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
     let plan = RunPlan::new(&places.scene, &options).map_err(|error| match error {
         PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
         other => CliError::bad_input(other),
     })?;
     if let Some(done) = &plan.untangled {
-        eprintln!("{}", untangled_line(done));
+        note(untangled_line(done));
     }
     for line in &plan.scene.left_out {
-        eprintln!("left out: {line}");
+        note(format_args!("left out: {line}"));
     }
     let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
-    eprintln!(
+    note(format_args!(
         "{}: {triangles} triangles, {vertices} vertices, {} workers, schedule {}",
         plan.scene.name,
         options.workers,
         plan.transfers.kind.name()
-    );
+    ));
     let summary = crate::coordinator::run(plan, &options, &places, &launch).map_err(|error| match error {
         RunError::BadInput(text) => CliError::bad_input(text),
         RunError::Failed(text) => CliError::failed(text),
     })?;
     let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
-    eprintln!(
+    note(format_args!(
         "{how}: {} steps, {:.2} ms/step, frames 0..={} in {}",
         summary.steps,
         summary.seconds_per_step * 1e3,
         summary.frames - 1,
         places.out.join("frames").display()
-    );
-    Ok(())
+    ));
+    match signals::stop_requested().filter(|_| summary.stopped) {
+        Some(signal) => Err(CliError { exit_code: signal.exit_code(), message: String::new() }),
+        None => Ok(()),
+    }
 }
 
 /// Scene, run directory and options; a resumed run takes from `run.toml` what the command line leaves open.
@@ -301,21 +308,9 @@ fn resolve(args: &RunArgs) -> Result<(RunPlaces, RunOptions), CliError> {
     let directory = RunDirectory::open(&out).map_err(CliError::bad_input)?;
     let manifest = RunManifest::load(&directory).map_err(CliError::bad_input)?;
     for sentence in manifest.changed_inputs() {
-        eprintln!("warning: {sentence}");
+        note(format_args!("warning: {sentence}"));
     }
     let recorded: RunOptions = manifest.flags().map_err(CliError::bad_input)?;
     let scene = args.scene.clone().unwrap_or(manifest.scene_path);
     Ok((RunPlaces { scene, out, existing }, args.options(recorded)))
-}
-
-/// First Ctrl-C (or SIGTERM): stop after the current step; second: leave at once.
-fn stop_on_ctrl_c() -> Result<(), CliError> {
-    ctrlc::set_handler(|| {
-        if STOP_REQUESTED.swap(true, Ordering::Relaxed) {
-            // The workers notice that the coordinator is gone and clean up.
-            std::process::exit(1);
-        }
-        eprintln!("stopping after the current step (Ctrl-C again: at once)");
-    })
-    .map_err(|error| CliError::failed(format!("cannot listen for Ctrl-C: {error}")))
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
-use super::CliError;
+use super::{CliError, print_to};
 use crate::interconnect::{
     LowerBound, Plan, ScheduleKind, Topology, candidates, lower_bound, plan, root_crossings, transfer_times,
 };
@@ -60,8 +60,7 @@ impl ValueEnum for ScheduleKind {
 
 /// Runs the command; the result goes to stdout.
 pub fn run(args: ScheduleArgs) -> Result<(), CliError> {
-    let mut out = io::BufWriter::new(io::stdout().lock());
-    write_schedule(&args, &mut out)
+    write_schedule(&args, &mut io::stdout().lock())
 }
 
 /// Runs the command; the result goes to `out`. A reader that went away is no error.
@@ -73,16 +72,13 @@ pub fn write_schedule(args: &ScheduleArgs, out: &mut impl Write) -> Result<(), C
     if let Some(path) = &args.svg {
         draw(path, &plan, &topology, sub_vector_bytes)?;
     }
+    let mut text = Vec::new();
     let written = match args.format {
-        ScheduleFormat::Json => write_json(&plan, out),
-        ScheduleFormat::Text => write_text(&plan, &topology, args, sub_vector_bytes, out),
+        ScheduleFormat::Json => write_json(&plan, &mut text),
+        ScheduleFormat::Text => write_text(&plan, &topology, args, sub_vector_bytes, &mut text),
     };
-    match written.and_then(|()| out.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(CliError::failed(format!("cannot write the schedule: {error}")))
-        }
-        _ => Ok(()),
-    }
+    written.map_err(|error| CliError::failed(format!("cannot write the schedule: {error}")))?;
+    print_to(out, &String::from_utf8_lossy(&text))
 }
 
 /// Bytes of one zero-padded sub-vector of a vector with `rows` rows.

@@ -12,6 +12,7 @@ use crate::coordinator::solve::{SolveOptions, SolvePlan, solve};
 use crate::coordinator::{CrewError, Launch, SessionError, SessionOptions};
 use crate::interconnect::ScheduleKind;
 use crate::linear_system::{SolveParams, read_right_hand_side, read_system};
+use crate::output::check_writable;
 use crate::step::Failure;
 
 /// Arguments of `loomtree solve`.
@@ -85,7 +86,7 @@ fn tolerance(text: &str) -> Result<f64, String> {
 /// Bad input (exit code 2), or a solve that failed or did not converge (exit code 1).
 pub fn run(args: SolveArgs) -> Result<(), CliError> {
     if let Some(path) = &args.solution {
-        check_writable(path)?;
+        check_solution(path)?;
     }
     let plan = prepare(&args)?;
     let trace = args.trace.as_deref().map(TraceFolder::new).transpose()?;
@@ -177,7 +178,7 @@ impl SolveArgs {
 const SILENCE_LIMIT: Duration = Duration::from_secs(300);
 
 /// Finds out before a long solve that its result could not be written.
-fn check_writable(path: &std::path::Path) -> Result<(), CliError> {
+fn check_solution(path: &std::path::Path) -> Result<(), CliError> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
     let refused = |what: String| CliError::bad_input(format!("--solution {}: {what}", path.display()));
     if path.is_dir() {
@@ -186,8 +187,5 @@ fn check_writable(path: &std::path::Path) -> Result<(), CliError> {
     if !folder.is_dir() {
         return Err(refused(format!("there is no folder {}", folder.display())));
     }
-    match tempfile::tempfile_in(folder) {
-        Ok(_) => Ok(()),
-        Err(error) => Err(refused(format!("cannot write into {}: {error}", folder.display()))),
-    }
+    check_writable(path).map_err(|error| refused(format!("cannot be written: {error}")))
 }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::CliError;
 use super::solve_trace::TraceFolder;
+use super::{CliError, print};
 use crate::interconnect::ScheduleKind;
 use crate::linear_system::{SolveResult, write_solution};
 use crate::math::DIM;
@@ -105,7 +105,8 @@ pub fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> Re
     }
     let report = SolveReport::new(facts, executor, results);
     let json = serde_json::to_string_pretty(&report);
-    println!("{}", json.map_err(|error| CliError::failed(format!("cannot print the report: {error}")))?);
+    let json = json.map_err(|error| CliError::failed(format!("cannot print the report: {error}")))?;
+    print(&(json + "\n"))?;
     if report.converged {
         return Ok(());
     }

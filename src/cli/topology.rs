@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
-use super::CliError;
+use super::{CliError, print};
 use crate::gpu::{AdapterKind, AdapterSummary, adapters};
 use crate::interconnect::{MAX_GPUS, Topology};
 use crate::output::write_atomically;
@@ -48,7 +48,7 @@ pub fn run(args: TopologyArgs) -> Result<(), CliError> {
     let What::Detect(args) = args.what;
     let text = detect(&args, Path::new("/sys"), &adapters())?;
     match &args.out {
-        None => print!("{text}"),
+        None => print(&text)?,
         Some(path) => write_atomically(path, |out| out.write_all(text.as_bytes()))
             .map_err(|error| CliError::failed(format!("--out: {error}")))?,
     }

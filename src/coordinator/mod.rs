@@ -26,7 +26,6 @@ use progress::Progress;
 use recorder::Recorder;
 pub use recorder::{RecordError, RunPlaces};
 pub use session::{Session, SessionError, SessionPlace};
-pub use shot::STOP_REQUESTED;
 use shot::{Ended, News, Segment, ShotError, Told};
 
 use crate::model::State;

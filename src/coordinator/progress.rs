@@ -4,6 +4,7 @@ use std::io::IsTerminal;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::os::console::note;
 use crate::step::StepStats;
 
 /// Progress of a run.
@@ -38,7 +39,7 @@ impl Progress {
                 bar.set_message(work);
                 bar.set_position(frame as u64);
             }
-            None => eprintln!("frame {frame}/{} (step {step}): {work}, state {hash}", self.frames),
+            None => note(format_args!("frame {frame}/{} (step {step}): {work}, state {hash}", self.frames)),
         }
     }
 

@@ -12,10 +12,8 @@ use super::crew::Launch;
 use super::plan::{RunPlan, SessionOptions};
 use super::session::{Next, Session, SessionError, SessionPlace, StepDone, Watch};
 use crate::model::State;
+use crate::os::signals;
 use crate::protocol::WorkerReady;
-
-/// Set by the first Ctrl-C: every session stops after its current step.
-pub static STOP_REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// News that a session may be ahead of whoever listens.
 const AHEAD: usize = 1;
@@ -220,7 +218,7 @@ impl Watch for Watcher<'_> {
         if self.tell(News::Step(done)).is_break() || self.halt.load(Ordering::Relaxed) {
             return Next::Leave;
         }
-        self.stopped = STOP_REQUESTED.load(Ordering::Relaxed);
+        self.stopped = signals::stop_requested().is_some();
         if self.stopped || (self.segment.wants_state)(step) { Next::State } else { Next::Step }
     }
 

@@ -17,8 +17,11 @@ use super::{TriangleMesh, locality_order};
 const LEAF: usize = 4;
 /// Times the work is split before it is given to threads.
 const ROUNDS: usize = 8;
+/// Parts given to threads at once; between two such batches the search ends if the list is full. Fixed, because the list
+/// must not depend on the number of threads.
+const BATCH: usize = 64;
 /// Pairs that are listed; two sheets laid onto each other would have millions.
-pub(super) const MOST_PAIRS: usize = 10_000;
+pub const MOST_PAIRS: usize = 10_000;
 
 /// Triangles that belong together, and what they need not be tested against.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -40,19 +43,23 @@ pub enum GroupKind {
     Obstacle,
 }
 
-/// The pairs of triangles that share a point, each ascending, all in ascending order; at most 10,000 of them.
+/// The pairs of triangles that share a point, each ascending, all in ascending order; at most 10,000 of them. The search
+/// ends when it has found that many, so a list of that length is not all of them.
 ///
 /// The vertices that two triangles have in common do not count.
 pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -> Vec<[u32; 2]> {
     let search = Search { positions, triangles };
     let boxes: Vec<Bounds> = groups.iter().map(|group| search.bounds(group.triangles.clone())).collect();
     let mut found = Vec::new();
-    for (i, one) in groups.iter().enumerate() {
+    'search: for (i, one) in groups.iter().enumerate() {
         if one.kind == GroupKind::Cloth {
             let tree = search.tree(one.triangles.clone().map(|t| t as u32).collect());
             found.extend(search.pairs(&tree, &tree));
         }
         for (j, other) in groups.iter().enumerate().skip(i + 1) {
+            if found.len() >= MOST_PAIRS {
+                break 'search;
+            }
             if one.kind == GroupKind::Obstacle && other.kind == GroupKind::Obstacle {
                 continue;
             }
@@ -158,7 +165,7 @@ impl Search<'_> {
             let split = |pair| split(one, other, pair).unwrap_or([Some(pair), None, None]).into_iter().flatten();
             parts = parts.into_iter().flat_map(split).collect();
         }
-        let found = parts.into_par_iter().map(|part| {
+        let search = |&part: &(usize, usize)| {
             let (mut found, mut open) = (Vec::new(), vec![part]);
             while let Some(pair) = open.pop().filter(|_| found.len() < MOST_PAIRS) {
                 match split(one, other, pair) {
@@ -167,8 +174,15 @@ impl Search<'_> {
                 }
             }
             found
-        });
-        found.collect::<Vec<_>>().concat()
+        };
+        let mut found = Vec::new();
+        for batch in parts.chunks(BATCH) {
+            found.extend(batch.par_iter().map(search).collect::<Vec<_>>().concat());
+            if found.len() >= MOST_PAIRS {
+                break;
+            }
+        }
+        found
     }
 
     /// Tests the triangles of two leaves.
@@ -291,6 +305,31 @@ mod tests {
         let turned = [corners[1], corners[2], corners[0]];
         assert_eq!(triangles_meet([floor, turned], [FLOOR, [other[1], other[2], other[0]]]), found);
         found
+    }
+
+    /// As many sheets in one place have 10,000 pairs among the first few of them: the search ends there. A search of all
+    /// would test 2 million pairs of sheets, 400 pairs of triangles each.
+    #[test]
+    fn a_full_list_ends_the_search() {
+        let one = sheets(0.0);
+        let (vertices, triangles) = (64, 98);
+        let mut mesh = TriangleMesh::default();
+        let mut groups = Vec::new();
+        for sheet in 0..2000 {
+            mesh.positions.extend(&one.positions[..vertices]);
+            let start = mesh.triangles.len();
+            let first = (sheet * vertices) as u32;
+            mesh.triangles.extend(one.triangles[..triangles].iter().map(|t| t.map(|v| v + first)));
+            groups.push(Group { triangles: start..mesh.triangles.len(), kind: GroupKind::FlatCloth });
+        }
+        let found = crossings(&mesh.positions, &mesh.triangles, &groups);
+        assert_eq!(found.len(), MOST_PAIRS);
+        assert!(found.is_sorted() && found[0] == [0, triangles as u32]);
+        // The work is what the test is about: it is bounded by the sheets that hold the pairs of the list.
+        let last = found.iter().map(|[_, t]| *t as usize / triangles).max().unwrap();
+        assert!(last < 50, "sheet {last} was looked at");
+        let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        assert_eq!(one_thread.install(|| crossings(&mesh.positions, &mesh.triangles, &groups)), found);
     }
 
     #[test]

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use crate::math::{Vec2, Vec3};
 
 pub use adjacency::{Hinge, hinges, pieces, unique_edges};
-pub use crossings::{Group, GroupKind, crossings, first_intersection};
+pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection};
 pub use intersect::edge_crosses_triangle;
 pub use material::{flatten_triangle, flatten_triangles};
 pub use obj::parse_obj;

@@ -20,7 +20,7 @@ mod timeline;
 mod trace;
 mod trace_read;
 
-pub use atomic::{WriteError, write_atomically};
+pub use atomic::{WriteError, check_writable, write_atomically};
 pub use checkpoint::Checkpoint;
 pub use directory::{DirectoryError, Existing, RunDirectory};
 pub use frames::{FormatError, FrameError, FrameFormat, FrameWriter, parse_formats};

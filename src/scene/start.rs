@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::math::Vec3;
-use crate::mesh::{Group, GroupKind, Tangle, TriangleMesh, crossings};
+use crate::mesh::{Group, GroupKind, MOST_PAIRS, Tangle, TriangleMesh, crossings};
 
 use super::pieces::Merged;
 use super::{Obstacle, Obstacles, Pin, Settings};
@@ -75,6 +75,8 @@ impl fmt::Display for Crossings {
         match self.pairs {
             1 => {}
             2 => write!(f, ", and 1 more pair does")?,
+            // The search ends with a full list.
+            pairs if pairs >= MOST_PAIRS => write!(f, ", and at least {} more pairs do", pairs - 1)?,
             pairs => write!(f, ", and {} more pairs do", pairs - 1)?,
         }
         match &self.written {

@@ -120,7 +120,7 @@ fn the_second_ctrl_c_leaves_at_once() {
     running.wait_for_own_end();
     // The held worker finds itself alone.
     signal(worker, Signal::CONT);
-    running.wait().expect(1);
+    running.wait().expect(130);
     place.newest_checkpoint("out");
 }
 

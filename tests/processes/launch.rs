@@ -30,13 +30,13 @@ fn two_workers_give_the_bits_of_loomtree_run() {
 
 #[test]
 fn ctrl_c_to_the_script_stops_the_run_with_a_checkpoint() {
-    for stop in [Signal::INT, Signal::TERM] {
+    for (stop, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
         let place = Place::new();
         place.write("flag.toml", flag(500, 5, 1_000_000));
         let mut running = launch(&place, "flag.toml 3 --executor cpu --threads 1 --out out", &[]);
         running.wait_for_frame("out", 1);
         signal(running.pid(), stop);
-        running.wait().expect(0).says(&["stopped; continue with --resume"]);
+        running.wait().expect(code).says(&["stopped; continue with --resume"]);
         assert_eq!(place.report("out")["status"], "stopped");
         place.newest_checkpoint("out");
     }

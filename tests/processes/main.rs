@@ -11,6 +11,7 @@ mod resume;
 mod same_bits;
 mod session;
 mod solve_command;
+mod streams;
 mod transport_conformance;
 mod transport_control;
 mod transport_processes;

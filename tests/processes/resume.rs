@@ -18,7 +18,8 @@ fn ctrl_c_stops_after_the_step_and_resume_goes_on_with_the_same_bits() {
         place.start("run flag.toml --executor cpu --threads 1 --workers 4 --out out --checkpoint-every 0");
     running.wait_for_frame("out", 1);
     signal(running.pid(), Signal::INT);
-    let ended = running.wait().expect(0).says(&["stopping after the current step", "stopped; continue with --resume"]);
+    let ended =
+        running.wait().expect(130).says(&["stopping after the current step", "stopped; continue with --resume"]);
     assert!(!ended.stderr.contains("error"), "{}", ended.story);
     assert_eq!(place.report("out")["status"], "stopped");
     let (_, frame, step) = place.newest_checkpoint("out");

@@ -175,6 +175,19 @@ fn unfinished(file: &Source) -> Vec<String> {
     findings
 }
 
+/// Macros of the standard library that panic when stdout or stderr is closed or full, outside tests.
+fn panicking_output(file: &Source) -> Vec<String> {
+    let product = file.path.starts_with("src/") || file.path.starts_with("bin/");
+    let tests = file.path.ends_with("tests.rs") || file.path.ends_with("test_support.rs");
+    if !product || tests || !file.is(".rs") {
+        return Vec::new();
+    }
+    let code = blank(&file.text);
+    let end = code.find("#[cfg(test)]").unwrap_or(code.len());
+    let found = ["print!(", "println!("].into_iter().flat_map(|word| code[..end].match_indices(word));
+    found.map(|(at, _)| file.finding(at, "it panics when nobody reads the stream: use os::console")).collect()
+}
+
 /// More than [`LINES_MAX`] lines.
 fn too_long(file: &Source) -> Vec<String> {
     let lines = file.text.lines().count();
@@ -297,6 +310,11 @@ fn nothing_is_unfinished() {
 }
 
 #[test]
+fn output_survives_the_loss_of_its_reader() {
+    assert_tidy(panicking_output);
+}
+
+#[test]
 fn files_fit_a_head() {
     assert_tidy(too_long);
 }
@@ -385,6 +403,17 @@ fn unfinished_code_is_found() {
     let bad = "#[test]\n#[ignore = \"slow\"]\nfn f() { todo!() }\n#[allow(dead_code)]\nfn g() { unimplemented!() }";
     assert_eq!(unfinished(&Source::new("src/a.rs", bad)).len(), 4);
     assert!(unfinished(&Source::new("src/a.rs", "// todo!\nlet text = \"unimplemented!\";")).is_empty());
+}
+
+#[test]
+fn panicking_output_is_found() {
+    let found = |path: &str, text: &str| panicking_output(&Source::new(path, text)).len();
+    assert_eq!(found("src/a.rs", "fn f() { println!(\"x\"); eprint!(\"y\"); }"), 2);
+    assert_eq!(
+        found("src/a.rs", "fn f() { note(\"println!()\"); }\n#[cfg(test)]\nmod t { fn f() { print!(\"\"); } }"),
+        0
+    );
+    assert_eq!(found("tests/a.rs", "fn f() { println!(\"x\"); }"), 0);
 }
 
 #[test]

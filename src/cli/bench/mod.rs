@@ -21,6 +21,7 @@ use super::CliError;
 use super::run::ExecutorArg;
 use crate::gpu::Executor;
 use crate::interconnect::Topology;
+use crate::os::console;
 use crate::protocol::{BindCores, WorkerSetup};
 
 /// Arguments of `loomtree bench`.
@@ -111,7 +112,7 @@ fn warn_of_load() {
         std::fs::read_to_string("/proc/loadavg").ok().and_then(|text| text.split(' ').next()?.parse::<f64>().ok());
     if let Some(load) = load {
         let note = if load > 1.5 { ": the machine is busy, trust ratios only" } else { "" };
-        eprintln!("load average {load:.2}{note}");
+        console::note(format_args!("load average {load:.2}{note}"));
     }
 }
 

@@ -1,11 +1,10 @@
 //! A table of figures, measured or modelled: printed, and written as JSON and SVG.
 
-use std::io::Write;
 use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
-use crate::cli::CliError;
+use crate::cli::{CliError, print};
 use crate::output::plot::{Series, line_chart};
 use crate::output::{Machine, write_atomically};
 
@@ -71,12 +70,7 @@ impl Table {
             text += &line(row.iter().map(String::as_str).collect());
         }
         text.push('\n');
-        match std::io::stdout().write_all(text.as_bytes()) {
-            Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-                Err(CliError::failed(format!("cannot print the table: {error}")))
-            }
-            _ => Ok(()),
-        }
+        print(&text)
     }
 
     /// Writes `name.json`, and `name.svg` with the columns of `curves` over its first one if there are at least two rows.

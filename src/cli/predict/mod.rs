@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde_json::json;
 
-use super::CliError;
+use super::{CliError, print_to};
 use crate::interconnect::{
     KernelTimes, Plan, ProductExchange, Replay, ReplayedStep, STAGES, ScheduleKind, Topology, plan,
 };
@@ -70,8 +70,7 @@ pub enum PredictKernels {
 
 /// Runs the command; the result goes to stdout.
 pub fn run(args: PredictArgs) -> Result<(), CliError> {
-    let mut out = io::BufWriter::new(io::stdout().lock());
-    write_prediction(&args, &mut out)
+    write_prediction(&args, &mut io::stdout().lock())
 }
 
 /// Runs the command; the result goes to `out`. A reader that went away is no error.
@@ -83,16 +82,13 @@ pub fn write_prediction(args: &PredictArgs, out: &mut impl Write) -> Result<(), 
     if let Some(path) = &args.svg {
         write_timeline(path, &prediction.timeline()).map_err(|error| CliError::failed(format!("--svg: {error}")))?;
     }
+    let mut text = Vec::new();
     let written = match args.json {
-        true => writeln!(out, "{:#}", prediction.json()),
-        false => prediction.write_text(out),
+        true => writeln!(text, "{:#}", prediction.json()),
+        false => prediction.write_text(&mut text),
     };
-    match written.and_then(|()| out.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(CliError::failed(format!("cannot write the prediction: {error}")))
-        }
-        _ => Ok(()),
-    }
+    written.map_err(|error| CliError::failed(format!("cannot write the prediction: {error}")))?;
+    print_to(out, &String::from_utf8_lossy(&text))
 }
 
 /// A measured run of the predicted configuration.

@@ -109,19 +109,27 @@ impl Place {
     pub fn start_program(&self, program: &str, words: &str, environment: &[(&str, &str)]) -> Running<'_> {
         let output = self.path(&format!("output-{}", fs::read_dir(self.folder.path()).expect("the place").count()));
         let file = |ending: &str| File::create(output.with_extension(ending)).expect("a file for the output");
-        let child = Command::new(program)
-            .args(words.split_whitespace())
-            .current_dir(self.folder.path())
-            .env(MARK, self.folder.path())
-            .env("TMPDIR", self.path("tmp"))
+        let child = self
+            .command_of(program, words)
             .envs(environment.iter().copied())
-            .stdin(Stdio::null())
             .stdout(file("stdout"))
             .stderr(file("stderr"))
             .spawn()
             .unwrap_or_else(|error| panic!("cannot start {program}: {error}"));
         let what = format!("{program} {words}");
         Running { place: self, child, what, output, runs: BTreeSet::new() }
+    }
+
+    /// `loomtree` with words separated by blanks, not yet started: for tests that choose its streams.
+    pub fn command(&self, words: &str) -> Command {
+        self.command_of(&program("loomtree"), words)
+    }
+
+    fn command_of(&self, program: &str, words: &str) -> Command {
+        let mut command = Command::new(program);
+        command.args(words.split_whitespace()).current_dir(self.folder.path()).stdin(Stdio::null());
+        command.env(MARK, self.folder.path()).env("TMPDIR", self.path("tmp"));
+        command
     }
 
     /// Living processes that were started here, directly or not: number and command line.

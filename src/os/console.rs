@@ -1,0 +1,55 @@
+//! Output on stdout and stderr that survives the loss of its reader. The macros of the standard library panic when a
+//! stream is closed or full, which would end a run because nobody reads its progress.
+
+use std::fmt::Display;
+use std::io::{self, ErrorKind, Write};
+
+/// Writes one line of progress or advice to stderr. A stream that is closed or full loses the line.
+pub fn note(line: impl Display) {
+    // One write a line: lines of several processes do not mix.
+    let _ = io::stderr().write_all(format!("{line}\n").as_bytes());
+}
+
+/// Writes a result to stdout.
+///
+/// # Errors
+/// The stream took only a part of it, for example because a disk is full. A reader that has closed its end has read what
+/// it wanted (`| head`): not an error.
+pub fn print(text: &str) -> io::Result<()> {
+    print_to(&mut io::stdout().lock(), text)
+}
+
+/// [`print`] to any stream.
+pub fn print_to(out: &mut dyn Write, text: &str) -> io::Result<()> {
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A stream that takes nothing.
+    struct Refusing(ErrorKind);
+
+    impl Write for Refusing {
+        fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+            Err(self.0.into())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn only_a_reader_that_left_is_forgiven() {
+        let mut taken = Vec::new();
+        print_to(&mut taken, "text\n").unwrap();
+        assert_eq!(taken, b"text\n");
+        print_to(&mut Refusing(ErrorKind::BrokenPipe), "text").unwrap();
+        assert_eq!(print_to(&mut Refusing(ErrorKind::StorageFull), "text").unwrap_err().kind(), ErrorKind::StorageFull);
+    }
+}

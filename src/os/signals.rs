@@ -1,0 +1,104 @@
+//! Signals that ask a run to stop, and those that must not end a process. The first request is noted and looked up by
+//! whoever can stop in an orderly way; the second ends the process at once. Nothing here knows what a run is.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
+
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+use signal_hook::iterator::Signals;
+
+use super::console::note;
+
+/// Number of the first signal that asked to stop; 0 = none yet.
+static REQUESTED: AtomicI32 = AtomicI32::new(0);
+
+/// A signal that asked the process to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StopSignal(i32);
+
+impl StopSignal {
+    /// 128 + number of the signal, as shells report a process that a signal has ended.
+    pub fn exit_code(self) -> u8 {
+        (128 + self.0) as u8
+    }
+
+    /// For example `SIGTERM`.
+    pub fn name(self) -> &'static str {
+        signal_hook::low_level::signal_name(self.0).unwrap_or("a signal")
+    }
+}
+
+impl std::fmt::Display for StopSignal {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// The first signal that asked to stop, if one came since [`listen`].
+pub fn stop_requested() -> Option<StopSignal> {
+    let number = REQUESTED.load(Ordering::Relaxed);
+    (number != 0).then_some(StopSignal(number))
+}
+
+/// From now on the first SIGINT (Ctrl-C), SIGTERM or SIGHUP is noted for [`stop_requested`], and the second ends the
+/// process with [`StopSignal::exit_code`]. A SIGHUP that came ignored stays ignored: `nohup` asked for that.
+///
+/// # Errors
+/// The system does not let the process handle signals.
+pub fn listen() -> io::Result<()> {
+    let mut heard = vec![SIGINT, SIGTERM];
+    if !is_ignored(SIGHUP) {
+        heard.push(SIGHUP);
+    }
+    let mut signals = Signals::new(heard)?;
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        for number in signals.forever() {
+            if REQUESTED.swap(number, Ordering::Relaxed) != 0 {
+                // Workers notice that the coordinator is gone and clean up.
+                std::process::exit(StopSignal(number).exit_code().into());
+            }
+            note("stopping after the current step (Ctrl-C again: at once)");
+        }
+    })?;
+    Ok(())
+}
+
+/// A file that reaches the limit of `ulimit -f` is an error of that write (EFBIG), which has a sentence, and not the end
+/// of the process by SIGXFSZ.
+pub fn survive_file_size_limit() {
+    // Where that is refused the signal keeps its meaning.
+    let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
+}
+
+/// True if the process ignores signal `number`.
+fn is_ignored(number: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    in_mask(&status, number)
+}
+
+/// Looks `number` up in the line `SigIgn:` of `/proc/PID/status`, a hexadecimal mask whose lowest bit is signal 1.
+fn in_mask(status: &str, number: i32) -> bool {
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask & (1 << (number - 1)) != 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exit_codes_are_those_of_shells() {
+        let codes = [SIGHUP, SIGINT, SIGTERM].map(|number| StopSignal(number).exit_code());
+        assert_eq!(codes, [129, 130, 143]);
+        assert_eq!(StopSignal(SIGHUP).to_string(), "SIGHUP");
+    }
+
+    #[test]
+    fn ignored_signals_are_read_from_the_mask() {
+        let status = "Name:\tx\nSigBlk:\t0000000000000004\nSigIgn:\t0000000000001001\nSigCgt:\t0000000000000002\n";
+        assert!(in_mask(status, SIGHUP) && in_mask(status, 13));
+        assert!(!in_mask(status, SIGINT) && !in_mask("", SIGHUP) && !in_mask("SigIgn:\tmany", SIGHUP));
+    }
+}
