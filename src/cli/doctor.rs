@@ -8,8 +8,8 @@ use serde::Serialize;
 
 use super::{CliError, print};
 use crate::transport::{
-    FoundRun, RANKS_MAX, SHARED_MEMORY_FOLDER, check_shared_memory, cores, list_runs, required_shared_memory_bytes,
-    shared_memory_space,
+    FoundRun, RANKS_MAX, RunState, SHARED_MEMORY_FOLDER, check_descriptors, check_shared_memory, cores, list_runs,
+    required_descriptors, required_shared_memory_bytes, shared_memory_space,
 };
 
 /// Memory of a run over all workers, bytes per vertex: the goal that the product is measured against.
@@ -18,7 +18,7 @@ const MEMORY_PER_VERTEX: u64 = 2500;
 /// Arguments of `loomtree doctor`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DoctorArgs {
-    /// Remove what dead runs have left; runs with a living process are not touched
+    /// Remove what dead runs have left; runs with a living process, or of which that cannot be told, are not touched
     #[arg(long)]
     pub clean: bool,
     /// How to print the report
@@ -67,6 +67,8 @@ struct Need {
     workers: usize,
     shared_memory_bytes: u64,
     memory_bytes: u64,
+    /// Files that a process of the run opens.
+    descriptors: u64,
     /// Enough shared memory is free.
     fits: bool,
 }
@@ -76,6 +78,8 @@ struct Need {
 struct Run {
     id: String,
     alive: bool,
+    /// Whether it lives cannot be told: it is left alone.
+    unknown: bool,
     shared_memory_files: usize,
     shared_memory_bytes: u64,
     processes: Vec<String>,
@@ -128,6 +132,7 @@ pub fn run(
         check_shared_memory(need.workers, longest_message(need.vertices, need.workers), space.1)
             .map_err(|error| CliError::failed(format!("{}: {error}", need.what)))?;
     }
+    check_descriptors(args.workers).map_err(CliError::failed)?;
     Ok(())
 }
 
@@ -142,7 +147,17 @@ fn need_of(what: String, triangles: usize, workers: usize, free: u64) -> Need {
     let vertices = triangles.div_ceil(2) + (triangles as f64).sqrt().ceil() as usize + 1;
     let shared_memory_bytes = required_shared_memory_bytes(workers, longest_message(vertices, workers));
     let memory_bytes = MEMORY_PER_VERTEX.saturating_mul(vertices as u64);
-    Need { what, triangles, vertices, workers, shared_memory_bytes, memory_bytes, fits: shared_memory_bytes <= free }
+    let descriptors = required_descriptors(workers);
+    Need {
+        what,
+        triangles,
+        vertices,
+        workers,
+        shared_memory_bytes,
+        memory_bytes,
+        descriptors,
+        fits: shared_memory_bytes <= free,
+    }
 }
 
 /// Describes the runs found and removes the dead ones if asked to; the first failure to do so.
@@ -150,20 +165,27 @@ fn examine(found: Vec<FoundRun>, clean: bool) -> (Vec<Run>, Option<String>) {
     let mut first_error = None;
     let describe = |found: FoundRun| {
         let mut removed = false;
-        if clean && !found.alive {
-            // Looks once more: a run that is about to start counts as alive by then.
+        if clean && found.state == RunState::Dead {
+            // Looks once more, and keeps others away while it removes.
             match found.run.purge_if_last() {
                 Ok(done) => removed = done,
                 Err(error) => first_error = first_error.take().or_else(|| Some(format!("run {}: {error}", found.run))),
             }
         }
+        // The processes of a living run in another pid namespace have other numbers here.
+        let elsewhere = found.state == RunState::Alive && !found.members.iter().any(|member| member.is_alive());
         let process = |member: &crate::transport::Member| {
-            let state = if member.is_alive() { "" } else { ", ended" };
+            let state = match (member.is_alive(), elsewhere) {
+                (true, _) => "",
+                (false, true) => ", in another pid namespace",
+                (false, false) => ", ended",
+            };
             format!("{} ({}{state})", member.pid, member.role)
         };
         Run {
             id: found.run.to_string(),
-            alive: found.alive,
+            alive: found.state == RunState::Alive,
+            unknown: found.state == RunState::Unknown,
             shared_memory_files: found.shared_memory_files,
             shared_memory_bytes: found.shared_memory_bytes,
             processes: found.members.iter().map(process).collect(),
@@ -210,8 +232,8 @@ impl Report {
             let (shared, memory) = (size(need.shared_memory_bytes), size(need.memory_bytes));
             let workers = need.workers;
             let text = format!(
-                "{}: {workers} workers need {shared} of shared memory ({verdict}), about {memory} of memory",
-                need.what
+                "{}: {workers} workers need {shared} of shared memory ({verdict}), about {memory} of memory, {} open files each",
+                need.what, need.descriptors
             );
             line("needed", text);
         }
@@ -219,10 +241,11 @@ impl Report {
             line("runs", "none, and nothing left of dead ones".to_string());
         }
         for run in &self.runs {
-            let state = match (run.alive, run.removed) {
-                (true, _) => "running",
-                (false, true) => "dead, removed",
-                (false, false) => "dead, its leftovers go with --clean",
+            let state = match (run.alive, run.removed, run.unknown) {
+                (true, ..) => "running",
+                (false, true, _) => "dead, removed",
+                (false, false, false) => "dead, its leftovers go with --clean",
+                (false, false, true) => "without a lock that tells whether it lives: left alone, remove it by hand",
             };
             let (files, bytes) = (run.shared_memory_files, size(run.shared_memory_bytes));
             let processes = if run.processes.is_empty() { "none".to_string() } else { run.processes.join(", ") };
@@ -281,16 +304,17 @@ mod tests {
     #[test]
     fn dead_runs_are_removed() {
         let (run, member) = RunName::create("doctor test").unwrap();
-        // A process that died: its entry stays, under a start time that no process has.
-        let entry = std::fs::read_dir(run.root().join("processes")).unwrap().next().unwrap().unwrap().path();
-        std::fs::write(&entry, format!("{} 1 worker 0", std::process::id())).unwrap();
+        drop(member);
+        // As a killed process leaves it: the system has dropped its lock, its entry stays.
+        std::fs::create_dir_all(run.root().join("processes")).unwrap();
+        std::fs::write(run.root().join("lock"), "").unwrap();
+        std::fs::write(run.root().join("processes/1-0"), format!("{} 1 worker 0", std::process::id())).unwrap();
         let found = |run: &RunName| list_runs().into_iter().filter(|found| found.run == *run).collect::<Vec<_>>();
         let (runs, _) = examine(found(&run), false);
         assert!(!runs[0].alive && !runs[0].removed && runs[0].processes[0].ends_with("(worker 0, ended)"));
         let (runs, error) = examine(found(&run), true);
         assert!(runs[0].removed && error.is_none());
         assert!(!run.root().exists() && found(&run).is_empty());
-        drop(member);
     }
 
     #[test]

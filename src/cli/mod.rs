@@ -17,7 +17,7 @@ pub mod topology;
 pub mod worker;
 
 use crate::os::console::{self, note};
-use crate::os::signals;
+use crate::os::{limits, signals};
 
 /// A command that ended without its result: what to print to stderr and how to exit.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -85,6 +85,7 @@ pub fn start_log() {
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
     signals::survive_file_size_limit();
+    limits::raise_descriptor_limit();
     let filter = tracing_subscriber::EnvFilter::try_from_env("LOOMTREE_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("loomtree=warn"));
     // Errors of the log itself would be printed to the stream that has just failed, with a macro that panics then.

@@ -14,6 +14,7 @@ use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest, parse_form
 use crate::protocol::{BindCores, ExecutorChoice};
 use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
+use crate::transport::{check_descriptors, remove_dead_runs};
 
 /// Arguments of `loomtree run`.
 #[derive(Clone, Debug, clap::Args)]
@@ -261,6 +262,8 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     for line in &plan.scene.left_out {
         note(format_args!("left out: {line}"));
     }
+    check_descriptors(options.workers).map_err(CliError::bad_input)?;
+    remove_dead_runs();
     let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
     note(format_args!(
         "{}: {triangles} triangles, {vertices} vertices, {} workers, schedule {}",

@@ -14,6 +14,7 @@ use crate::interconnect::ScheduleKind;
 use crate::linear_system::{SolveParams, read_right_hand_side, read_system};
 use crate::output::check_writable;
 use crate::step::Failure;
+use crate::transport::{check_descriptors, remove_dead_runs};
 
 /// Arguments of `loomtree solve`.
 #[derive(Clone, Debug, clap::Args)]
@@ -92,6 +93,8 @@ pub fn run(args: SolveArgs) -> Result<(), CliError> {
     let trace = args.trace.as_deref().map(TraceFolder::new).transpose()?;
     let facts = facts(&args, &plan, trace);
     let session = args.session();
+    check_descriptors(args.workers).map_err(CliError::bad_input)?;
+    remove_dead_runs();
     let (results, executor) = solve(plan, &session, &LAUNCH).map_err(|error| match error {
         SessionError::Crew(CrewError::Failed { failure: Failure::BadInput(text), .. }) => CliError::bad_input(text),
         SessionError::Crew(CrewError::Failed { failure: Failure::Other(text), .. }) => {

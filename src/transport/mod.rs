@@ -14,6 +14,7 @@
 mod collective;
 mod connect;
 mod control;
+mod descriptors;
 mod emulated;
 mod faulty;
 mod frames;
@@ -25,6 +26,7 @@ mod message;
 mod process;
 mod process_launcher;
 mod recording;
+mod run_lock;
 mod run_name;
 mod shared_memory;
 mod solo;
@@ -35,6 +37,7 @@ mod wait;
 pub use collective::{share_lists, share_ranges};
 pub use connect::{Connect, Connection};
 pub use control::{ControlCoordinator, ControlError, ControlWorker, Heartbeat, Silence};
+pub use descriptors::{TooFewDescriptors, check_descriptors, required_descriptors};
 pub use emulated::{EmulatedTransport, STAMP_VALUES};
 pub use faulty::{Fault, FaultyTransport};
 pub use iceoryx::{IceoryxConnect, IceoryxCoordinator, IceoryxOptions, IceoryxTransport, IceoryxWorker};
@@ -45,7 +48,9 @@ pub use message::{MessageError, decode, encode, items_of};
 pub use process::{ProcessWatch, share_cores, start_ticks};
 pub use process_launcher::{ProcessLauncher, WorkerCommand, worker_role};
 pub use recording::{Action, Record, RecordingTransport};
-pub use run_name::{FoundRun, Member, RunError, RunMember, RunName, SHARED_MEMORY_FOLDER, list_runs};
+pub use run_name::{
+    FoundRun, Member, RunError, RunMember, RunName, RunState, SHARED_MEMORY_FOLDER, list_runs, remove_dead_runs,
+};
 pub use shared_memory::{SharedMemoryError, check_shared_memory, required_shared_memory_bytes, shared_memory_space};
 pub use solo::SoloTransport;
 pub use threads::{

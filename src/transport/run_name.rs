@@ -1,8 +1,10 @@
 //! What a run leaves on the machine, and how it goes away: a folder under the temp directory, shared-memory files with
 //! the run's prefix, and one small file per process of the run. Whoever leaves last removes everything; what killed
-//! runs left behind is found by [`list_runs`]. It does not touch what belongs to runs with a living process.
+//! runs left behind is found by [`list_runs`]. Locks decide whether a run lives (`run_lock`); what they cannot decide is
+//! left alone, and so is what belongs to other users.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,6 +13,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use thiserror::Error;
 
 use super::process::start_ticks;
+use super::run_lock::{self, Lock, Membership};
 
 /// Where POSIX shared memory lives on Linux.
 pub const SHARED_MEMORY_FOLDER: &str = "/dev/shm";
@@ -19,6 +22,8 @@ const ID_LEN: usize = 10;
 const FOLDER_PREFIX: &str = "loomtree-";
 const SHARED_MEMORY_PREFIX: &str = "lt";
 const PROCESSES: &str = "processes";
+/// Name of both locks of a run; after the prefix beside the shared memory.
+const LOCK: &str = "lock";
 /// Longest path of the temp directory that leaves room for `/loomtree-<id>/` and a socket's name within the 108 bytes
 /// of a Unix socket address (roots of 60 bytes were seen to work, 80 not).
 const TEMP_PATH_MAX: usize = 35;
@@ -61,28 +66,37 @@ impl std::str::FromStr for RunName {
 }
 
 impl RunName {
-    /// Makes a new run: its folder, with the calling process registered in it as `role`. The folder appears with that
-    /// entry already inside, so that nobody ever sees a living run without a process.
+    /// Makes a new run: its locks, its folder, and the calling process registered in it as `role`. The first file is a
+    /// lock that is held, so that nobody ever takes a run that begins for a dead one.
     pub fn create(role: &str) -> Result<(RunName, RunMember), RunError> {
         loop {
             let run = RunName { id: new_id() };
-            let prepared = temp_folder().join(format!(".{FOLDER_PREFIX}{}", run.id));
+            let [beside, inside] = run.locks();
+            let held = match run_lock::create(&beside) {
+                Ok(held) => held,
+                // The name is taken.
+                Err(error) if matches!(error.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => continue,
+                Err(error) => return Err(io("create", &beside)(error)),
+            };
+            let root = run.root();
             // Others than the user of the run have no business in its folder.
-            fs::DirBuilder::new().mode(0o700).create(&prepared).map_err(io("create", &prepared))?;
-            // Renaming onto a folder that is not empty fails: then the name is taken and another one is tried.
-            let renamed = register_in(&prepared, &run, role)
-                .and_then(|entry| fs::rename(&prepared, run.root()).map_err(io("rename", &prepared)).map(|()| entry));
-            match renamed {
-                Ok(entry) => {
-                    let file = run.root().join(PROCESSES).join(entry);
-                    return Ok((run.clone(), RunMember { run, file }));
+            let made = fs::DirBuilder::new().mode(0o700).create(&root);
+            if made.as_ref().is_err_and(|error| error.kind() == ErrorKind::AlreadyExists) {
+                let _ = fs::remove_file(&beside);
+                continue;
+            }
+            let registered = made.map_err(io("create", &root)).and_then(|()| {
+                let locks = [held, run_lock::create(&inside).map_err(io("create", &inside))?];
+                Ok((Membership::of(locks), register_in(&root, &run, role)?))
+            });
+            match registered {
+                Ok((locks, entry)) => {
+                    let file = root.join(PROCESSES).join(entry);
+                    return Ok((run.clone(), RunMember { run, file, locks: Some(locks) }));
                 }
                 Err(error) => {
-                    let taken = run.root().exists();
-                    let _ = fs::remove_dir_all(&prepared);
-                    if !taken {
-                        return Err(error);
-                    }
+                    let _ = run.purge();
+                    return Err(error);
                 }
             }
         }
@@ -91,8 +105,48 @@ impl RunName {
     /// Registers the calling process as a member of this run; it counts as alive until the returned value is dropped
     /// or the process ends.
     pub fn join(&self, role: &str) -> Result<RunMember, RunError> {
-        let entry = register_in(&self.root(), self, role)?;
-        Ok(RunMember { run: self.clone(), file: self.root().join(PROCESSES).join(entry) })
+        let root = self.root();
+        let locks = Membership::join(&self.locks()).map_err(|(path, source)| match source.kind() {
+            ErrorKind::NotFound => self.missing(),
+            _ => RunError::Io { action: "join", path, source },
+        })?;
+        let entry = register_in(&root, self, role)?;
+        Ok(RunMember { run: self.clone(), file: root.join(PROCESSES).join(entry), locks: Some(locks) })
+    }
+
+    fn missing(&self) -> RunError {
+        let source = std::io::Error::new(ErrorKind::NotFound, format!("run {self} does not exist (any more)"));
+        RunError::Io { action: "join", path: self.root(), source }
+    }
+
+    /// The lock beside the shared memory and the one in the folder.
+    fn locks(&self) -> [PathBuf; 2] {
+        let beside = Path::new(SHARED_MEMORY_FOLDER).join(format!("{}{LOCK}", self.shared_memory_prefix()));
+        [beside, self.root().join(LOCK)]
+    }
+
+    /// Whether the run lives.
+    pub fn state(&self) -> RunState {
+        self.look().0
+    }
+
+    /// The state, and for a dead run the locks that keep it dead.
+    fn look(&self) -> (RunState, Vec<fs::File>) {
+        let (mut free, mut unreadable) = (Vec::new(), false);
+        for path in self.locks() {
+            match run_lock::look(&path) {
+                Lock::Held => return (RunState::Alive, Vec::new()),
+                Lock::Free(file) => free.push(file),
+                Lock::Unreadable => unreadable = true,
+                Lock::Missing => {}
+            }
+        }
+        match () {
+            _ if unreadable => (RunState::Unknown, Vec::new()),
+            _ if !free.is_empty() => (RunState::Dead, free),
+            _ if self.root().exists() || !self.shared_memory_files().is_empty() => (RunState::Unknown, free),
+            _ => (RunState::Gone, free),
+        }
     }
 
     /// Folder of the run's small files and sockets; short enough for a socket's path.
@@ -114,44 +168,73 @@ impl RunName {
         members
     }
 
-    /// Shared-memory files of this run: path and size in bytes.
+    /// Shared-memory files of this run that belong to the calling user, but for its lock: path and size in bytes. What
+    /// others have put there under such a name is theirs.
     pub fn shared_memory_files(&self) -> Vec<(PathBuf, u64)> {
         let prefix = self.shared_memory_prefix();
+        let [lock, _] = self.locks();
         let Ok(entries) = fs::read_dir(SHARED_MEMORY_FOLDER) else { return Vec::new() };
         entries
             .flatten()
-            .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix))
+            .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix) && is_own(entry))
+            .filter(|entry| entry.path() != lock)
             .filter_map(|entry| Some((entry.path(), entry.metadata().ok()?.len())))
             .collect()
     }
 
-    /// Removes everything of this run. Only for runs without a living process: memory that is still mapped stays
-    /// usable, but no further connection can be made.
+    /// Removes everything of this run, its locks last. Only for runs without a living process: memory that is still mapped
+    /// stays usable, but no further connection can be made.
     ///
     /// # Errors
-    /// Something of it is there and cannot be removed (it belongs to another user, for example).
+    /// Something of it is there and cannot be removed.
     pub fn purge(&self) -> Result<(), RunError> {
         for (path, _) in self.shared_memory_files() {
             ignore_missing(fs::remove_file(&path)).map_err(io("remove", &path))?;
         }
-        let root = self.root();
+        let (root, [beside, inside]) = (self.root(), self.locks());
+        for entry in fs::read_dir(&root).into_iter().flatten().flatten().filter(|entry| entry.path() != inside) {
+            let path = entry.path();
+            let removed = match entry.file_type() {
+                Ok(kind) if kind.is_dir() => fs::remove_dir_all(&path),
+                _ => fs::remove_file(&path),
+            };
+            ignore_missing(removed).map_err(io("remove", &path))?;
+        }
         // Members may be removing the same folder at the same time.
         for attempt in 0.. {
             match ignore_missing(fs::remove_dir_all(&root)) {
                 Err(_) if attempt < 3 && root.exists() => std::thread::yield_now(),
-                done => return done.map_err(io("remove", &root)),
+                done => {
+                    done.map_err(io("remove", &root))?;
+                    break;
+                }
             }
         }
-        Ok(())
+        ignore_missing(fs::remove_file(&beside)).map_err(io("remove", &beside))
     }
 
-    /// [`RunName::purge`] if no process of the run is alive; says whether it did.
+    /// [`RunName::purge`] if the run is known to have no living process; says whether nothing of it is left.
     pub fn purge_if_last(&self) -> Result<bool, RunError> {
-        if self.members().iter().any(Member::is_alive) {
-            return Ok(false);
+        match self.look() {
+            (RunState::Dead, _locks) => self.purge().map(|()| true),
+            (RunState::Gone, _) => Ok(true),
+            (RunState::Alive | RunState::Unknown, _) => Ok(false),
         }
-        self.purge().map(|()| true)
     }
+}
+
+/// What the locks of a run say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RunState {
+    /// A process of it lives, here or in another pid namespace.
+    Alive,
+    /// Nothing of it lives; what is left can go.
+    Dead,
+    /// It has no lock that can be looked at: perhaps its folder belongs to another machine's shared memory, perhaps an
+    /// older version of this program has made it.
+    Unknown,
+    /// Nothing is left of it.
+    Gone,
 }
 
 /// Membership of the calling process in a run. Dropping it leaves the run, and removes everything of the run if nobody
@@ -160,6 +243,8 @@ impl RunName {
 pub struct RunMember {
     run: RunName,
     file: PathBuf,
+    /// Present until dropped.
+    locks: Option<Membership>,
 }
 
 impl RunMember {
@@ -173,6 +258,7 @@ impl Drop for RunMember {
     fn drop(&mut self) {
         // Leave first, then look: of two members that leave at the same time the later one sees nobody.
         let _ = fs::remove_file(&self.file);
+        self.locks = None;
         if let Err(error) = self.run.purge_if_last() {
             tracing::warn!("{error}");
         }
@@ -204,12 +290,22 @@ pub struct FoundRun {
     pub run: RunName,
     /// Its registered processes.
     pub members: Vec<Member>,
-    /// True if one of them is alive.
-    pub alive: bool,
+    /// Whether it lives.
+    pub state: RunState,
     /// Number of shared-memory files.
     pub shared_memory_files: usize,
     /// Their sizes added up, bytes (reserved, not necessarily touched).
     pub shared_memory_bytes: u64,
+}
+
+/// Removes what dead runs of the calling user have left, as far as that is possible: a coordinator that was killed before its
+/// first worker came has left nobody to do it.
+pub fn remove_dead_runs() {
+    for found in list_runs() {
+        if let Err(error) = found.run.purge_if_last() {
+            tracing::warn!("{error}");
+        }
+    }
 }
 
 /// All runs of the calling user that have left something on this machine, alive or stale, by name.
@@ -236,7 +332,7 @@ pub fn list_runs() -> Vec<FoundRun> {
             let members = run.members();
             let files = run.shared_memory_files();
             FoundRun {
-                alive: members.iter().any(Member::is_alive),
+                state: run.state(),
                 shared_memory_files: files.len(),
                 shared_memory_bytes: files.iter().map(|(_, bytes)| bytes).sum(),
                 members,
@@ -251,10 +347,17 @@ fn is_own(entry: &fs::DirEntry) -> bool {
     entry.metadata().is_ok_and(|metadata| metadata.uid() == rustix::process::geteuid().as_raw())
 }
 
-/// The system's temp directory, or `/tmp` where that is too long for the sockets of a run.
+/// The system's temp directory, or `/tmp` where that has a name that the sockets of a run cannot have.
 fn temp_folder() -> PathBuf {
     let folder = std::env::temp_dir();
-    if folder.as_os_str().len() <= TEMP_PATH_MAX { folder } else { PathBuf::from("/tmp") }
+    if fits_sockets(&folder) { folder } else { PathBuf::from("/tmp") }
+}
+
+/// True if the path is short and plain enough: iceoryx2 takes ASCII only, and not all of it.
+fn fits_sockets(folder: &Path) -> bool {
+    let bytes = folder.as_os_str().as_encoded_bytes();
+    let plain = |byte: &u8| (byte.is_ascii_graphic() || *byte == b' ') && !b"<>\"|?*\\".contains(byte);
+    (1..=TEMP_PATH_MAX).contains(&bytes.len()) && bytes.iter().all(plain)
 }
 
 fn new_id() -> String {
@@ -276,8 +379,7 @@ fn register_in(root: &Path, run: &RunName, role: &str) -> Result<String, RunErro
     static COUNT: AtomicU64 = AtomicU64::new(0);
     let folder = root.join(PROCESSES);
     if !root.is_dir() {
-        let source = std::io::Error::new(std::io::ErrorKind::NotFound, format!("run {run} does not exist (any more)"));
-        return Err(RunError::Io { action: "join", path: root.to_path_buf(), source });
+        return Err(run.missing());
     }
     fs::create_dir_all(&folder).map_err(io("create", &folder))?;
     let pid = std::process::id();
@@ -303,7 +405,7 @@ fn parse_member(text: &str) -> Option<Member> {
 
 fn ignore_missing(result: std::io::Result<()>) -> std::io::Result<()> {
     match result {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
         other => other,
     }
 }
@@ -337,17 +439,54 @@ mod tests {
         fs::write(&shared, "four").unwrap();
         assert_eq!(run.shared_memory_files(), [(shared.clone(), 4)]);
         let found = list_runs().into_iter().find(|found| found.run == run).unwrap();
-        assert!(found.alive && found.shared_memory_files == 1 && found.shared_memory_bytes == 4);
+        assert!(found.state == RunState::Alive && found.shared_memory_files == 1 && found.shared_memory_bytes == 4);
         drop(first);
         assert!(run.root().exists() && shared.exists() && !run.purge_if_last().unwrap());
         drop(second);
-        assert!(!run.root().exists() && !shared.exists());
-        // Shared memory without a folder is found, too; leaving a purged run and purging it again are fine.
-        fs::write(&shared, "").unwrap();
-        assert!(list_runs().iter().any(|found| found.run == run && !found.alive));
-        assert!(run.purge_if_last().unwrap() && run.purge_if_last().unwrap());
-        assert!(!shared.exists());
+        assert!(!run.root().exists() && !shared.exists() && run.locks().iter().all(|lock| !lock.exists()));
+        // Purging it again is fine, joining it is not.
+        assert!(run.purge_if_last().unwrap() && run.state() == RunState::Gone);
         let error = run.join("late").unwrap_err().to_string();
         assert!(error.contains("does not exist"), "{error}");
+    }
+
+    /// Under another TMPDIR the folder is not seen, in a container with memory of its own the files are not.
+    #[test]
+    fn one_lock_is_enough_to_tell() {
+        let (run, member) = RunName::create("coordinator").unwrap();
+        let folder = run.root();
+        let elsewhere = folder.with_file_name(format!("elsewhere-{run}"));
+        fs::rename(&folder, &elsewhere).unwrap();
+        assert!(run.state() == RunState::Alive && !run.purge_if_last().unwrap());
+        assert!(run.join("late").is_err(), "there is no folder to join");
+        fs::rename(&elsewhere, &folder).unwrap();
+        let beside = &run.locks()[0];
+        let away = beside.with_file_name(format!("elsewhere-{run}"));
+        fs::rename(beside, &away).unwrap();
+        assert!(run.state() == RunState::Alive && !run.purge_if_last().unwrap());
+        fs::rename(&away, beside).unwrap();
+        drop(member);
+        assert_eq!(run.state(), RunState::Gone);
+    }
+
+    /// No lock tells that it is dead.
+    #[test]
+    fn what_has_no_lock_is_left_alone() {
+        let run = RunName { id: new_id() };
+        let shared = Path::new(SHARED_MEMORY_FOLDER).join(format!("{}leftover", run.shared_memory_prefix()));
+        fs::write(&shared, "").unwrap();
+        assert!(list_runs().iter().any(|found| found.run == run && found.state == RunState::Unknown));
+        assert!(!run.purge_if_last().unwrap() && shared.exists());
+        fs::remove_file(&shared).unwrap();
+        assert_eq!(run.state(), RunState::Gone);
+    }
+
+    #[test]
+    fn folders_that_sockets_cannot_have_are_left() {
+        assert!(["/tmp", "/var/tmp/a b", "/x/y-1_2.3"].iter().all(|path| fits_sockets(Path::new(path))));
+        let long = "/".repeat(TEMP_PATH_MAX + 1);
+        assert!(
+            ["", "/tmp/gr\u{fc}n", "/tmp/a\nb", "/tmp/what?", &long].iter().all(|path| !fits_sockets(Path::new(path)))
+        );
     }
 }

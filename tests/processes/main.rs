@@ -4,6 +4,7 @@ mod bad_input;
 mod bench_commands;
 mod control_conformance;
 mod cores;
+mod descriptors;
 mod faults;
 mod launch;
 mod one_process;

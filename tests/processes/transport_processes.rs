@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use loomtree::transport::{
-    IceoryxOptions, IceoryxTransport, ProcessWatch, RunName, Transport, TransportError, list_runs,
+    IceoryxOptions, IceoryxTransport, ProcessWatch, RunName, RunState, Transport, TransportError, list_runs,
 };
 
 /// Generous: it only turns a deadlock into a failure.
@@ -203,14 +203,14 @@ fn a_killed_run_is_found_and_purged() {
     let (run, member) = RunName::create("coordinator").unwrap();
     let mut children = Children::start(&run, "endless", 2);
     wait_until_at_work(&run, 2);
-    assert!(list_runs().iter().any(|found| found.run == run && found.alive));
+    assert!(list_runs().iter().any(|found| found.run == run && found.state == RunState::Alive));
     drop(member);
     for child in &mut children.0 {
         child.kill().unwrap();
     }
     children.join();
     let found = list_runs().into_iter().find(|found| found.run == run).expect("the dead run is found");
-    assert!(!found.alive && found.shared_memory_files > 0 && found.shared_memory_bytes > 0);
+    assert!(found.state == RunState::Dead && found.shared_memory_files > 0 && found.shared_memory_bytes > 0);
     assert!(run.purge_if_last().unwrap());
     assert_nothing_left(&run);
 }

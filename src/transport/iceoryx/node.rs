@@ -1,6 +1,7 @@
 //! The iceoryx2 node of a process, with everything it creates confined to the run's folder and prefix.
 
 use std::fmt::Debug;
+use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
@@ -34,12 +35,27 @@ pub(super) fn create_node(run: &RunName, name: &str) -> Result<Node<Ipc>, String
     config.global.node.cleanup_dead_nodes_on_creation = false;
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     config.global.service.cleanup_dead_nodes_on_open = false;
-    NodeBuilder::new()
+    let node = NodeBuilder::new()
         .name(&NodeName::new(name).map_err(text("node name"))?)
         .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<Ipc>()
-        .map_err(text("node"))
+        .map_err(text("node"))?;
+    keep_private(run);
+    Ok(node)
+}
+
+/// Takes the rights of other users on the run's shared memory away: iceoryx2 lets everybody write to its counter of nodes,
+/// and who shortens that file hangs the run.
+fn keep_private(run: &RunName) {
+    for (path, _) in run.shared_memory_files().iter().filter(|(path, _)| is_open_to_others(path)) {
+        // Another process of the run may be doing the same.
+        let _ = std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600));
+    }
+}
+
+fn is_open_to_others(path: &std::path::Path) -> bool {
+    std::fs::metadata(path).is_ok_and(|metadata| metadata.permissions().mode() & 0o077 != 0)
 }
 
 /// Turns an error of iceoryx2 into the message of ours.
