@@ -8,7 +8,7 @@ use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use thiserror::Error;
 
@@ -22,6 +22,8 @@ const ID_LEN: usize = 10;
 const FOLDER_PREFIX: &str = "loomtree-";
 const SHARED_MEMORY_PREFIX: &str = "lt";
 const PROCESSES: &str = "processes";
+/// How long the last member waits for copies of its locks to go.
+const COPIES_LIMIT: Duration = Duration::from_secs(1);
 /// Name of both locks of a run; after the prefix beside the shared memory.
 const LOCK: &str = "lock";
 /// Longest path of the temp directory that leaves room for `/loomtree-<id>/` and a socket's name within the 108 bytes
@@ -259,8 +261,16 @@ impl Drop for RunMember {
         // Leave first, then look: of two members that leave at the same time the later one sees nobody.
         let _ = fs::remove_file(&self.file);
         self.locks = None;
-        if let Err(error) = self.run.purge_if_last() {
-            tracing::warn!("{error}");
+        // A process that another thread is starting holds copies of the locks until it becomes the other program.
+        let start = Instant::now();
+        loop {
+            match self.run.purge_if_last() {
+                Ok(false) if start.elapsed() < COPIES_LIMIT && !self.run.members().iter().any(Member::is_alive) => {
+                    std::thread::sleep(Duration::from_millis(2));
+                }
+                Ok(_) => return,
+                Err(error) => return tracing::warn!("{error}"),
+            }
         }
     }
 }

@@ -30,7 +30,7 @@ fn two_workers_give_the_bits_of_loomtree_run() {
 
 #[test]
 fn ctrl_c_to_the_script_stops_the_run_with_a_checkpoint() {
-    for (stop, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+    for (stop, code) in [(Signal::INT, 130), (Signal::TERM, 143)] {
         let place = Place::new();
         place.write("flag.toml", flag(500, 5, 1_000_000));
         let mut running = launch(&place, "flag.toml 3 --executor cpu --threads 1 --out out", &[]);

@@ -60,7 +60,29 @@ fn is_open_to_others(path: &std::path::Path) -> bool {
 
 /// Turns an error of iceoryx2 into the message of ours.
 pub(super) fn text<E: Debug>(what: &'static str) -> impl Fn(E) -> String {
-    move |error| format!("{what}: {error:?}")
+    move |error| {
+        let name = format!("{error:?}");
+        match meaning(&name) {
+            Some(meaning) => format!("{what}: {meaning} ({name})"),
+            None => format!("{what}: {name}"),
+        }
+    }
+}
+
+/// What an error of iceoryx2 usually means on the machine, for those that users meet.
+fn meaning(name: &str) -> Option<&'static str> {
+    let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
+    match () {
+        _ if has(&["HandleLimit", "FileDescriptor"]) => Some("too many open files (ulimit -n)"),
+        _ if has(&["UnableToCreateDataSegment", "UnableToCreateManagementSegment", "Memory"]) => {
+            Some("/dev/shm does not take a file of that size (df /dev/shm, ulimit -f)")
+        }
+        _ if has(&["Permission", "ReadOnly"]) => Some("no right to write to /dev/shm or to the temp folder"),
+        _ if has(&["NoSpaceLeft", "ResourceCreationFailed"]) => {
+            Some("a file in /dev/shm or in the temp folder cannot be made (full, read-only, or too long a path)")
+        }
+        _ => None,
+    }
 }
 
 /// A service's name.
