@@ -1,4 +1,4 @@
-//! Import of ARCSim's scene files: JSON with comments -> [`Scene`].
+//! Import of ARCSim's scene files: JSON with comments -> [`ParsedScene`].
 //!
 //! What has no counterpart here is left out with one sentence each in `Scene::left_out`; a scene is refused only if its
 //! cloth or a handle of it cannot be had. Formats: ARCSim 0.2/0.3 [Narain et al. 2012, 2013].
@@ -13,74 +13,55 @@ use crate::math::{DQuat, DVec3};
 use crate::mesh::MaterialSource;
 
 use super::json::{Json, parse_json};
-use super::pieces::{Piece, Placement, merge, placed_mesh};
-use super::start::{Start, StartState};
-use super::{CONTACT_STIFFNESS, Fabric, Motion, Overrides, Pin, Scene, SceneError, Settings, load_fabric, pins};
+use super::parsed::{ClothSource, ParsedScene, Shape, StartVelocity};
+use super::pieces::{Placement, placed_mesh};
+use super::pins::{PinSource, Selection};
+use super::{CONTACT_STIFFNESS, Fabric, Motion, SceneError, Settings, load_fabric};
 
 /// ARCSim's limit of an endless scene is the user's patience; ours is this many seconds.
 const ENDLESS_S: f64 = 10.0;
 
 /// Reads an ARCSim scene; the files it names are looked up beside it, in the folder above and in the working directory.
-pub(super) fn parse(
-    text: &str,
-    path: &Path,
-    overrides: &Overrides,
-    start: &mut StartState,
-) -> Result<Scene, SceneError> {
+pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> {
     let value = parse_json(text, path)?;
     let root = Json::root(path, &value);
-    if overrides.resolution.is_some() {
-        let what = "the resolution of a scene can be chosen for sheets only, and an ARCSim scene has none";
-        return Err(SceneError::File { path: path.into(), what: what.into() });
-    }
     let mut left_out = LeftOut { disabled: Vec::new(), lines: Vec::new() };
     for name in root.entries("disable")? {
         left_out.disabled.push(name.text()?);
     }
 
-    let cloths = root.required("cloths")?.array()?;
-    if cloths.is_empty() {
-        return Err(root.required("cloths")?.error("a scene needs at least one cloth"));
+    let list = root.required("cloths")?;
+    let entries = list.array()?;
+    if entries.is_empty() {
+        return Err(list.error("a scene needs at least one cloth"));
     }
-    let mut pieces = cloths.iter().map(|cloth| piece(cloth, &mut left_out)).collect::<Result<Vec<Piece>, _>>()?;
-    let mut settings = settings(&root, &mut left_out)?;
-    settings.frames = overrides.frames.unwrap_or(settings.frames);
-    let mut merged = merge(&mut pieces, settings.friction)
-        .map_err(|what| root.required("cloths").map_or_else(|e| e, |cloths| cloths.error(what)))?;
+    let (mut cloths, mut of_files) = (Vec::with_capacity(entries.len()), Vec::new());
+    for entry in &entries {
+        let (source, line) = cloth(entry, &mut left_out)?;
+        cloths.push(source);
+        of_files.extend(line);
+    }
+    let settings = settings(&root, &mut left_out)?;
     let motion_file = motions::MotionFile::of(&root)?;
     let obstacles = obstacles::obstacles(&root, &motion_file, &mut left_out)?;
 
-    let mut scene_motions = Vec::new();
-    let mut held = Vec::new();
+    let (mut pins, mut scene_motions) = (Vec::new(), Vec::new());
     for handle in root.entries("handles")? {
-        held.extend(handle_pins(&root, &motion_file, &handle, &pieces, &mut scene_motions, &mut left_out)?);
+        pins.extend(handle_pin(&root, &motion_file, &handle, &cloths, &mut scene_motions, &mut left_out)?);
     }
-    let pins = pins::without_conflicts(held).map_err(|vertex| {
-        root.error(format!("vertex {vertex} is held by two handles at the same time that move it differently"))
-    })?;
     left_out.whole_scene(&root);
-    let flat = vec![false; merged.cloths.len()];
-    Start { path, resolution: None, flat: &flat, obstacles: &obstacles, pins: &pins, settings: &settings }
-        .settle(&mut merged, start)
-        .map_err(|crossings| SceneError::Crossing {
-            path: path.into(),
-            line: None,
-            field: "cloths".into(),
-            crossings,
-        })?;
-    left_out.lines.extend(pieces.into_iter().filter_map(|piece| piece.left_out));
-    Ok(Scene {
+    left_out.lines.extend(of_files);
+    Ok(ParsedScene {
+        path: path.into(),
         name: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),
-        mesh: merged.mesh,
-        velocities: merged.velocities,
-        fabrics: merged.fabrics,
-        fabric_of_triangle: merged.fabric_of_triangle,
+        cloths,
         pins,
         motions: scene_motions,
-        cloths: merged.cloths,
         obstacles,
         settings,
         left_out: left_out.lines,
+        cloths_at: list.place(),
+        pins_at: root.get("handles").unwrap_or(root).place(),
     })
 }
 
@@ -170,7 +151,8 @@ fn placement(json: &Json) -> Result<Placement, SceneError> {
 
 const UNMOVED: Placement = Placement { translation_m: DVec3::ZERO, rotation: DQuat::IDENTITY, scale: 1.0 };
 
-fn piece(cloth: &Json, left_out: &mut LeftOut) -> Result<Piece, SceneError> {
+/// Reads a cloth; the second value is a sentence about what of its file is left out.
+fn cloth(cloth: &Json, left_out: &mut LeftOut) -> Result<(ClothSource, Option<String>), SceneError> {
     let file = cloth.required("mesh")?;
     let placement = cloth.or("transform", UNMOVED, placement)?;
     if placement.scale <= 0.0 {
@@ -203,16 +185,15 @@ fn piece(cloth: &Json, left_out: &mut LeftOut) -> Result<Piece, SceneError> {
         }
     };
     let velocity = |p: &crate::math::Vec3| (linear + angular.cross(p.as_dvec3() - origin)).as_vec3();
-    Ok(Piece {
+    let line = placed.left_out(&path);
+    let source = ClothSource {
         name: cloth.name.clone(),
-        velocities: placed.mesh.positions.iter().map(velocity).collect(),
-        left_out: placed.left_out(&path),
-        cloth: placed,
+        velocity: StartVelocity::PerVertex(placed.mesh.positions.iter().map(velocity).collect()),
+        shape: Shape::Mesh(placed),
         fabric,
         friction: None,
-        sheet: None,
-        first_vertex: 0,
-    })
+    };
+    Ok((source, line))
 }
 
 fn material(json: &Json, left_out: &mut LeftOut) -> Result<Fabric, SceneError> {
@@ -235,25 +216,24 @@ fn material(json: &Json, left_out: &mut LeftOut) -> Result<Fabric, SceneError> {
     Ok(fabric)
 }
 
-fn handle_pins(
+fn handle_pin(
     root: &Json,
     motion_file: &motions::MotionFile,
     handle: &Json,
-    pieces: &[Piece],
+    cloths: &[ClothSource],
     scene_motions: &mut Vec<Motion>,
     left_out: &mut LeftOut,
-) -> Result<Vec<Pin>, SceneError> {
+) -> Result<Option<PinSource>, SceneError> {
     let kind = handle.or("type", "node", |value| value.text())?;
     let Some(nodes) = handle.get("nodes").or_else(|| handle.get("vertices")).filter(|_| kind == "node") else {
         left_out.say(format!("{}: left out, only handles with a list of `nodes` are known here", handle.name));
-        return Ok(Vec::new());
+        return Ok(None);
     };
     let cloth = handle.or("cloth", 0, |value| value.whole(0))? as usize;
-    let Some(piece) = pieces.get(cloth) else {
-        return Err(handle
-            .required("cloth")?
-            .error(format!("there is no cloth {cloth}; the scene has {}", pieces.len())));
-    };
+    if cloth >= cloths.len() {
+        let what = format!("there is no cloth {cloth}; the scene has {}", cloths.len());
+        return Err(handle.get("cloth").unwrap_or_else(|| handle.clone()).error(what));
+    }
     let start_s = handle.or("start_time", 0.0, Json::not_negative)?;
     let end_s = handle.or("end_time", f64::INFINITY, Json::not_negative)?;
     if end_s <= start_s {
@@ -276,13 +256,13 @@ fn handle_pins(
             Some(scene_motions.len() as u32 - 1)
         }
     };
-    let pin = |node: &Json| {
-        let number = node.whole(0)?;
-        let missing = || node.error(format!("`{}` has no vertex {number} (they count from 0)", piece.name));
-        let vertex = piece.first_vertex + piece.cloth.vertex(number).ok_or_else(missing)?;
-        Ok(Pin { vertex, motion, start_s, end_s })
-    };
-    nodes.array()?.iter().map(pin).collect()
+    let numbers = nodes.array()?.iter().map(|node| node.whole(0)).collect::<Result<Vec<u32>, _>>()?;
+    if numbers.is_empty() {
+        left_out.say(format!("{}: left out, its list of nodes is empty", handle.name));
+        return Ok(None);
+    }
+    let select = Selection::Vertices(numbers);
+    Ok(Some(PinSource { cloth, select, motion, start_s, end_s, at: nodes.place() }))
 }
 
 fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError> {

@@ -10,7 +10,8 @@ use toml::de::{DeTable, DeValue};
 
 use crate::math::{DQuat, DVec3};
 
-use super::{Crossings, SceneError};
+use super::SceneError;
+use super::parsed::Place;
 
 /// The text that line numbers refer to.
 pub(super) struct Source<'a> {
@@ -21,8 +22,11 @@ pub(super) struct Source<'a> {
 impl Source<'_> {
     /// The fault at a byte of the text.
     pub fn error(&self, offset: Option<usize>, field: &str, what: impl Into<String>) -> SceneError {
-        let line = self.line(offset);
-        SceneError::Field { path: self.path.into(), line, field: field.into(), what: what.into() }
+        self.place(offset, field).error(what)
+    }
+
+    fn place(&self, offset: Option<usize>, field: &str) -> Place {
+        Place { path: self.path.into(), line: self.line(offset), field: field.into() }
     }
 
     fn line(&self, offset: Option<usize>) -> Option<usize> {
@@ -73,11 +77,12 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// The refusal of a start state that crosses itself, at a field.
-    pub fn crossing_at(&self, key: &str, crossings: Box<Crossings>) -> SceneError {
-        let offset = self.get(key).map(|value| value.value.span().start).or(self.offset);
-        let (path, line) = (self.source.path.into(), self.source.line(offset));
-        SceneError::Crossing { path, line, field: self.name_of(key), crossings }
+    /// Where a field stands that may be absent.
+    pub fn place_at(&self, key: &str) -> Place {
+        match self.get(key) {
+            Some(value) => value.place(),
+            None => self.source.place(self.offset, &self.name_of(key)),
+        }
     }
 
     /// The field, if it is there.
@@ -137,7 +142,12 @@ pub(super) struct Value<'a> {
 impl<'a> Value<'a> {
     /// A fault of this value.
     pub fn error(&self, what: impl Into<String>) -> SceneError {
-        self.source.error(Some(self.value.span().start), &self.name, what)
+        self.place().error(what)
+    }
+
+    /// Where it stands.
+    pub fn place(&self) -> Place {
+        self.source.place(Some(self.value.span().start), &self.name)
     }
 
     fn expected<T>(&self, what: &str) -> Result<T, SceneError> {

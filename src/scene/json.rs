@@ -7,6 +7,7 @@ use serde_json::Value;
 use crate::math::{DQuat, DVec3};
 
 use super::SceneError;
+use super::parsed::Place;
 
 /// Deeper nesting than any scene has; the parser recurses once per level.
 const DEEPEST: usize = 64;
@@ -69,7 +70,11 @@ impl<'a> Json<'a> {
     }
 
     pub fn error(&self, what: impl Into<String>) -> SceneError {
-        SceneError::Field { path: self.file.into(), line: None, field: self.name.clone(), what: what.into() }
+        self.place().error(what)
+    }
+
+    pub fn place(&self) -> Place {
+        Place { path: self.file.into(), line: None, field: self.name.clone() }
     }
 
     fn named(&self, key: &str) -> String {

@@ -1,6 +1,7 @@
 //! Scene file -> validated [`Scene`]: sheets and meshes, fabrics, pins, wind, solver settings. No simulation state.
 
 mod arcsim;
+mod cloth_file;
 mod fabric;
 mod fields;
 mod file;
@@ -9,10 +10,13 @@ mod keyframes;
 mod motion;
 mod obstacle;
 mod obstacle_file;
+mod parsed;
 mod pieces;
+mod pin_file;
 mod pins;
 mod preconditioner;
 mod sequence;
+mod settings_file;
 mod sheet;
 mod start;
 
@@ -23,9 +27,9 @@ use crate::mesh::{MeshReadError, TriangleMesh};
 
 pub use fabric::{load_fabric, parse_fabric};
 pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};
+pub use parsed::ParsedScene;
 pub use preconditioner::PreconditionerKind;
 pub use sheet::{Sheet, sheet_cells};
-use start::StartState;
 pub use start::{BestState, Crossings, Untangling};
 
 /// What the command line changes in a scene.
@@ -70,30 +74,34 @@ fn line_suffix(line: Option<usize>) -> String {
     line.map(|line| format!(", line {line}")).unwrap_or_default()
 }
 
-/// Reads and checks a scene: `.toml` in the format of `docs/scene.md`, `.json` in ARCSim's.
+/// Reads and checks a scene file: `.toml` in the format of `docs/scene.md`, `.json` in ARCSim's.
+/// [`ParsedScene::at`] makes scenes of it.
+pub fn read(path: &Path) -> Result<ParsedScene, SceneError> {
+    let parser = parser_of(path)?;
+    parser(&read_text(path)?, path)
+}
+
+/// [`read`] of a text that was the file `path`: files it names are looked up relative to that place.
+pub fn read_str(text: &str, path: &Path) -> Result<ParsedScene, SceneError> {
+    parser_of(path)?(text, path)
+}
+
+/// [`read`], at one resolution.
 pub fn load(path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
-    let parser = parser_of(path)?;
-    parser(&read_text(path)?, path, overrides, &mut StartState::default())
+    read(path)?.at(overrides)
 }
 
-/// As [`load`], but a start state that crosses is untangled where possible: then the scene starts with the positions that
-/// this led to (its rest shape stays) and the second value says what it took.
-///
-/// # Errors
-/// As [`load`]; [`SceneError::Crossing`] then holds the best state that was reached.
+/// [`read`], at one resolution and untangled where needed: see [`ParsedScene::untangled_at`].
 pub fn load_untangled(path: &Path, overrides: &Overrides) -> Result<(Scene, Option<Untangling>), SceneError> {
-    let parser = parser_of(path)?;
-    let mut start = StartState { untangle: true, untangled: None };
-    let scene = parser(&read_text(path)?, path, overrides, &mut start)?;
-    Ok((scene, start.untangled))
+    read(path)?.untangled_at(overrides)
 }
 
-/// [`load`] of a text that was the file `path`: files it names are looked up relative to that place.
+/// [`read_str`], at one resolution.
 pub fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
-    parser_of(path)?(text, path, overrides, &mut StartState::default())
+    read_str(text, path)?.at(overrides)
 }
 
-type Parser = fn(&str, &Path, &Overrides, &mut StartState) -> Result<Scene, SceneError>;
+type Parser = fn(&str, &Path) -> Result<ParsedScene, SceneError>;
 
 fn parser_of(path: &Path) -> Result<Parser, SceneError> {
     match path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase().as_str() {

@@ -34,8 +34,9 @@ pub enum Movement {
     Sequence {
         /// Frames per second.
         frames_per_s: f64,
-        /// The frames after the first; each has as many positions as the obstacle.
-        later: Vec<Vec<Vec3>>,
+        /// The frames after the first; each has as many positions as the obstacle. Shared, because scenes of several
+        /// resolutions have the same obstacles.
+        later: std::sync::Arc<Vec<Vec<Vec3>>>,
     },
 }
 
@@ -257,7 +258,7 @@ mod tests {
         Obstacles::new(&[
             triangle("still", 7.0, Movement::Still),
             triangle("moved", 0.0, Movement::Keyframes(moved)),
-            triangle("sequence", 0.0, Movement::Sequence { frames_per_s: 2.0, later }),
+            triangle("sequence", 0.0, Movement::Sequence { frames_per_s: 2.0, later: later.into() }),
         ])
     }
 

@@ -65,7 +65,7 @@ pub(super) fn obstacle(fields: &Fields, index: usize, friction: f64, path: &Path
             let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
             let (surface, later) = read_frames(&sequence_files(&value, path)?, |points| placement.move_points(points))?;
             let frames_per_s = fields.required("frames_per_s")?.positive()?;
-            movement = Movement::Sequence { frames_per_s, later };
+            movement = Movement::Sequence { frames_per_s, later: later.into() };
             surface
         }
         "mesh" => {

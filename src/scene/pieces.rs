@@ -1,32 +1,25 @@
 //! Cloth pieces and how they become one mesh.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use crate::math::{DQuat, DVec3, Vec3};
 use crate::mesh::{FileMesh, MaterialSource, TriangleMesh, read_mesh, validate};
 
+use super::parsed::{ClothSource, StartVelocity};
 use super::{Cloth, Fabric, SceneError, Sheet};
 
 /// One piece of cloth in its start state.
-pub(super) struct Piece {
-    /// Shown in messages and selected by pins.
-    pub name: String,
+pub(super) struct Piece<'a> {
+    pub source: &'a ClothSource,
     /// The mesh at its place; pins name vertices by their number in the file.
-    pub cloth: FileMesh,
-    /// A sentence about what of the file is left out.
-    pub left_out: Option<String>,
-    pub velocities: Vec<Vec3>,
-    pub fabric: Fabric,
-    /// Friction coefficient of its own, if it has one.
-    pub friction: Option<f64>,
+    pub cloth: Cow<'a, FileMesh>,
     /// Present if the piece is a generated sheet.
     pub sheet: Option<Sheet>,
-    /// First vertex in the scene.
-    pub first_vertex: u32,
 }
 
 /// Where a piece is put: x -> rotation * (scale * x) + translation. The scale applies to the rest shape, too.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     pub translation_m: DVec3,
     pub rotation: DQuat,
@@ -60,7 +53,7 @@ pub(super) fn placed_mesh(path: &Path, source: MaterialSource, placement: &Place
     Ok(file)
 }
 
-/// The pieces as one mesh, with their first vertices filled in.
+/// The pieces as one mesh.
 pub(super) struct Merged {
     pub mesh: TriangleMesh,
     pub velocities: Vec<Vec3>,
@@ -70,7 +63,7 @@ pub(super) struct Merged {
 }
 
 /// Merges pieces in their order; `Err` is the reason as half a sentence. `friction` = that of pieces without one of their own.
-pub(super) fn merge(pieces: &mut [Piece], friction: f64) -> Result<Merged, String> {
+pub(super) fn merge(pieces: &[Piece], friction: f64) -> Result<Merged, String> {
     let mut merged = Merged {
         mesh: TriangleMesh::default(),
         velocities: Vec::new(),
@@ -78,29 +71,32 @@ pub(super) fn merge(pieces: &mut [Piece], friction: f64) -> Result<Merged, Strin
         fabric_of_triangle: Vec::new(),
         cloths: Vec::new(),
     };
-    for piece in pieces.iter_mut() {
+    for piece in pieces {
+        let (mesh, source) = (&piece.cloth.mesh, piece.source);
         let first = merged.mesh.positions.len();
-        if first + piece.cloth.mesh.positions.len() > i32::MAX as usize {
+        if first + mesh.positions.len() > i32::MAX as usize {
             return Err("the cloths have more than 2147483647 vertices together".into());
         }
-        let known = merged.fabrics.iter().position(|fabric| *fabric == piece.fabric);
+        let known = merged.fabrics.iter().position(|fabric| *fabric == source.fabric);
         let fabric = known.unwrap_or(merged.fabrics.len());
         if known.is_none() {
-            merged.fabrics.push(piece.fabric.clone());
+            merged.fabrics.push(source.fabric.clone());
         }
         let fabric = u16::try_from(fabric).map_err(|_| "there are more than 65536 different fabrics".to_owned())?;
-        piece.first_vertex = first as u32;
         let first_triangle = merged.mesh.triangles.len() as u32;
-        merged.mesh.positions.extend(&piece.cloth.mesh.positions);
-        merged.mesh.material_uv.extend(&piece.cloth.mesh.material_uv);
-        merged.mesh.triangles.extend(piece.cloth.mesh.triangles.iter().map(|t| t.map(|v| v + first as u32)));
-        merged.velocities.extend(&piece.velocities);
+        merged.mesh.positions.extend(&mesh.positions);
+        merged.mesh.material_uv.extend(&mesh.material_uv);
+        merged.mesh.triangles.extend(mesh.triangles.iter().map(|t| t.map(|v| v + first as u32)));
+        match &source.velocity {
+            StartVelocity::Same(velocity) => merged.velocities.resize(merged.mesh.positions.len(), *velocity),
+            StartVelocity::PerVertex(velocities) => merged.velocities.extend(velocities),
+        }
         merged.fabric_of_triangle.resize(merged.mesh.triangles.len(), fabric);
         merged.cloths.push(Cloth {
-            name: piece.name.clone(),
+            name: source.name.clone(),
             vertices: first as u32..merged.mesh.positions.len() as u32,
             triangles: first_triangle..merged.mesh.triangles.len() as u32,
-            friction: piece.friction.unwrap_or(friction),
+            friction: source.friction.unwrap_or(friction),
         });
     }
     Ok(merged)

@@ -3,7 +3,94 @@
 use crate::math::DVec3;
 use crate::mesh::TriangleMesh;
 
-use super::{Pin, Sheet};
+use super::parsed::Place;
+use super::pieces::Piece;
+use super::{Pin, SceneError, Sheet};
+
+/// A pin as the scene states it: which vertices of a piece, before the piece has a resolution.
+#[derive(Clone, Debug)]
+pub(super) struct PinSource {
+    /// Number of the piece.
+    pub cloth: usize,
+    pub select: Selection,
+    /// Index into the scene's motions.
+    pub motion: Option<u32>,
+    pub start_s: f64,
+    pub end_s: f64,
+    /// The field that selects.
+    pub at: Place,
+}
+
+/// How a pin selects vertices of its piece.
+#[derive(Clone, Debug)]
+pub(super) enum Selection {
+    /// Corners of a sheet: (right, top).
+    Corners(Vec<(bool, bool)>),
+    /// An edge of a sheet.
+    Edge(Edge, Spread),
+    /// Vertices by their number in the piece's file, from 0.
+    Vertices(Vec<u32>),
+    /// All that start in a box.
+    Box { low: DVec3, high: DVec3 },
+    /// All that start in a sphere.
+    Sphere { center: DVec3, radius_m: f64 },
+}
+
+/// Which vertices of an edge are held.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Spread {
+    /// Every k-th.
+    Every(usize),
+    /// This many, evenly spread.
+    Count(usize),
+}
+
+impl PinSource {
+    /// The vertices of the piece that the pin selects; at least one.
+    pub fn vertices(&self, piece: &Piece) -> Result<Vec<u32>, SceneError> {
+        let name = &piece.source.name;
+        let sheet = || {
+            let what = format!("`{name}` is a mesh; only a sheet has corners and edges");
+            piece.sheet.as_ref().ok_or_else(|| self.at.error(what))
+        };
+        let vertices = match &self.select {
+            Selection::Corners(corners) => {
+                let sheet = sheet()?;
+                corners.iter().map(|&which| corner(sheet, which)).collect()
+            }
+            Selection::Edge(which, spread) => {
+                let vertices = edge(sheet()?, *which);
+                match *spread {
+                    Spread::Every(every) => vertices.into_iter().step_by(every).collect(),
+                    Spread::Count(count) => evenly(&vertices, count),
+                }
+            }
+            Selection::Vertices(numbers) => {
+                let vertex = |(i, &number): (usize, &u32)| {
+                    piece.cloth.vertex(number).ok_or_else(|| {
+                        // As the readers of the two formats name entries: JSON's carry their index even if there is one only.
+                        let indexed = numbers.len() > 1 || self.at.line.is_none();
+                        let index = if indexed { format!("[{i}]") } else { String::new() };
+                        let at = Place { field: format!("{}{index}", self.at.field), ..self.at.clone() };
+                        at.error(format!("`{name}` has no vertex {number} (they count from 0)"))
+                    })
+                };
+                numbers.iter().enumerate().map(vertex).collect::<Result<_, _>>()?
+            }
+            Selection::Box { low, high } => region(&piece.cloth.mesh, |p| p.cmpge(*low).all() && p.cmple(*high).all()),
+            Selection::Sphere { center, radius_m } => region(&piece.cloth.mesh, |p| p.distance(*center) <= *radius_m),
+        };
+        if vertices.is_empty() {
+            return Err(self.at.error(format!("selects no vertex of `{name}`")));
+        }
+        Ok(vertices)
+    }
+
+    /// The pin of one vertex of the scene's mesh.
+    pub fn hold(&self, vertex: u32) -> Pin {
+        Pin { vertex, motion: self.motion, start_s: self.start_s, end_s: self.end_s }
+    }
+}
 
 /// A side of a sheet as one looks at it with the warp to the right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

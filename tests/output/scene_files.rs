@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use loomtree::math::Vec3;
+use loomtree::math::{Vec2, Vec3};
 use loomtree::mesh::validate;
 use loomtree::scene::{Overrides, Scene, load, parse};
 
@@ -36,6 +36,43 @@ fn shipped_scenes_load_at_every_resolution() {
                 assert!(off.abs() < 0.03, "{name}: {} triangles for {wanted}", scene.mesh.triangles.len());
                 assert_eq!(scene.settings.frames, 3);
             }
+        }
+    }
+}
+
+/// Everything of a scene that a run starts from, as text: every bit of a float is in it.
+fn all_of(scene: &Scene) -> String {
+    format!("{scene:?}")
+}
+
+#[test]
+fn one_parsed_scene_gives_every_resolution_again_and_again() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    for name in ["flag", "curtain", "sphere", "stack"] {
+        let path = folder.join(name).with_extension("toml");
+        let parsed = loomtree::scene::read(&path).unwrap();
+        let at = |resolution| Overrides { resolution, frames: None };
+        let fine = parsed.at(&at(Some(4_000))).unwrap();
+        let coarse = parsed.at(&at(Some(500))).unwrap();
+        assert!(coarse.mesh.triangles.len() < fine.mesh.triangles.len() / 4);
+        for (scene, resolution) in [(fine, Some(4_000)), (coarse, Some(500)), (parsed.at(&at(None)).unwrap(), None)] {
+            assert_eq!(all_of(&scene), all_of(&load(&path, &at(resolution)).unwrap()), "{name} at {resolution:?}");
+        }
+    }
+}
+
+#[test]
+fn two_resolutions_of_a_scene_have_the_same_material_space() {
+    let text = "[[cloth]]\nsheet = { size_m = [3, 2] }\norigin_m = [5, 0, 0]\n[[cloth]]\nsheet = { size_m = [1, 1] }";
+    let parsed = loomtree::scene::read_str(text, Path::new("x.toml")).unwrap();
+    for resolution in [100, 5_000] {
+        let scene = parsed.at(&Overrides { resolution: Some(resolution), frames: None }).unwrap();
+        for (cloth, size) in scene.cloths.iter().zip([[3.0, 2.0], [1.0, 1.0]]) {
+            let corners =
+                scene.mesh.material_uv[cloth.triangles.start as usize..cloth.triangles.end as usize].as_flattened();
+            let high = corners.iter().fold(Vec2::ZERO, |high, &uv| high.max(uv));
+            let low = corners.iter().fold(Vec2::INFINITY, |low, &uv| low.min(uv));
+            assert_eq!((low, high), (Vec2::ZERO, Vec2::from(size)), "{} at {resolution}", cloth.name);
         }
     }
 }

@@ -1,0 +1,149 @@
+//! `[[cloth]]` and `[[fabric]]` of the TOML scene format.
+
+use std::path::Path;
+
+use crate::math::{DQuat, DVec3};
+use crate::mesh::MaterialSource;
+
+use super::fields::{Fields, Value};
+use super::file::find;
+use super::parsed::{ClothSource, Shape, SheetSource, StartVelocity};
+use super::pieces::{Placement, placed_mesh};
+use super::{Fabric, RESOLUTIONS, SceneError};
+
+pub(super) const FABRIC_FIELDS: [&str; 5] = ["name", "density_kg_m2", "stretching_n_m", "bending_n_m", "damping_s"];
+
+/// Reads a `[[fabric]]`.
+pub(super) fn fabric(fields: &Fields) -> Result<Fabric, SceneError> {
+    let stretching = |value: &Value| -> Result<[[f64; 4]; 6], SceneError> {
+        if value.array()?.first().is_some_and(Value::is_array) { rows(value) } else { Ok([value.numbers()?; 6]) }
+    };
+    let bending = |value: &Value| -> Result<[[f64; 5]; 3], SceneError> {
+        if value.is_array() { rows(value) } else { Ok([[value.not_negative()?; 5]; 3]) }
+    };
+    let fabric = Fabric {
+        name: fields.required("name")?.text()?.to_owned(),
+        density_kg_m2: fields.required("density_kg_m2")?.positive()?,
+        stretching_n_m: stretching(&fields.required("stretching_n_m")?)?,
+        bending_n_m: bending(&fields.required("bending_n_m")?)?,
+        damping_s: fields.or("damping_s", 0.0, Value::not_negative)?,
+    };
+    fabric.check().map_err(|what| fields.error(what))?;
+    Ok(fabric)
+}
+
+fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], SceneError> {
+    let rows = value.array()?.iter().map(Value::numbers::<C>).collect::<Result<Vec<_>, _>>()?;
+    rows.try_into()
+        .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
+}
+
+pub(super) const CLOTH_FIELDS: [&str; 13] = [
+    "name",
+    "sheet",
+    "mesh",
+    "material",
+    "plane",
+    "origin_m",
+    "rotate_deg",
+    "scale",
+    "fabric",
+    "thicken",
+    "damping_s",
+    "velocity_m_s",
+    "friction",
+];
+
+/// Triangles of every cloth's sheet (0 where it is a mesh): shares of the scene's own resolution, by area unless given.
+pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<f64>, SceneError> {
+    let mut areas = Vec::new();
+    let mut given = Vec::new();
+    for cloth in cloths {
+        let sheet = cloth.table("sheet", &["size_m", "triangles"])?;
+        let area = sheet.optional("size_m", |value| Ok(value.numbers::<2>()?.iter().product::<f64>().abs()))?;
+        areas.push(area.unwrap_or(0.0));
+        given.push(sheet.optional("triangles", |value| value.whole(RESOLUTIONS))?);
+    }
+    let area: f64 = areas.iter().sum();
+    let share = |i: usize| {
+        given[i].map_or_else(|| resolution as f64 * areas[i] / area.max(f64::MIN_POSITIVE), |given| given as f64)
+    };
+    Ok((0..cloths.len()).map(share).collect())
+}
+
+/// Reads a `[[cloth]]`; the second value is a sentence about what of its file is left out.
+pub(super) fn cloth(
+    fields: &Fields,
+    index: usize,
+    triangles: f64,
+    fabrics: &[Fabric],
+    path: &Path,
+) -> Result<(ClothSource, Option<String>), SceneError> {
+    let placement = Placement {
+        translation_m: fields.or("origin_m", DVec3::ZERO, Value::vector)?,
+        rotation: fields.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?,
+        scale: fields.or("scale", 1.0, Value::positive)?,
+    };
+    let (shape, left_out) = match (fields.get("sheet"), fields.get("mesh")) {
+        (Some(_), None) => (Shape::Sheet(sheet(fields, triangles, placement)?), None),
+        (None, Some(file)) => {
+            if fields.get("plane").is_some() {
+                return Err(fields.error_at("plane", "belongs to a cloth with a `sheet`; this one has a `mesh`"));
+            }
+            let sources = [("uv", MaterialSource::TextureOrShape), ("shape", MaterialSource::Shape)];
+            let source = fields.or("material", MaterialSource::TextureOrShape, |value| value.choice(&sources))?;
+            let found = find(path, file.text()?).map_err(|what| file.error(what))?;
+            let mesh = placed_mesh(&found, source, &placement)?;
+            let left_out = mesh.left_out(&found);
+            (Shape::Mesh(mesh), left_out)
+        }
+        _ => return Err(fields.error("a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`")),
+    };
+    let mut fabric = match fields.get("fabric") {
+        None => Fabric::preset("cotton").unwrap_or_else(|| Fabric::uniform("cotton", 0.15, [400.0; 4], 1e-5)),
+        Some(value) => named_fabric(&value, fabrics, path)?,
+    };
+    if let Some(factor) = fields.optional("thicken", Value::positive)? {
+        fabric = fabric.thickened(factor);
+    }
+    fabric.damping_s = fields.or("damping_s", fabric.damping_s, Value::not_negative)?;
+    fabric.check().map_err(|what| fields.error_at("fabric", what))?;
+    let source = ClothSource {
+        name: fields.or("name", format!("cloth {index}"), |value| value.text().map(str::to_owned))?,
+        shape,
+        velocity: StartVelocity::Same(fields.or("velocity_m_s", DVec3::ZERO, Value::vector)?.as_vec3()),
+        fabric,
+        friction: fields.optional("friction", Value::not_negative)?,
+    };
+    Ok((source, left_out))
+}
+
+fn sheet(fields: &Fields, triangles: f64, placement: Placement) -> Result<SheetSource, SceneError> {
+    if let Some(key) = ["material", "scale"].into_iter().find(|key| fields.get(key).is_some()) {
+        return Err(fields.error_at(key, "belongs to a cloth with a `mesh`; this one has a `sheet`"));
+    }
+    let size = fields.table("sheet", &["size_m", "triangles"])?.required("size_m")?;
+    let size_m = size.numbers::<2>()?;
+    if size_m.iter().any(|&side| side <= 0.0) {
+        return Err(size.error("both sides must be above 0"));
+    }
+    let planes = [("xy", [DVec3::X, DVec3::Y]), ("xz", [DVec3::X, DVec3::NEG_Z]), ("yz", [DVec3::Y, DVec3::Z])];
+    let axes = fields.or("plane", planes[0].1, |value| value.choice(&planes))?;
+    Ok(SheetSource { size_m, axes, placement, triangles, at: fields.place_at("sheet") })
+}
+
+fn named_fabric(value: &Value, fabrics: &[Fabric], path: &Path) -> Result<Fabric, SceneError> {
+    let name = value.text()?;
+    if let Some(fabric) = fabrics.iter().find(|fabric| fabric.name == name) {
+        return Ok(fabric.clone());
+    }
+    if let Some(fabric) = Fabric::preset(name) {
+        return Ok(fabric);
+    }
+    if name.ends_with(".json") {
+        return super::load_fabric(&find(path, name).map_err(|what| value.error(what))?);
+    }
+    let known: Vec<String> =
+        fabrics.iter().map(|fabric| fabric.name.clone()).chain(Fabric::preset_names().map(String::from)).collect();
+    Err(value.error(format!("`{name}` is no known fabric; known: {}, or a .json file", known.join(", "))))
+}

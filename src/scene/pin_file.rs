@@ -1,0 +1,96 @@
+//! `[[pin]]` of the TOML scene format.
+
+use crate::math::DVec3;
+
+use super::fields::{Fields, Value};
+use super::keyframes::motion;
+use super::parsed::{ClothSource, Shape};
+use super::pins::{self, PinSource, Selection, Spread};
+use super::{Motion, SceneError};
+
+pub(super) const PIN_FIELDS: [&str; 11] =
+    ["cloth", "corners", "edge", "every", "count", "vertices", "box_m", "sphere", "start_s", "end_s", "motion"];
+
+/// Reads a `[[pin]]`; adds its motion to `motions`.
+pub(super) fn pin(fields: &Fields, cloths: &[ClothSource], motions: &mut Vec<Motion>) -> Result<PinSource, SceneError> {
+    let cloth = match fields.get("cloth") {
+        None if cloths.len() == 1 => 0,
+        None => {
+            return Err(fields.error_at("cloth", "is missing; the scene has several cloths, so a pin must name one"));
+        }
+        Some(value) if value.is_text() => {
+            let name = value.text()?;
+            let missing = || value.error(format!("no cloth is named `{name}`"));
+            cloths.iter().position(|cloth| cloth.name == name).ok_or_else(missing)?
+        }
+        Some(value) => value.whole(0..=cloths.len() as u64 - 1)? as usize,
+    };
+    let (select, value) = selection(fields, &cloths[cloth])?;
+    let start_s = fields.or("start_s", 0.0, Value::not_negative)?;
+    let end_s = fields.or("end_s", f64::INFINITY, Value::positive)?;
+    if end_s <= start_s {
+        return Err(fields.error_at("end_s", format!("must be after start_s = {start_s}")));
+    }
+    let motion = motion(fields)?.map(|motion| {
+        motions.push(motion);
+        motions.len() as u32 - 1
+    });
+    Ok(PinSource { cloth, select, motion, start_s, end_s, at: value.place() })
+}
+
+/// How the pin selects vertices, and the field that says so.
+fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource) -> Result<(Selection, Value<'a>), SceneError> {
+    let ways = ["corners", "edge", "vertices", "box_m", "sphere"];
+    let given: Vec<&str> = ways.into_iter().filter(|way| pin.get(way).is_some()).collect();
+    let [way] = given[..] else {
+        return Err(pin.error(format!("a pin needs exactly one of {}, not {}", ways.join(", "), given.len())));
+    };
+    let value = pin.required(way)?;
+    if way != "edge"
+        && let Some(key) = ["every", "count"].into_iter().find(|key| pin.get(key).is_some())
+    {
+        return Err(pin.error_at(key, "belongs to a pin with an `edge`"));
+    }
+    if matches!((way, &cloth.shape), ("corners" | "edge", Shape::Mesh(_))) {
+        return Err(value.error(format!("`{}` is a mesh; only a sheet has corners and edges", cloth.name)));
+    }
+    let select = match way {
+        "corners" => Selection::Corners(if value.is_text() {
+            vec![value.choice(&pins::CORNERS)?]
+        } else {
+            value.array()?.iter().map(|v| v.choice(&pins::CORNERS)).collect::<Result<_, _>>()?
+        }),
+        "edge" => {
+            let edge = value.choice(&pins::EDGES)?;
+            let every = pin.optional("every", |value| value.whole(1..=1_000_000_000))?;
+            let count = pin.optional("count", |value| value.whole(1..=1_000_000_000))?;
+            let spread = match (every, count) {
+                (Some(_), Some(_)) => return Err(pin.error_at("every", "give either `every` or `count`")),
+                (Some(every), None) => Spread::Every(every as usize),
+                (None, Some(count)) => Spread::Count(count as usize),
+                (None, None) => Spread::Every(1),
+            };
+            Selection::Edge(edge, spread)
+        }
+        "vertices" => {
+            let number = |value: &Value| Ok(value.whole(0..=u64::from(u32::MAX))? as u32);
+            Selection::Vertices(value.array()?.iter().map(number).collect::<Result<_, SceneError>>()?)
+        }
+        "box_m" => {
+            let corners = value.array()?.iter().map(Value::vector).collect::<Result<Vec<DVec3>, _>>()?;
+            let [low, high] = corners[..] else {
+                return Err(value.error("must be two corners, `[[x, y, z], [x, y, z]]`"));
+            };
+            if low.cmpgt(high).any() {
+                return Err(value.error("the first corner must be the lower one in x, y and z"));
+            }
+            Selection::Box { low, high }
+        }
+        _ => {
+            let sphere = value.table(&["center_m", "radius_m"])?;
+            let (center, radius_m) = (sphere.required("center_m")?.vector()?, sphere.required("radius_m")?.positive()?);
+            Selection::Sphere { center, radius_m }
+        }
+    };
+    Ok((select, value))
+}

@@ -1,0 +1,66 @@
+//! `[simulation]` and `[air]` of the TOML scene format.
+
+use crate::math::Vec3;
+
+use super::fields::{Fields, Value};
+use super::{CONTACT_STIFFNESS, PreconditionerKind, SceneError, Settings};
+
+/// Reads the settings of the document `root`.
+pub(super) fn settings(root: &Fields) -> Result<Settings, SceneError> {
+    let known = [
+        "step_s",
+        "frames",
+        "steps_per_frame",
+        "frame_s",
+        "gravity_m_s2",
+        "relative_tolerance",
+        "max_iterations",
+        "preconditioner",
+        "thickness_m",
+        "friction",
+        "collisions",
+        "contact_stiffness",
+    ];
+    let simulation = root.table("simulation", &known)?;
+    let step_s = simulation.or("step_s", 1.0 / 250.0, Value::positive)?;
+    let steps_per_frame = simulation.optional("steps_per_frame", |value| value.whole(1..=1_000_000))?;
+    let frame_s = simulation.optional("frame_s", Value::positive)?;
+    let steps_per_frame = match (steps_per_frame, frame_s) {
+        (Some(_), Some(_)) => return Err(simulation.error_at("frame_s", "give either `frame_s` or `steps_per_frame`")),
+        (Some(steps), None) => steps as u32,
+        (None, None) => 10,
+        (None, Some(frame_s)) => {
+            let steps = (frame_s / step_s).round();
+            // A thousandth of a step: what rounding 1/24 s to four digits needs.
+            if !(1.0..=1e6).contains(&steps) || (frame_s / step_s - steps).abs() > 1e-3 * steps {
+                return Err(simulation.error_at("frame_s", format!("must be a whole number of steps of {step_s} s")));
+            }
+            steps as u32
+        }
+    };
+    let vector = |value: &Value| Ok(value.vector()?.as_vec3());
+    let relative_tolerance = simulation.or("relative_tolerance", 0.01, Value::positive)?;
+    if relative_tolerance >= 1.0 {
+        return Err(simulation.error_at("relative_tolerance", format!("must be below 1, not {relative_tolerance}")));
+    }
+    // Without `[air]` there is none, so that free fall is free.
+    let air = root.table("air", &["wind_m_s", "density_kg_m3", "drag_kg_m2_s"])?;
+    let density = if root.get("air").is_some() { 1.2 } else { 0.0 };
+    Ok(Settings {
+        step_s,
+        steps_per_frame,
+        frames: simulation.or("frames", 100, |value| value.whole(0..=10_000_000))? as u32,
+        gravity_m_s2: simulation.or("gravity_m_s2", Vec3::new(0.0, -9.81, 0.0), vector)?,
+        wind_m_s: air.or("wind_m_s", Vec3::ZERO, vector)?,
+        air_density_kg_m3: air.or("density_kg_m3", density, Value::not_negative)?,
+        air_drag_kg_m2_s: air.or("drag_kg_m2_s", 0.0, Value::not_negative)?,
+        relative_tolerance,
+        max_iterations: simulation.or("max_iterations", 500, |value| value.whole(1..=1_000_000))? as u32,
+        preconditioner: simulation
+            .or("preconditioner", PreconditionerKind::Auto, |value| value.choice(&PreconditionerKind::CHOICES))?,
+        thickness_m: simulation.or("thickness_m", 0.002, Value::positive)?,
+        friction: simulation.or("friction", 0.3, Value::not_negative)?,
+        collisions: simulation.or("collisions", true, Value::boolean)?,
+        contact_stiffness: simulation.or("contact_stiffness", CONTACT_STIFFNESS, Value::positive)?,
+    })
+}
