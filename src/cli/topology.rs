@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 
 use super::{CliError, print};
-use crate::gpu::{AdapterKind, AdapterSummary, adapters};
+use crate::gpu::{AdapterKind, AdapterSummary, Executor, adapters, bandwidth_gb_s};
 use crate::interconnect::{MAX_GPUS, Topology};
 use crate::output::write_atomically;
 
@@ -46,7 +46,7 @@ pub struct DetectArgs {
 /// Runs the command.
 pub fn run(args: TopologyArgs) -> Result<(), CliError> {
     let What::Detect(args) = args.what;
-    let text = detect(&args, Path::new("/sys"), &adapters())?;
+    let text = detect(&args, Path::new("/sys"), &adapters(), measured)?;
     match &args.out {
         None => print(&text)?,
         Some(path) => write_atomically(path, |out| out.write_all(text.as_bytes()))
@@ -64,54 +64,129 @@ const ASSUMED_DEVICE_GB_S: f64 = 500.0;
 const ASSUMED_GFLOPS: f64 = 10_000.0;
 const ASSUMED_MEMORY_GB: f64 = 8.0;
 
-/// The text of the file. `sysfs`: where the system shows its devices; `found`: adapters of the graphics interface.
-pub fn detect(args: &DetectArgs, sysfs: &Path, found: &[AdapterSummary]) -> Result<String, CliError> {
+/// What stands for the machine's GPUs when a rate is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Device {
+    /// The processor, where there is no GPU.
+    Processor,
+    /// An adapter of the graphics interface.
+    Adapter(usize),
+}
+
+/// Memory bandwidth of a device, GB/s (copying); none if it cannot be measured.
+fn measured(device: Device) -> Option<f64> {
+    /// Well above the last cache, and read and written in well under a second.
+    const BYTES: usize = 256 << 20;
+    let executor = match device {
+        Device::Processor => Executor::cpu(std::thread::available_parallelism().map_or(1, usize::from)),
+        Device::Adapter(index) => Executor::gpu(Some(index), 0).ok()?,
+    };
+    bandwidth_gb_s(&executor, BYTES).ok().map(|measured| (measured.copy_gb_s * 10.0).round() / 10.0)
+}
+
+/// A figure of the file and where it comes from.
+struct Figure {
+    value: f64,
+    origin: &'static str,
+}
+
+/// The text of the file. `sysfs`: where the system shows its devices; `found`: adapters of the graphics interface; `measure`:
+/// memory bandwidth of a device, if it can be had.
+pub fn detect(
+    args: &DetectArgs,
+    sysfs: &Path,
+    found: &[AdapterSummary],
+    measure: impl FnOnce(Device) -> Option<f64>,
+) -> Result<String, CliError> {
     let mut notes = Vec::new();
     let hardware: Vec<&AdapterSummary> = found.iter().filter(|adapter| adapter.kind != AdapterKind::Software).collect();
     let mut tree = PciTree::read(sysfs);
+    notes.append(&mut tree.left_out);
     if tree.gpus.len() > MAX_GPUS {
         notes.push(format!("{} GPUs found, the first {MAX_GPUS} are kept", tree.gpus.len()));
         tree.gpus.truncate(MAX_GPUS);
     }
     let mut parts = Parts::default();
+    let mut to_measure = hardware.first().map(|adapter| Device::Adapter(adapter.index));
     if tree.gpus.is_empty() {
         let count = hardware.iter().filter(|a| a.kind == hardware[0].kind && a.backend == hardware[0].backend).count();
         notes.push(match count {
             0 => "no GPU found: the processor stands for one".to_string(),
             n => format!("{n} adapter(s) found but no PCI device of theirs: a star of PCIe 3 x16 links is assumed"),
         });
+        to_measure = to_measure.or(Some(Device::Processor));
         parts.star(count.max(1));
     } else {
         parts.add_tree(&tree, &mut notes);
     }
     if !hardware.is_empty() && !tree.gpus.is_empty() && tree.gpus.len() != hardware.len() {
         notes.push(format!(
-            "PCI shows {} display controllers, the graphics interface {} hardware adapters; the PCI tree is taken",
+            "PCI shows {} compute devices, the graphics interface {} hardware adapters; the PCI tree is taken",
             tree.gpus.len(),
             hardware.len()
         ));
     }
+    if parts.gpus.len() > 1 {
+        notes.push(
+            "links between GPUs beside PCIe (NVLink, xGMI) are not shown by sysfs and are left out: if `nvidia-smi topo -m` or \
+             `rocm-smi --showtopo` shows some, add them to `links`"
+                .into(),
+        );
+    }
     notes.push(format!("latency of every link: {ASSUMED_LATENCY_US} us is assumed"));
-    let mut given = |what: &str, given: Option<f64>, assumed: f64, told: Option<f64>| {
-        let (value, origin) = match (given, told) {
-            (Some(value), _) => (value, "given on the command line"),
-            (None, Some(value)) => (value, "told by the system"),
-            (None, None) => (assumed, "assumed, not known"),
-        };
-        notes.push(format!("{what}: {origin}"));
-        value
+    let given = |given: Option<f64>, known: Option<Figure>, assumed: f64| match (given, known) {
+        (Some(value), _) => Figure { value, origin: "given on the command line" },
+        (None, Some(figure)) => figure,
+        (None, None) => Figure { value: assumed, origin: "assumed, not known" },
     };
-    let memory = given("memory of a GPU", args.memory, ASSUMED_MEMORY_GB, tree.memory_gb);
-    let bandwidth = given("memory bandwidth of a GPU", args.bandwidth, ASSUMED_DEVICE_GB_S, None);
-    let gflops = given("flop rate of a GPU", args.gflops, ASSUMED_GFLOPS, None);
-    let device = hardware.first().map_or("unknown device", |adapter| adapter.name.as_str());
-    let text = parts.text(&notes, device, [memory, bandwidth, gflops]);
+    let told = |value: f64| Figure { value, origin: "told by the system" };
+    let memory_gb = tree.memory_gb.or_else(|| (to_measure == Some(Device::Processor)).then(main_memory_gb).flatten());
+    let bandwidth = match args.bandwidth {
+        None => to_measure.and_then(measure).map(|value| Figure { value, origin: "measured" }),
+        Some(_) => None,
+    };
+    let figures = [
+        given(args.memory, memory_gb.map(told), ASSUMED_MEMORY_GB),
+        given(args.bandwidth, bandwidth, ASSUMED_DEVICE_GB_S),
+        given(args.gflops, None, ASSUMED_GFLOPS),
+    ];
+    for (what, figure) in ["memory", "memory bandwidth", "flop rate"].iter().zip(&figures) {
+        notes.push(format!("{what} of a GPU: {}", figure.origin));
+    }
+    let device = match to_measure {
+        Some(Device::Processor) => "processor",
+        _ => hardware.first().map_or("unknown device", |adapter| adapter.name.as_str()),
+    };
+    let text = parts.text(&notes, device, &figures);
     // Whatever was found, the file must be one that the other commands take.
     Topology::parse(text.as_bytes(), "detected topology").map_err(CliError::bad_input)?;
     Ok(text)
 }
 
-/// Display controllers and what lies between them and the processor.
+/// Main memory of the machine, GB.
+fn main_memory_gb() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let kib: f64 = line.trim().trim_end_matches("kB").trim().parse().ok()?;
+    Some((kib * 1024.0 / 1e8).round() / 10.0)
+}
+
+/// PCI vendors whose display controllers compute: AMD, NVIDIA, Intel, Moore Threads. What else has the class of a display
+/// controller (chips of management boards, adapters of virtual machines) draws screens only.
+const COMPUTE_VENDORS: [&str; 4] = ["0x1002", "0x10de", "0x8086", "0x1ed5"];
+
+/// Why a PCI device that may be a GPU is none to compute on; `Ok(false)` if it is something else altogether.
+fn computes(class: &str, vendor: &str) -> Result<bool, &'static str> {
+    match class.get(..6) {
+        // 3D controllers (GPUs without a screen) and processing accelerators.
+        Some("0x0302" | "0x1200") => Ok(true),
+        Some("0x0300" | "0x0380") if COMPUTE_VENDORS.contains(&vendor) => Ok(true),
+        Some(class) if class.starts_with("0x03") => Err("it only draws screens"),
+        _ => Ok(false),
+    }
+}
+
+/// Compute devices and what lies between them and the processor.
 #[derive(Default)]
 struct PciTree {
     /// Path of every GPU from the root complex down, ascending: `[pci0000:00, 0000:00:01.0, 0000:01:00.0]`.
@@ -119,6 +194,8 @@ struct PciTree {
     /// Usable GB/s of the link above a device, where the system tells.
     links: BTreeMap<String, f64>,
     memory_gb: Option<f64>,
+    /// Devices that look like GPUs and are not taken, with the reason.
+    left_out: Vec<String>,
 }
 
 impl PciTree {
@@ -129,9 +206,16 @@ impl PciTree {
         folders.sort();
         for folder in folders {
             let text = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap_or_default();
-            // Base class 3: display controllers, compute accelerators among them.
-            if !text("class").trim().starts_with("0x03") {
-                continue;
+            let vendor = text("vendor");
+            match computes(text("class").trim(), vendor.trim()) {
+                Ok(true) => {}
+                Ok(false) => continue,
+                Err(why) => {
+                    let name = folder.file_name().unwrap_or_default().to_string_lossy();
+                    tree.left_out
+                        .push(format!("display controller {name} of vendor {} is left out: {why}", vendor.trim()));
+                    continue;
+                }
             }
             let is_pci = |part: &&str| part.starts_with("pci") || part.split(':').count() == 3;
             let path: Vec<String> = folder
@@ -149,6 +233,16 @@ impl PciTree {
                 tree.memory_gb = Some(bytes / 1e9);
             }
             tree.gpus.push(path);
+        }
+        // A GPU of the processor itself hangs on the root complex; beside others it is there for the screen.
+        if tree.gpus.iter().any(|path| path.len() > 2) {
+            let (others, own): (Vec<_>, Vec<_>) = tree.gpus.into_iter().partition(|path| path.len() > 2);
+            tree.gpus = others;
+            for path in own {
+                let name = path.last().map_or("", String::as_str);
+                tree.left_out
+                    .push(format!("GPU {name} is left out: it is part of the processor, and there are others"));
+            }
         }
         tree
     }
@@ -231,7 +325,7 @@ impl Parts {
         }
     }
 
-    fn text(&self, notes: &[String], device: &str, rates: [f64; 3]) -> String {
+    fn text(&self, notes: &[String], device: &str, figures: &[Figure; 3]) -> String {
         let mut text = String::from("# Written by `loomtree topology detect`. What it rests on:\n");
         let quoted = |name: &str| serde_json::Value::from(name.chars().take(64).collect::<String>()).to_string();
         // Writing to a String cannot fail.
@@ -255,12 +349,10 @@ impl Parts {
                 quoted(b)
             );
         }
-        let [memory, bandwidth, gflops] = rates;
-        let _ = writeln!(
-            text,
-            "]\n\n[device]\nname = {}\nmemory_gb = {memory:?}\nbandwidth_gb_s = {bandwidth:?}\ngflops = {gflops:?}",
-            quoted(device)
-        );
+        let _ = writeln!(text, "]\n\n[device]\nname = {}", quoted(device));
+        for (key, Figure { value, origin }) in ["memory_gb", "bandwidth_gb_s", "gflops"].iter().zip(figures) {
+            let _ = writeln!(text, "{key} = {value:?}  # {origin}");
+        }
         text
     }
 }
@@ -299,7 +391,7 @@ mod tests {
             ("pci0000:40/0000:40:01.0/0000:41:00.0", gpu, "16.0 GT/s PCIe", "16"),
             ("pci0000:00/0000:00:02.0", "0x010802", "8.0 GT/s PCIe", "4"),
         ]);
-        let text = detect(&NOTHING, root.path(), &[]).unwrap();
+        let text = detect(&NOTHING, root.path(), &[], |_| None).unwrap();
         let topology = Topology::parse(text.as_bytes(), "found").unwrap();
         assert_eq!((topology.gpus(), topology.is_tree()), (3, true), "{text}");
         let narrowest = |from: usize, to: usize| {
@@ -320,11 +412,45 @@ mod tests {
     fn a_machine_that_tells_nothing_gets_one_gpu_and_the_file_says_so() {
         let root = sysfs(&[]);
         let args = DetectArgs { bandwidth: Some(20.0), ..NOTHING };
-        let text = detect(&args, root.path(), &[]).unwrap();
+        let text = detect(&args, root.path(), &[], |_| panic!("it is given")).unwrap();
         let topology = Topology::parse(text.as_bytes(), "found").unwrap();
         assert_eq!((topology.gpus(), topology.device().bandwidth_gb_s), (1, 20.0));
         assert!(text.contains("no GPU found") && text.contains("given on the command line"), "{text}");
         let negative = DetectArgs { memory: Some(-1.0), ..NOTHING };
-        assert_eq!(detect(&negative, root.path(), &[]).unwrap_err().exit_code, 2);
+        assert_eq!(detect(&negative, root.path(), &[], |_| None).unwrap_err().exit_code, 2);
+    }
+
+    #[test]
+    fn what_only_draws_screens_gets_no_rank_and_figures_say_where_they_come_from() {
+        let (bridge, screen, gpu) = ("0x060400", "0x030000", "0x030200");
+        let mut devices: Vec<(String, &str, &str, &str)> = vec![
+            ("pci0000:00/0000:00:1c.0".into(), bridge, "5.0 GT/s PCIe", "1"),
+            ("pci0000:00/0000:00:1c.0/0000:03:00.0".into(), bridge, "5.0 GT/s PCIe", "1"),
+            ("pci0000:00/0000:00:1c.0/0000:03:00.0/0000:04:00.0".into(), screen, "Unknown", "0"),
+            ("pci0000:00/0000:00:02.0".into(), screen, "Unknown", "0"),
+        ];
+        for bus in ["15", "37"] {
+            devices.push((format!("pci0000:{bus}/0000:{bus}:01.0"), bridge, "32.0 GT/s PCIe", "16"));
+            devices.push((format!("pci0000:{bus}/0000:{bus}:01.0/0000:{bus}:08.0"), gpu, "32.0 GT/s PCIe", "16"));
+        }
+        let listed: Vec<(&str, &str, &str, &str)> = devices.iter().map(|d| (&d.0[..], d.1, d.2, d.3)).collect();
+        let root = sysfs(&listed);
+        std::fs::write(root.path().join("devices/pci0000:00/0000:00:02.0/vendor"), "0x8086\n").unwrap();
+        let text = detect(&NOTHING, root.path(), &[], |_| None).unwrap();
+        let topology = Topology::parse(text.as_bytes(), "found").unwrap();
+        assert_eq!((topology.gpus(), topology.links().len()), (2, 2), "{text}");
+        assert!(topology.links().iter().all(|link| (link.bandwidth_gb_s - 48.01).abs() < 0.1), "{text}");
+        for note in [
+            "0000:04:00.0 of vendor  is left out",
+            "0000:00:02.0 is left out",
+            "NVLink",
+            "bandwidth_gb_s = 500.0  # assumed",
+        ] {
+            assert!(text.contains(note), "{note}: {text}");
+        }
+        let nothing = sysfs(&[]);
+        let text =
+            detect(&NOTHING, nothing.path(), &[], |device| (device == Device::Processor).then_some(25.3)).unwrap();
+        assert!(text.contains("bandwidth_gb_s = 25.3  # measured") && text.contains("memory_gb = "), "{text}");
     }
 }
