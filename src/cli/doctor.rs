@@ -25,7 +25,7 @@ pub struct DoctorArgs {
     #[arg(long, value_enum, default_value_t = Format::Text)]
     pub format: Format,
     /// Size of the run to check for, triangles (scenes given: their own size)
-    #[arg(long, value_name = "TRIANGLES", default_value_t = 1_200_000)]
+    #[arg(long, value_name = "TRIANGLES", default_value_t = 1_200_000, value_parser = triangles)]
     pub resolution: usize,
     /// Workers of the run to check for
     #[arg(long, value_name = "N", default_value_t = 4)]
@@ -33,6 +33,10 @@ pub struct DoctorArgs {
     /// Scenes to check for
     #[arg(value_name = "SCENE")]
     pub scenes: Vec<PathBuf>,
+}
+
+fn triangles(text: &str) -> Result<usize, String> {
+    super::count(text).map(|count| count as usize)
 }
 
 /// Form of a report.

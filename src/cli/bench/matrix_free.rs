@@ -24,7 +24,7 @@ pub struct MatrixFreeBench {
     #[arg(long, default_value = "scenes/sphere.toml")]
     scene: PathBuf,
     /// Triangles of the scene, one row of the tables each
-    #[arg(long, value_delimiter = ',', default_value = "5000,10000,20000,40000")]
+    #[arg(long, value_delimiter = ',', default_value = "5000,10000,20000,40000", value_parser = crate::cli::count)]
     resolution: Vec<u64>,
     /// Measured from the first step on that has so many contacts per vertex
     #[arg(long, default_value_t = 0.05, value_parser = positive)]

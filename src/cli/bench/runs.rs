@@ -30,7 +30,7 @@ pub struct Settings {
     #[command(flatten)]
     pub common: Common,
     /// Triangles of each scene
-    #[arg(long, default_value_t = 50_000)]
+    #[arg(long, default_value_t = 50_000, value_parser = crate::cli::count)]
     pub resolution: u64,
     /// Numbers of worker processes, measured in turn
     #[arg(long, value_delimiter = ',', default_value = "1,2,4,8", value_parser = worker_counts)]

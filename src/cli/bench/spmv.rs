@@ -32,7 +32,7 @@ pub struct SpmvBench {
     )]
     scene: Vec<PathBuf>,
     /// Triangles of each scene
-    #[arg(long, default_value_t = 20_000)]
+    #[arg(long, default_value_t = 20_000, value_parser = crate::cli::count)]
     resolution: u64,
     /// Numbers of ranks
     #[arg(long, value_delimiter = ',', default_value = "1,2,4,8,16", value_parser = worker_counts)]
