@@ -6,6 +6,7 @@
 pub mod math;
 pub mod os;
 pub mod telemetry;
+pub mod input;
 pub mod gpu;
 pub mod interconnect;
 pub mod transport;

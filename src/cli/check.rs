@@ -3,8 +3,12 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use crate::mesh::{MaterialSource, TriangleMesh, first_intersection, hinges, read_mesh};
-use crate::scene::{Movement, Overrides, Scene, load, load_fabric, load_untangled};
+use crate::math::{DVec3, Vec3};
+use crate::mesh::{
+    Group, GroupKind, MaterialSource, MeshReadError, Part, TriangleMesh, crossings, first_at_place, hinges, read_mesh,
+    read_obstacle,
+};
+use crate::scene::{DEFAULT_THICKNESS_M, Movement, Overrides, Scene, load, load_fabric, load_untangled, size_warning};
 
 use super::start_state::{Places, untangled_line, write_mesh};
 use super::{CliError, print_to};
@@ -14,8 +18,8 @@ use super::{CliError, print_to};
 pub struct CheckArgs {
     /// A scene (.toml, ARCSim's .json), a fabric (.json) or a mesh (.obj, .ply).
     pub file: PathBuf,
-    /// Triangles of all sheets together.
-    #[arg(long, value_name = "TRIANGLES")]
+    /// Triangles of all sheets together (for example 30000, 500K or 1.2M)
+    #[arg(long, value_name = "TRIANGLES", value_parser = super::count)]
     pub resolution: Option<u64>,
     /// Where to write the triangles that cross or touch at the start, if there are any (.obj)
     #[arg(long, value_name = "FILE")]
@@ -23,6 +27,9 @@ pub struct CheckArgs {
     /// Untangle a start state that crosses, and write where the cloth then is, or how far it went (.obj)
     #[arg(long, value_name = "FILE")]
     pub untangle: Option<PathBuf>,
+    /// Judge a mesh as what cloth meets, not as cloth: edges may have any number of triangles, and it may cross itself
+    #[arg(long)]
+    pub obstacle: bool,
 }
 
 /// Prints a summary of the file to `out`.
@@ -32,15 +39,23 @@ pub struct CheckArgs {
 pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let is_scene = match extension.as_str() {
-        "obj" | "ply" => false,
+        "obj" | "ply" | "gz" => false,
         "json" => !is_fabric(&args.file),
         _ => true,
     };
     if let (false, Some(_)) = (is_scene, &args.untangle) {
         return Err(CliError::bad_input("--untangle needs a scene: name the mesh in one (docs/scene.md)"));
     }
+    let is_mesh = matches!(extension.as_str(), "obj" | "ply" | "gz");
+    if !is_scene && args.resolution.is_some() {
+        return Err(CliError::bad_input("--resolution is for the sheets of a scene"));
+    }
+    if args.obstacle && (!is_mesh || args.write_crossings.is_some()) {
+        return Err(CliError::bad_input("--obstacle is for a mesh (.obj or .ply), which may cross itself"));
+    }
     let summary = match extension.as_str() {
-        "obj" | "ply" => mesh_summary(&args.file)?,
+        _ if is_mesh && args.obstacle => obstacle_summary(&args.file)?,
+        _ if is_mesh => mesh_summary(&args.file, args.write_crossings.as_deref())?,
         "json" if !is_scene => {
             let fabric = load_fabric(&args.file).map_err(CliError::bad_input)?;
             format!("fabric {}: valid\n  density     {} kg/m^2\n", fabric.name, fabric.density_kg_m2)
@@ -76,34 +91,105 @@ fn is_fabric(path: &Path) -> bool {
     text.contains("stretching") && !text.contains("cloths")
 }
 
-fn mesh_summary(path: &Path) -> Result<String, CliError> {
-    let file = read_mesh(path, MaterialSource::TextureOrShape).map_err(CliError::bad_input)?;
-    if let Some([a, b]) = first_intersection(&file.mesh) {
-        let sentence = format!(
-            "{}: triangles {} and {} cross or touch, so no simulation can start here",
-            path.display(),
-            a + 1,
-            b + 1
-        );
-        return Err(CliError::bad_input(sentence));
+fn mesh_summary(path: &Path, write_crossings: Option<&Path>) -> Result<String, CliError> {
+    let file = read_mesh(path, MaterialSource::Auto).map_err(|error| {
+        let mut sentence = error.to_string();
+        if matches!(error, MeshReadError::Mesh { .. }) && read_obstacle(path).is_ok() {
+            sentence += "; as an obstacle it can be used (`check --obstacle`)";
+        }
+        CliError::bad_input(sentence)
+    })?;
+    let TriangleMesh { positions, triangles, .. } = &file.mesh;
+    let whole = Group { triangles: 0..triangles.len(), kind: GroupKind::Cloth };
+    let pairs = crossings(positions, triangles, &[whole]);
+    if let Some([a, b]) = pairs.first() {
+        return Err(CliError::bad_input(crossing_sentence(path, &file.mesh, [*a, *b], &pairs, write_crossings)));
     }
-    let left_out = file.left_out(path).map(|line| format!("  left out    {line}\n")).unwrap_or_default();
-    Ok(format!("mesh {}: valid\n{}{left_out}", path.display(), mesh_lines(&file.mesh)))
+    let mut text = format!("mesh {}: valid\n{}", path.display(), mesh_lines(&file.mesh));
+    text += &parts_line(&file.parts);
+    file.left_out(path).into_iter().for_each(|line| text += &format!("  left out    {line}\n"));
+    let mut warnings = file.warnings(path, 1.0);
+    warnings.extend(size_warning(&path.display().to_string(), file.extent(), DEFAULT_THICKNESS_M));
+    warnings.iter().for_each(|line| text += &format!("  warning     {line}\n"));
+    Ok(text)
 }
 
-fn mesh_lines(mesh: &TriangleMesh) -> String {
-    let (low, high) =
-        mesh.positions.iter().fold((mesh.positions[0], mesh.positions[0]), |(low, high), &p| (low.min(p), high.max(p)));
+/// The refusal of a mesh that crosses itself; writes the triangles if there is a file to write them to.
+fn crossing_sentence(
+    path: &Path,
+    mesh: &TriangleMesh,
+    first: [u32; 2],
+    pairs: &[[u32; 2]],
+    write_crossings: Option<&Path>,
+) -> String {
+    let [a, b] = first.map(|t| t + 1);
+    let mut sentence =
+        format!("{}: triangles {a} and {b} cross or touch, so no simulation can start here", path.display());
+    let place = first_at_place(&mesh.positions);
+    let doubled = (0..).zip(&place).filter(|&(vertex, &first)| first != vertex).count();
+    if doubled > 0 {
+        sentence += &format!(
+            " ({doubled} vertices lie at the place of others, as an exporter splits a seam: `weld_m` of a [[cloth]] joins them)"
+        );
+    }
+    let Some(file) = write_crossings else { return sentence };
+    let mut meeting: Vec<u32> = pairs.as_flattened().to_vec();
+    meeting.sort_unstable();
+    meeting.dedup();
+    let corners: Vec<Vec3> =
+        meeting.iter().flat_map(|&t| mesh.triangles[t as usize].map(|v| mesh.positions[v as usize])).collect();
+    let triangles: Vec<[u32; 3]> = (0..meeting.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+    match write_mesh(file, &corners, &triangles) {
+        Ok(()) => sentence + &format!("; {} holds a mesh of all that do", file.display()),
+        Err(fault) => format!("{sentence}; {fault}"),
+    }
+}
+
+fn obstacle_summary(path: &Path) -> Result<String, CliError> {
+    let (surface, left_out) = read_obstacle(path).map_err(CliError::bad_input)?;
+    let mut text =
+        format!("obstacle {}: valid\n{}", path.display(), size_lines(&surface.positions, surface.triangles.len()));
+    text += &parts_line(&surface.parts);
+    left_out.into_iter().for_each(|line| text += &format!("  left out    {line}\n"));
+    Ok(text)
+}
+
+/// Names of the objects and groups that pins can select.
+fn parts_line(parts: &[Part]) -> String {
+    /// Names that are shown.
+    const SHOWN: usize = 8;
+    let mut names: Vec<&str> = parts.iter().flat_map(|part| [part.object.as_str(), part.group.as_str()]).collect();
+    names.retain(|name| !name.is_empty());
+    names.sort_unstable();
+    names.dedup();
+    match names.len() {
+        0 => String::new(),
+        count if count <= SHOWN => format!("  parts       {}\n", names.join(", ")),
+        count => format!("  parts       {}, .. ({count} names)\n", names[..SHOWN].join(", ")),
+    }
+}
+
+fn size_lines(positions: &[Vec3], triangles: usize) -> String {
+    let (low, high) = positions.iter().fold((positions[0], positions[0]), |(low, high), &p| (low.min(p), high.max(p)));
     let size = high - low;
-    let area: f64 = mesh.material_uv.iter().map(|uv| f64::from((uv[1] - uv[0]).perp_dot(uv[2] - uv[0])) / 2.0).sum();
     format!(
-        "  vertices    {}\n  triangles   {}\n  hinges      {}\n  extent      {:.4} x {:.4} x {:.4} m\n  rest area   {area:.4} m^2\n",
-        mesh.positions.len(),
-        mesh.triangles.len(),
-        hinges(mesh).len(),
+        "  vertices    {}\n  triangles   {triangles}\n  extent      {:.4} x {:.4} x {:.4} m\n",
+        positions.len(),
         size.x,
         size.y,
         size.z
+    )
+}
+
+fn mesh_lines(mesh: &TriangleMesh) -> String {
+    let rest: f64 = mesh.material_uv.iter().map(|uv| f64::from((uv[1] - uv[0]).perp_dot(uv[2] - uv[0])) / 2.0).sum();
+    let corners = |t: &[u32; 3]| t.map(|v| mesh.positions[v as usize].as_dvec3());
+    let doubled = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).length();
+    let space: f64 = mesh.triangles.iter().map(|t| doubled(corners(t)) / 2.0).sum();
+    format!(
+        "{}  hinges      {}\n  rest area   {rest:.4} m^2 ({space:.4} m^2 in space)\n",
+        size_lines(&mesh.positions, mesh.triangles.len()),
+        hinges(mesh).len()
     )
 }
 
@@ -137,6 +223,10 @@ fn scene_summary(scene: &Scene) -> String {
         "  frames      {} of {} steps of {} s ({seconds:.3} s)\n",
         settings.frames, settings.steps_per_frame, settings.step_s
     );
+    text += &parts_line(&scene.parts);
+    for line in &scene.warnings {
+        text += &format!("  warning     {line}\n");
+    }
     for line in &scene.left_out {
         text += &format!("  left out    {line}\n");
     }

@@ -47,8 +47,8 @@ pub struct RunArgs {
     /// Frames to write after frame 0 [default: the scene's]
     #[arg(long, value_name = "N")]
     pub frames: Option<u32>,
-    /// Triangles of the scene's procedural sheets [default: the scene's]
-    #[arg(long, value_name = "TRIANGLES")]
+    /// Triangles of the scene's procedural sheets (for example 30000, 500K or 1.2M) [default: the scene's]
+    #[arg(long, value_name = "TRIANGLES", value_parser = super::count)]
     pub resolution: Option<u64>,
     /// Run directory [default: out/<scene>]
     #[arg(long, value_name = "DIR")]
@@ -258,6 +258,9 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     })?;
     if let Some(done) = &plan.untangled {
         note(untangled_line(done));
+    }
+    for line in &plan.scene.warnings {
+        eprintln!("warning: {line}");
     }
     for line in &plan.scene.left_out {
         note(format_args!("left out: {line}"));

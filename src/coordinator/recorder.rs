@@ -153,7 +153,8 @@ impl Recorder {
         self.report = Some(report.map_err(write_error)?);
         let first_frame = self.first.as_ref().map_or(0, |from| from.frame + 1);
         self.frames = Some(
-            FrameWriter::new(&self.directory, &self.options.formats, &scene.mesh, first_frame).map_err(write_error)?,
+            FrameWriter::with_parts(&self.directory, &self.options.formats, &scene.mesh, &scene.parts, first_frame)
+                .map_err(write_error)?,
         );
         if self.options.keep_states.is_some() {
             std::fs::create_dir_all(self.directory.states()).map_err(write_error)?;

@@ -13,7 +13,6 @@
 //! ```
 
 use std::io::Read;
-use std::path::Path;
 
 use super::SystemError;
 use super::system::{BlockSystem, Values};
@@ -28,20 +27,11 @@ const HEADER_BYTES: u64 = 32;
 /// Row starts are read and narrowed this many at a time.
 const CHUNK: usize = 1 << 14;
 
-/// Reads a CLTHBSR1 file: the matrix and the right-hand side stored with it.
+/// Reads a CLTHBSR1 file, the matrix and the right-hand side stored with it, from `input`, which holds `bytes` bytes; `file`
+/// names it in errors. Nothing larger than `bytes` is allocated.
 ///
 /// # Errors
 /// Unreadable, of another size than its header says, or not a matrix the solver takes.
-pub fn read_block_csr(path: &Path) -> Result<(BlockSystem, Vec<f64>), SystemError> {
-    let file = path.display().to_string();
-    let io = |cause| SystemError::Io { file: file.clone(), cause };
-    let opened = std::fs::File::open(path).map_err(io)?;
-    let bytes = opened.metadata().map_err(io)?.len();
-    parse_block_csr(opened, bytes, &file)
-}
-
-/// As [`read_block_csr`] from `input`, which holds `bytes` bytes; `file` names it in errors. Nothing larger than `bytes` is
-/// allocated.
 pub fn parse_block_csr(input: impl Read, bytes: u64, file: &str) -> Result<(BlockSystem, Vec<f64>), SystemError> {
     let mut input = Input { input, offset: 0, file };
     let mut header = [0u8; HEADER_BYTES as usize];

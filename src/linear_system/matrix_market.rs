@@ -4,7 +4,6 @@
 //! Duplicate entries are added in the order of the file. A general matrix must be symmetric in its numbers.
 
 use std::io::BufRead;
-use std::path::Path;
 
 use super::SystemError;
 use super::system::{BlockSystem, Values};
@@ -14,20 +13,13 @@ use crate::math::DIM;
 
 /// The shortest line of an entry, "1 1 1" without a line end after the last one: bounds what a header can make us allocate.
 const ENTRY_BYTES: u64 = 6;
+/// Entries for which memory is reserved before they have been read: of a zipped file only a bound of its size is known.
+const RESERVED_MOST: u64 = 1 << 24;
 
-/// Reads a Matrix Market file.
+/// Reads a Matrix Market file from `input`, which holds at most `bytes` bytes; `file` names it in errors.
 ///
 /// # Errors
 /// Unreadable, malformed, of a kind that is not supported, or not a matrix the solver takes.
-pub fn read_matrix_market(path: &Path) -> Result<BlockSystem, SystemError> {
-    let file = path.display().to_string();
-    let io = |cause| SystemError::Io { file: file.clone(), cause };
-    let opened = std::fs::File::open(path).map_err(io)?;
-    let bytes = opened.metadata().map_err(io)?.len();
-    parse_matrix_market(std::io::BufReader::with_capacity(1 << 20, opened), bytes, &file)
-}
-
-/// As [`read_matrix_market`] from `input`, which holds `bytes` bytes; `file` names it in errors.
 pub fn parse_matrix_market(input: impl BufRead, bytes: u64, file: &str) -> Result<BlockSystem, SystemError> {
     let mut lines = Lines { input, file, number: 0, line: Vec::new() };
     let symmetric = lines.banner()?;
@@ -56,7 +48,7 @@ pub fn parse_matrix_market(input: impl BufRead, bytes: u64, file: &str) -> Resul
     if rows > u64::from(u32::MAX) / 2 {
         return Err(lines.error(&format!("{rows} rows; at most {} are supported", u32::MAX / 2)));
     }
-    let mut triplets = Vec::with_capacity(entries as usize);
+    let mut triplets = Vec::with_capacity(entries.min(RESERVED_MOST) as usize);
     for done in 0..entries {
         let Some(fields) = lines.data()? else {
             return Err(lines.error(&format!("the file ends after {done} of {entries} entries")));
@@ -230,13 +222,37 @@ fn unsigned(text: &[u8]) -> Option<u64> {
     std::str::from_utf8(text).ok()?.parse().ok()
 }
 
-/// A finite number.
+/// A finite number, also with an exponent as Fortran writes it: `1.5D+00`, `1.5d0`, `1.5-100` (for E-100).
 pub(super) fn real(text: &[u8]) -> Option<f64> {
     let text = std::str::from_utf8(text).ok()?;
-    text.parse().ok().filter(|v: &f64| v.is_finite())
+    let fortran = || -> Option<f64> {
+        let exponent = text.find(['d', 'D']).or_else(|| Some(1 + text.get(1..)?.find(['+', '-'])?))?;
+        let (mantissa, exponent) = text.split_at(exponent);
+        format!("{mantissa}e{}", exponent.trim_start_matches(['d', 'D'])).parse().ok()
+    };
+    text.parse().ok().or_else(fortran).filter(|v: &f64| v.is_finite())
 }
 
 /// Text of a file as it can be shown in a message.
 pub(super) fn shown(text: &[u8]) -> String {
     String::from_utf8_lossy(&text[..text.len().min(60)]).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::real;
+
+    #[test]
+    fn numbers_as_c_and_as_fortran_write_them() {
+        for (text, value) in
+            [("1.5", 1.5), ("-2e3", -2e3), ("1.5D+00", 1.5), ("-2.5d-1", -0.25), ("1.5-100", 1.5e-100), ("3D2", 300.0)]
+        {
+            assert_eq!(real(text.as_bytes()), Some(value), "{text}");
+        }
+        for text in
+            ["", "D", "1D", "1DD1", "1d1d1", "nan", "inf", "1e999", "1D999", "+", "1-", "1.5 2", "--1", "\u{e9}-1"]
+        {
+            assert_eq!(real(text.as_bytes()), None, "{text}");
+        }
+    }
 }

@@ -16,17 +16,20 @@ mod system;
 mod tests;
 mod validate;
 
-pub use block_csr_file::{BLOCK_CSR_MAGIC, parse_block_csr, read_block_csr};
-pub use matrix_market::{parse_matrix_market, read_matrix_market};
+pub use block_csr_file::{BLOCK_CSR_MAGIC, parse_block_csr};
+pub use matrix_market::parse_matrix_market;
 pub use order::{locality_order, share_between_chunks};
 pub use rank_system::{RankSystem, RankSystemArrays, RankSystemError};
 pub use right_hand_side::{parse_right_hand_side, read_right_hand_side, write_solution};
 pub use solve::{SolveError, SolveParams, SolveRecord, SolveResult, SolveStats, solve_rank};
 pub use system::{BlockSystem, Values};
 
+use std::io::Read;
 use std::path::Path;
 
 use thiserror::Error;
+
+use crate::input::{Input, Streams};
 
 /// Why a file is not a system that can be solved. Every message names the file and the place in it.
 #[derive(Debug, Error)]
@@ -69,22 +72,28 @@ pub enum SystemError {
     },
 }
 
-/// Reads a system from a file: CLTHBSR1 if it starts with those letters, else Matrix Market. The second value is the
-/// right-hand side stored in the file (CLTHBSR1 only).
+/// Reads a system from a file or a pipe: CLTHBSR1 if it starts with those letters, else Matrix Market; either may be
+/// zipped (.gz). The second value is the right-hand side stored in the file (CLTHBSR1 only).
 ///
 /// # Errors
 /// The file is unreadable, malformed, or not symmetric with a positive diagonal.
 pub fn read_system(path: &Path) -> Result<(BlockSystem, Option<Vec<f64>>), SystemError> {
     let file = path.display().to_string();
-    let mut start = Vec::new();
     let io = |cause| SystemError::Io { file: file.clone(), cause };
-    let opened = std::fs::File::open(path).map_err(io)?;
-    let read = std::io::Read::read_to_end(&mut std::io::Read::take(opened, BLOCK_CSR_MAGIC.len() as u64), &mut start);
-    read.map_err(io)?;
-    if start == BLOCK_CSR_MAGIC {
-        let (system, rhs) = read_block_csr(path)?;
-        Ok((system, Some(rhs)))
-    } else {
-        Ok((read_matrix_market(path)?, None))
+    let Input { mut reader, mut bytes, exact } = Input::open(path, Streams::Accepted).map_err(io)?;
+    let mut start = Vec::new();
+    reader.by_ref().take(BLOCK_CSR_MAGIC.len() as u64).read_to_end(&mut start).map_err(io)?;
+    let is_block_csr = start == BLOCK_CSR_MAGIC;
+    let mut reader = std::io::Cursor::new(start).chain(reader);
+    if !is_block_csr {
+        return Ok((parse_matrix_market(reader, bytes, &file)?, None));
     }
+    // Its header is checked against the exact size.
+    let mut all = Vec::new();
+    if !exact {
+        reader.read_to_end(&mut all).map_err(io)?;
+        bytes = all.len() as u64;
+    }
+    let (system, rhs) = parse_block_csr(std::io::Cursor::new(all).chain(reader), bytes, &file)?;
+    Ok((system, Some(rhs)))
 }

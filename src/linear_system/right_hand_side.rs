@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::SystemError;
 use super::matrix_market::{Lines, fields, real, shown};
+use crate::input::{Input, Streams};
 
 /// Reads a right-hand side of `rows` values. In plain text blank lines and lines that start with `%` or `#` are skipped.
 ///
@@ -12,8 +13,8 @@ use super::matrix_market::{Lines, fields, real, shown};
 /// Unreadable, malformed, or of another length.
 pub fn read_right_hand_side(path: &Path, rows: usize) -> Result<Vec<f64>, SystemError> {
     let file = path.display().to_string();
-    let opened = std::fs::File::open(path).map_err(|cause| SystemError::Io { file: file.clone(), cause })?;
-    parse_right_hand_side(std::io::BufReader::with_capacity(1 << 20, opened), rows, &file)
+    let input = Input::open(path, Streams::Accepted).map_err(|cause| SystemError::Io { file: file.clone(), cause })?;
+    parse_right_hand_side(input.reader, rows, &file)
 }
 
 /// As [`read_right_hand_side`] from `input`; `file` names it in errors.

@@ -37,6 +37,55 @@ pub(super) fn doubled_area(uv: &[Vec2; 3]) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
+/// Largest stretch (and, inverted, smallest) at which a triangle counts as keeping its lengths.
+const ISOMETRIC: f64 = 1.2;
+/// Part of the area that must keep its lengths, so that texture coordinates are a pattern and not a picture's. The rest is
+/// for a few stretched places of a mesh that was draped before.
+const ISOMETRIC_PART: f64 = 0.9;
+
+/// How texture coordinates fit the mesh in space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TextureFit {
+    /// Area that they cover, m^2.
+    pub texture_m2: f64,
+    /// Area in space, m^2.
+    pub space_m2: f64,
+    /// Part of the area in space whose lengths they keep within 20 %.
+    pub isometric: f64,
+}
+
+impl TextureFit {
+    /// Compares the triangles; they must have an area in space.
+    pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]], texture_uv: &[[Vec2; 3]]) -> TextureFit {
+        let mut fit = TextureFit { texture_m2: 0.0, space_m2: 0.0, isometric: 0.0 };
+        for (corners, uv) in triangles.iter().zip(texture_uv) {
+            let [a, b, c] = corners.map(|v| positions[v as usize].as_dvec3());
+            let (d1, d2) = (b - a, c - a);
+            let area = d1.cross(d2).length() / 2.0;
+            let [p, q, r] = uv.map(|uv| uv.as_dvec2());
+            let (e1, e2) = (q - p, r - p);
+            let determinant = e1.perp_dot(e2);
+            fit.space_m2 += area;
+            fit.texture_m2 += determinant.abs() / 2.0;
+            // Derivatives of the position along u and v, and from them the squares of the stretches.
+            let (f_u, f_v) = ((d1 * e2.y - d2 * e1.y) / determinant, (d2 * e1.x - d1 * e2.x) / determinant);
+            let (mean, half) = ((f_u.dot(f_u) + f_v.dot(f_v)) / 2.0, (f_u.dot(f_u) - f_v.dot(f_v)) / 2.0);
+            let radius = half.hypot(f_u.dot(f_v));
+            // Without an area in texture space these are infinite or no numbers, and not isometric.
+            if mean + radius <= ISOMETRIC * ISOMETRIC && mean - radius >= 1.0 / (ISOMETRIC * ISOMETRIC) {
+                fit.isometric += area;
+            }
+        }
+        fit.isometric /= fit.space_m2.max(f64::MIN_POSITIVE);
+        fit
+    }
+
+    /// Whether they are a pattern: what the cloth is at rest.
+    pub fn is_isometric(&self) -> bool {
+        self.isometric >= ISOMETRIC_PART
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -59,5 +108,20 @@ mod tests {
             }
             assert!(doubled_area(&flat) > 0.0);
         }
+    }
+
+    #[test]
+    fn the_fit_of_texture_coordinates() {
+        let positions = [Vec3::ZERO, Vec3::new(2.0, 0.0, 1.0), Vec3::new(0.0, 3.0, 0.0)];
+        let flat = flatten_triangle(positions);
+        let fit = |uv: [Vec2; 3]| TextureFit::new(&positions, &[[0, 1, 2]], &[uv]);
+        let area = 3.0 * 5f64.sqrt() / 2.0;
+        assert!((fit(flat).space_m2 - area).abs() < 1e-6 && (fit(flat).texture_m2 - area).abs() < 1e-6);
+        assert!(fit(flat).is_isometric() && fit(flat.map(|uv| Vec2::new(-uv.x, uv.y))).is_isometric(), "also mirrored");
+        for (scale, isometric) in [(0.85, true), (1.15, true), (0.8, false), (1.25, false), (0.0, false)] {
+            assert_eq!(fit(flat.map(|uv| uv * scale)).is_isometric(), isometric, "{scale}");
+            assert_eq!(fit(flat.map(|uv| uv * Vec2::new(1.0, scale))).is_isometric(), isometric, "one way {scale}");
+        }
+        assert!(!fit(flat.map(|uv| uv + Vec2::new(uv.y, 0.0))).is_isometric(), "sheared");
     }
 }

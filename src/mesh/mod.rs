@@ -5,28 +5,37 @@
 
 mod adjacency;
 mod crossings;
+mod file_mesh;
 mod intersect;
 mod material;
 mod obj;
 mod order;
 mod ply;
+mod polygon;
 pub mod shapes;
 mod untangle;
 mod validate;
+mod weld;
+mod winding;
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use crate::input::{Input, Streams};
 use crate::math::{Vec2, Vec3};
 
 pub use adjacency::{Hinge, hinges, pieces, unique_edges};
 pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection};
+pub use file_mesh::{FileMesh, MaterialSource, MeshOptions, extent};
 pub use intersect::edge_crosses_triangle;
-pub use material::{flatten_triangle, flatten_triangles};
+pub use material::{TextureFit, flatten_triangle, flatten_triangles};
 pub use obj::parse_obj;
 pub use order::{locality_order, middle, vertex_order};
 pub use ply::parse_ply;
 pub use untangle::{Tangle, Untangled};
+pub(crate) use validate::needles;
 pub use validate::{MeshFault, check_obstacle, validate};
+pub use weld::first_at_place;
 
 /// A triangle mesh of cloth in its start state. Counter-clockwise triangles; every vertex is used by a triangle.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -81,21 +90,11 @@ impl ParseFault {
     }
 }
 
-/// Where the material (rest) coordinates of a mesh file come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum MaterialSource {
-    /// The file's texture coordinates in metres where every corner has one, its 3D shape otherwise.
-    #[default]
-    TextureOrShape,
-    /// Always the 3D shape: for files whose texture coordinates are a picture's, not a pattern's.
-    Shape,
-}
-
 /// Reads and validates the mesh in an OBJ or PLY file.
 ///
 /// Does not look for self-intersections: [`first_intersection`] does, once all pieces of a scene are in place.
-pub fn read_mesh(path: &Path, source: MaterialSource) -> Result<FileMesh, MeshReadError> {
-    read_file(path)?.into_mesh(source).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })
+pub fn read_mesh(path: &Path, options: impl Into<MeshOptions>) -> Result<FileMesh, MeshReadError> {
+    read_file(path)?.into_mesh(options).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })
 }
 
 /// Reads an obstacle's surface from an OBJ or PLY file: every vertex of it, in its order, also those in no triangle.
@@ -108,19 +107,30 @@ pub fn read_surface(path: &Path) -> Result<Surface, MeshReadError> {
     Ok(surface)
 }
 
-fn read_file(path: &Path) -> Result<Surface, MeshReadError> {
+/// As [`read_surface`], but triangles without area are left out, because nothing can hit them that does not hit their
+/// neighbors. The second value says how many, if any.
+pub fn read_obstacle(path: &Path) -> Result<(Surface, Option<String>), MeshReadError> {
+    let mut surface = read_file(path)?;
+    let needles = needles(&surface.positions, &surface.triangles);
+    // Where nothing would be left, the check names the first of them.
+    let left_out = if needles.contains(&false) { surface.leave_out(&needles, path) } else { None };
+    check_obstacle(&surface).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })?;
+    Ok((surface, left_out))
+}
+
+/// Reads what the file holds; nothing but its form is checked.
+pub(crate) fn read_file(path: &Path) -> Result<Surface, MeshReadError> {
     let unreadable = |error: std::io::Error| MeshReadError::Unreadable { path: path.into(), reason: error.to_string() };
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let mut name = path.to_path_buf();
+    if name.extension().is_some_and(|e| e.eq_ignore_ascii_case("gz")) {
+        name.set_extension("");
+    }
+    let extension = name.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     if extension != "obj" && extension != "ply" {
         return Err(MeshReadError::UnknownFormat { path: path.into() });
     }
-    let file = std::fs::File::open(path).map_err(unreadable)?;
-    let metadata = file.metadata().map_err(unreadable)?;
-    if !metadata.is_file() {
-        return Err(MeshReadError::Unreadable { path: path.into(), reason: "it is not a file".into() });
-    }
-    let reader = std::io::BufReader::with_capacity(1 << 16, file);
-    let parsed = if extension == "obj" { parse_obj(reader) } else { parse_ply(reader, metadata.len()) };
+    let input = Input::open(path, Streams::Refused).map_err(unreadable)?;
+    let parsed = if extension == "obj" { parse_obj(input.reader) } else { parse_ply(input.reader, input.bytes) };
     parsed.map_err(|fault| MeshReadError::Syntax { path: path.into(), fault })
 }
 
@@ -129,74 +139,50 @@ fn read_file(path: &Path) -> Result<Surface, MeshReadError> {
 pub struct Surface {
     /// World positions, metres.
     pub positions: Vec<Vec3>,
-    /// Triangles; polygons have been cut into fans.
+    /// Triangles; polygons have been cut.
     pub triangles: Vec<[u32; 3]>,
     /// Texture coordinates of the corners, or empty if a corner has none.
     pub texture_uv: Vec<[Vec2; 3]>,
+    /// Objects and groups, ascending by triangles; empty if the file names none.
+    pub parts: Vec<Part>,
+}
+
+/// Triangles of a file that stand under one object and group name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Name of the object (`o`), or empty.
+    pub object: String,
+    /// Names of the groups (`g`), separated by blanks, or empty.
+    pub group: String,
+    /// Its triangles.
+    pub triangles: Range<u32>,
+}
+
+impl Part {
+    /// Whether this is its object, one of its groups or all of them.
+    pub fn is_named(&self, name: &str) -> bool {
+        self.object == name || self.group == name || self.group.split_whitespace().any(|group| group == name)
+    }
 }
 
 impl Surface {
-    /// The validated mesh; material coordinates as `source` says. Vertices in no triangle are dropped.
-    pub fn into_mesh(self, source: MaterialSource) -> Result<FileMesh, MeshFault> {
-        let Surface { mut positions, mut triangles, texture_uv } = self;
-        let used = validate::check_surface(&positions, &triangles)?;
-        let mut file_vertices = None;
-        if used.contains(&false) {
-            let kept: Vec<u32> = (0..).zip(&used).filter(|(_, used)| **used).map(|(vertex, _)| vertex).collect();
-            let mut new_from_file = vec![0; positions.len()];
-            (0..).zip(&kept).for_each(|(new, &old)| new_from_file[old as usize] = new);
-            triangles.iter_mut().flatten().for_each(|v| *v = new_from_file[*v as usize]);
-            positions = kept.iter().map(|&old| positions[old as usize]).collect();
-            file_vertices = Some(kept);
+    /// Drops triangles and says how many; `path` names the file.
+    pub(crate) fn leave_out(&mut self, dropped: &[bool], path: &Path) -> Option<String> {
+        let first = dropped.iter().position(|&dropped| dropped)? + 1;
+        let count = dropped.iter().filter(|&&dropped| dropped).count();
+        let mut kept_before = vec![0];
+        dropped.iter().for_each(|&dropped| kept_before.push(kept_before[kept_before.len() - 1] + u32::from(!dropped)));
+        for part in &mut self.parts {
+            let Range { start, end } = part.triangles;
+            part.triangles = kept_before[start as usize]..kept_before[end as usize];
         }
-        // A map that is a point or a line everywhere (exporters write `vt 0 0` for "none") says nothing about the rest shape.
-        let is_a_map = texture_uv.iter().any(|uv| material::doubled_area(uv) != 0.0);
-        let mut material_uv = if source == MaterialSource::TextureOrShape && is_a_map {
-            texture_uv
-        } else {
-            flatten_triangles(&positions, &triangles)
-        };
-        material::mirror_clockwise(&mut material_uv);
-        let dropped = used.len() - positions.len();
-        let mesh = TriangleMesh { positions, triangles, material_uv };
-        validate::check_material(&mesh)?;
-        Ok(FileMesh { mesh, file_vertices, dropped })
-    }
-}
-
-/// A mesh as it came from a file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FileMesh {
-    /// The mesh, vertices in the order of the file.
-    pub mesh: TriangleMesh,
-    /// The file's number (from 0) of every vertex, where vertices have been dropped.
-    file_vertices: Option<Vec<u32>>,
-    /// Vertices of the file that belong to no triangle; without mass they cannot be simulated.
-    pub dropped: usize,
-}
-
-impl From<TriangleMesh> for FileMesh {
-    fn from(mesh: TriangleMesh) -> FileMesh {
-        FileMesh { mesh, file_vertices: None, dropped: 0 }
-    }
-}
-
-impl FileMesh {
-    /// The mesh's vertex with this number (from 0) in the file, unless it was dropped or never existed.
-    pub fn vertex(&self, file_vertex: u32) -> Option<u32> {
-        match &self.file_vertices {
-            None => ((file_vertex as usize) < self.mesh.positions.len()).then_some(file_vertex),
-            Some(numbers) => numbers.binary_search(&file_vertex).ok().map(|vertex| vertex as u32),
-        }
-    }
-
-    /// A sentence about what has been dropped, if anything has.
-    pub fn left_out(&self, path: &Path) -> Option<String> {
-        let what = match self.dropped {
-            0 => return None,
-            1 => "1 vertex belongs to no triangle and is left out".to_owned(),
-            count => format!("{count} vertices belong to no triangle and are left out"),
-        };
-        Some(format!("{}: {what}", path.display()))
+        let mut keep = dropped.iter().map(|&dropped| !dropped);
+        self.triangles.retain(|_| keep.next().unwrap_or(true));
+        let mut keep = dropped.iter().map(|&dropped| !dropped);
+        self.texture_uv.retain(|_| keep.next().unwrap_or(true));
+        Some(match count {
+            1 => format!("{}: triangle {first} has no area and is left out", path.display()),
+            _ => format!("{}: {count} triangles without area are left out, the first is {first}", path.display()),
+        })
     }
 }

@@ -1,4 +1,4 @@
-//! OBJ reader: `v`, `vt` and `f` lines; everything else (normals, groups, materials, ARCSim's `e`, `nv`, ..) is skipped.
+//! OBJ reader: `v`, `vt`, `f`, `o` and `g` lines; everything else (normals, materials, ARCSim's `e`, `nv`, ..) is skipped.
 //!
 //! Written here and not taken from `tobj`: that crate renumbers vertices by first use (pins and results name vertices by
 //! their number in the file), fills a missing texture index with the previous one, and reports no line.
@@ -7,14 +7,18 @@ use std::io::BufRead;
 
 use crate::math::{Vec2, Vec3};
 
-use super::{ParseFault, Surface};
+use super::polygon::Faces;
+use super::{ParseFault, Part, Surface};
 
 /// Indices are kept in 31 bits, see `validate`.
 const MOST_VERTICES: usize = i32::MAX as usize;
+/// Longest name of an object or group that is kept, bytes.
+const LONGEST_NAME: usize = 200;
 
-/// Reads the text of an OBJ file. Polygons become fans; texture coordinates are kept if every corner has one.
+/// Reads the text of an OBJ file. Polygons are cut into triangles; texture coordinates are kept if every corner has one.
 ///
-/// Index ranges and numbers are checked line by line; whether the result is a cloth is for `Surface::into_mesh`.
+/// Numbers are checked line by line, vertices of faces at the end of the file; whether the result is a cloth is for
+/// `Surface::into_mesh`.
 pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
     let mut obj = Obj { every_corner_has_texture: true, ..Obj::default() };
     let mut line = Vec::new();
@@ -30,8 +34,8 @@ pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
             while line.last().is_some_and(|c| matches!(c, b'\n' | b'\r')) {
                 line.pop();
             }
-            // A backslash joins the next line.
-            if read == 0 || line.last() != Some(&b'\\') {
+            // A backslash joins the next line, unless it belongs to a comment.
+            if read == 0 || line.last() != Some(&b'\\') || comment(&line).is_some() {
                 break;
             }
             line.pop();
@@ -41,27 +45,38 @@ pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
             break;
         }
         let text = if first == 1 { line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&line) } else { &line };
-        obj.line(text).map_err(|what| ParseFault::at(first, what))?;
+        // Old Macs end lines with a carriage return alone: then all of the file is one line here.
+        for text in text.split(|&c| c == b'\r') {
+            obj.line(text, first).map_err(|what| ParseFault::at(first, what))?;
+        }
     }
     obj.finish()
 }
 
-/// A corner of the face being read: vertex and texture index, counting from 0.
-type Corner = (u32, Option<u32>);
+/// Where the comment of a line begins.
+fn comment(line: &[u8]) -> Option<usize> {
+    (0..line.len()).find(|&i| line[i] == b'#' && (i == 0 || line[i - 1].is_ascii_whitespace()))
+}
+
+/// Stands for "no texture coordinate" in [`Obj::texture_of_corner`].
+const NONE: u32 = u32::MAX;
 
 #[derive(Default)]
 struct Obj {
     positions: Vec<Vec3>,
     texture: Vec<Vec2>,
-    triangles: Vec<[u32; 3]>,
+    faces: Faces,
     /// Texture index of every corner; given up with the first corner that has none.
-    texture_triangles: Vec<[u32; 3]>,
+    texture_of_corner: Vec<u32>,
     every_corner_has_texture: bool,
-    face: Vec<Corner>,
+    /// The face being read: vertex and texture index of its corners.
+    face: Vec<(u32, u32)>,
+    /// First face of each part, its object and its groups.
+    parts: Vec<(usize, String, String)>,
 }
 
 impl Obj {
-    fn line(&mut self, line: &[u8]) -> Result<(), String> {
+    fn line(&mut self, line: &[u8], number: u64) -> Result<(), String> {
         let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
         match words.next() {
             Some(b"v") => {
@@ -75,13 +90,14 @@ impl Obj {
                 let [u, v] = numbers(&mut words, "a texture line has two coordinates (`vt u v`)")?;
                 self.texture.push(Vec2::new(u, v));
             }
-            Some(b"f") => self.face(words)?,
+            Some(b"f") => self.face(words, number)?,
+            Some(kind @ (b"o" | b"g")) => self.part(kind == b"o", &line[..comment(line).unwrap_or(line.len())]),
             _ => {}
         }
         Ok(())
     }
 
-    fn face<'a>(&mut self, words: impl Iterator<Item = &'a [u8]>) -> Result<(), String> {
+    fn face<'a>(&mut self, words: impl Iterator<Item = &'a [u8]>, line: u64) -> Result<(), String> {
         self.face.clear();
         for word in words {
             if word[0] == b'#' {
@@ -90,38 +106,70 @@ impl Obj {
             let mut parts = word.split(|&c| c == b'/');
             let vertex = index(parts.next().unwrap_or_default(), self.positions.len(), "vertex")?;
             let texture = match parts.next() {
-                None | Some(b"") => None,
-                Some(part) => Some(index(part, self.texture.len(), "texture coordinate")?),
+                None | Some(b"") => NONE,
+                Some(part) => index(part, self.texture.len(), "texture coordinate")?,
             };
             self.face.push((vertex, texture));
         }
-        if self.face.len() < 3 {
-            return Err(format!(
-                "the face has {} corners where at least 3 are needed; is the file cut off?",
-                self.face.len()
-            ));
+        // Exporters repeat a corner where they pad a triangle to a quadrangle.
+        if self.face.len() > 3 {
+            self.face.dedup_by_key(|corner| corner.0);
+            let first = self.face[0].0;
+            self.face.pop_if(|corner| corner.0 == first);
         }
-        self.every_corner_has_texture &= self.face.iter().all(|corner| corner.1.is_some());
-        for i in 1..self.face.len() - 1 {
-            let fan = [self.face[0], self.face[i], self.face[i + 1]];
-            self.triangles.push(fan.map(|corner| corner.0));
-            if self.every_corner_has_texture {
-                self.texture_triangles.push(fan.map(|corner| corner.1.unwrap_or_default()));
-            }
+        let count = self.face.len();
+        if count < 3 {
+            return Err(format!("the face has {count} corners where at least 3 are needed; is the file cut off?"));
         }
-        Ok(())
+        self.every_corner_has_texture &= self.face.iter().all(|corner| corner.1 != NONE);
+        self.faces.corners.extend(self.face.iter().map(|corner| corner.0));
+        self.texture_of_corner.extend(self.face.iter().map(|corner| corner.1));
+        self.faces.close(line)
+    }
+
+    /// `o name` or `g name name ..`: what the faces from here on belong to.
+    fn part(&mut self, is_object: bool, line: &[u8]) {
+        let name = String::from_utf8_lossy(&line.trim_ascii()[1..]);
+        let mut name: String = name.trim().chars().filter(|c| !c.is_control()).collect();
+        if name.len() > LONGEST_NAME {
+            let end = (0..=LONGEST_NAME).rev().find(|&end| name.is_char_boundary(end)).unwrap_or(0);
+            name.truncate(end);
+        }
+        let (first, mut object, mut group) = self.parts.pop().unwrap_or_default();
+        if first < self.faces.len() {
+            self.parts.push((first, object.clone(), group.clone()));
+        }
+        // Groups of an object end with it.
+        (object, group) = if is_object { (name, String::new()) } else { (object, name) };
+        self.parts.push((self.faces.len(), object, group));
     }
 
     fn finish(self) -> Result<Surface, ParseFault> {
-        if self.triangles.is_empty() {
+        if self.faces.len() == 0 {
             return Err(ParseFault::whole("no face in it (an OBJ mesh has `v x y z` and `f a b c` lines)"));
         }
-        let texture_uv = if self.every_corner_has_texture {
-            self.texture_triangles.iter().map(|t| t.map(|i| self.texture[i as usize])).collect()
-        } else {
-            Vec::new()
-        };
-        Ok(Surface { positions: self.positions, triangles: self.triangles, texture_uv })
+        let cut = self.faces.cut(&self.positions)?;
+        let mut texture_uv = Vec::new();
+        if self.every_corner_has_texture {
+            let count = self.texture.len();
+            if let Some(corner) = self.texture_of_corner.iter().position(|&i| i as usize >= count) {
+                let index = u64::from(self.texture_of_corner[corner]) + 1;
+                let what = format!("texture coordinate index {index}, but the file has only {count}");
+                return Err(ParseFault::at(self.faces.line_of(corner), what));
+            }
+            let uv = |corner: u32| self.texture[self.texture_of_corner[corner as usize] as usize];
+            texture_uv = cut.triangles.iter().map(|corners| corners.map(uv)).collect();
+        }
+        let mut parts = Vec::new();
+        for (i, (first, object, group)) in self.parts.iter().enumerate() {
+            let end = self.parts.get(i + 1).map_or(self.faces.len(), |next| next.0);
+            let triangles = cut.starts[*first]..cut.starts[end];
+            if !triangles.is_empty() && !(object.is_empty() && group.is_empty()) {
+                parts.push(Part { object: object.clone(), group: group.clone(), triangles });
+            }
+        }
+        let triangles = cut.triangles.iter().map(|t| t.map(|corner| self.faces.corners[corner as usize])).collect();
+        Ok(Surface { positions: self.positions, triangles, texture_uv, parts })
     }
 }
 
@@ -138,16 +186,15 @@ fn numbers<'a, const N: usize>(words: &mut impl Iterator<Item = &'a [u8]>, form:
     Ok(values)
 }
 
-/// An OBJ index (from 1, or negative = back from the last one so far) as index from 0.
+/// An OBJ index (from 1, or negative = back from the last one so far) as index from 0. A positive one may be defined later.
 fn index(word: &[u8], count: usize, noun: &str) -> Result<u32, String> {
     let text = shown(word);
     let number: i64 = text.parse().map_err(|_| format!("`{text}` is not a {noun} index"))?;
     let zero_based = if number > 0 { number - 1 } else { number.saturating_add(count as i64) };
     match number {
         0 => Err(format!("{noun} index 0, but OBJ counts from 1")),
-        _ if zero_based < 0 || zero_based >= count as i64 => {
-            Err(format!("{noun} index {number}, but only {count} are defined up to this line"))
-        }
+        _ if zero_based < 0 => Err(format!("{noun} index {number}, but only {count} are defined up to this line")),
+        _ if zero_based >= MOST_VERTICES as i64 => Err(format!("{noun} index {number} is above {MOST_VERTICES}")),
         _ => Ok(zero_based as u32),
     }
 }
@@ -188,11 +235,11 @@ mod tests {
         let vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
         let with = |line: &str| fault(&format!("{vertices}{line}"));
         assert_eq!(with("f 0 1 2"), "4: vertex index 0, but OBJ counts from 1");
-        assert_eq!(with("f 1 2 4"), "4: vertex index 4, but only 3 are defined up to this line");
+        assert_eq!(with("f 1 2 4"), "4: vertex index 4, but the file has only 3");
         assert_eq!(with("f 1 2 -4"), "4: vertex index -4, but only 3 are defined up to this line");
         assert_eq!(with("f 1 2"), "4: the face has 2 corners where at least 3 are needed; is the file cut off?");
         assert_eq!(with("f 1 2 x"), "4: `x` is not a vertex index");
-        assert_eq!(with("f 1/1 2/1 3/1"), "4: texture coordinate index 1, but only 0 are defined up to this line");
+        assert_eq!(with("f 1/1 2/1 3/1"), "4: texture coordinate index 1, but the file has only 0");
         assert_eq!(
             with("v 1 nan 2"),
             "4: `nan` is not a finite number; a vertex line has three coordinates (`v x y z`)"
@@ -202,5 +249,46 @@ mod tests {
             "4: a vertex line has three coordinates (`v x y z`), this one has 2; is the file cut off?"
         );
         assert_eq!(fault(""), "0: no face in it (an OBJ mesh has `v x y z` and `f a b c` lines)");
+    }
+
+    #[test]
+    fn faces_may_stand_before_their_vertices() {
+        let surface = parse_obj("f 1 2 3\nv 0 0 0\nv 1 0 0\nv 0 1 0".as_bytes()).unwrap();
+        assert_eq!((surface.triangles, surface.positions.len()), (vec![[0, 1, 2]], 3));
+    }
+
+    #[test]
+    fn a_comment_does_not_continue() {
+        let text = "# saved in C:\\meshes\\\nv 0 0 0 # here \\\nv 1 0 0\nv 0 1 0\no a#b\\\nf\nf 1 \\\n2 3 # the end \\\nf 3 2 1";
+        let surface = parse_obj(text.as_bytes()).unwrap();
+        assert_eq!((surface.positions.len(), surface.triangles.len()), (3, 2));
+        assert_eq!(surface.parts[0].object, "a#b f", "a name is no comment, so its backslash joins the next line");
+    }
+
+    #[test]
+    fn objects_and_groups_are_kept_with_their_triangles() {
+        let vertices = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
+        let text = format!(
+            "{vertices}f 1 2 3\no Coat\ng left sleeve\nf 1 2 3 4\nf 1 2 3\ng\nf 2 3 4\no Belt\ng left\ng right\nf 1 2 4\no empty"
+        );
+        let parts: Vec<_> = parse_obj(text.as_bytes())
+            .unwrap()
+            .parts
+            .into_iter()
+            .map(|part| (part.object, part.group, part.triangles))
+            .collect();
+        let part = |object: &str, group: &str, triangles| (object.to_owned(), group.to_owned(), triangles);
+        assert_eq!(parts, [part("Coat", "left sleeve", 1..4), part("Coat", "", 4..5), part("Belt", "right", 5..6)]);
+        assert!(parse_obj(format!("{vertices}f 1 2 3").as_bytes()).unwrap().parts.is_empty());
+    }
+
+    #[test]
+    fn lines_may_end_with_a_carriage_return_alone_and_quads_repeat_a_corner() {
+        let surface = parse_obj("v 0 0 0\rv 1 0 0\rv 0 1 0\rf 1 2 3 3\rf 3 2 1 3".as_bytes()).unwrap();
+        assert_eq!(surface.triangles, [[0, 1, 2], [2, 1, 0]]);
+        assert_eq!(
+            fault("v 0 0 0\nv 1 0 0\nf 1 2 2 1"),
+            "3: the face has 2 corners where at least 3 are needed; is the file cut off?"
+        );
     }
 }

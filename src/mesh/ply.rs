@@ -12,6 +12,7 @@ use ply_rs_bw::ply::{
 
 use crate::math::{Vec2, Vec3};
 
+use super::polygon::Faces;
 use super::{ParseFault, Surface};
 
 /// Real headers have some hundred bytes; a longer one only costs memory.
@@ -27,8 +28,8 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
     let mut body = Body { reader, line, words: Vec::new() };
 
     let mut surface = Surface::default();
-    let mut vertex_uv = Vec::new();
-    let mut corners_mapped = true;
+    let (mut faces, mut corner_uv, mut strips) = (Faces::default(), Vec::new(), Vec::new());
+    let (mut vertex_uv, mut corners_mapped) = (Vec::new(), true);
     for (name, element) in &header.elements {
         // Such an element has no bytes, whatever its count.
         if element.properties.is_empty() {
@@ -47,37 +48,61 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
                     vertex_uv.extend(record.uv());
                 }
                 "face" => {
-                    let fan = record.fan().map_err(|what| ParseFault::whole(format!("face {} {what}", i + 1)))?;
+                    let fault = |what: String| ParseFault::whole(format!("face {} {what}", i + 1));
+                    faces.corners.extend(record.corners().map_err(fault)?);
+                    faces.close(0).map_err(ParseFault::whole)?;
                     corners_mapped &= record.texcoord.len() == 2 * record.indices.len();
-                    for corners in fan {
-                        surface.triangles.push(corners.map(|c| record.indices[c] as u32));
-                        if corners_mapped {
-                            let uv =
-                                |c: usize| Vec2::new(record.texcoord[2 * c] as f32, record.texcoord[2 * c + 1] as f32);
-                            surface.texture_uv.push(corners.map(uv));
-                        }
+                    if corners_mapped {
+                        let pairs = record.texcoord.as_chunks::<2>().0;
+                        corner_uv.extend(pairs.iter().map(|&[u, v]| Vec2::new(u as f32, v as f32)));
                     }
                 }
+                "tristrips" => add_strips(&record.indices, &mut strips)
+                    .map_err(|what| ParseFault::whole(format!("triangle strip {} {what}", i + 1)))?,
                 _ => {}
             }
         }
     }
-    if surface.triangles.is_empty() {
+    if faces.len() == 0 && strips.is_empty() {
         return Err(ParseFault::whole("no face in it (a PLY mesh has the elements `vertex` and `face`)"));
     }
-    if let Some(index) = surface.triangles.iter().flatten().find(|&&v| v as usize >= surface.positions.len()) {
-        return Err(ParseFault::whole(format!(
-            "vertex index {index}, but only {} vertices are defined",
-            surface.positions.len()
-        )));
-    }
-    if !corners_mapped {
-        surface.texture_uv = Vec::new();
+    if faces.len() == 0 {
+        // Scanners' files; where there are both, the strips repeat the faces.
+        if let Some(index) = strips.iter().flatten().find(|&&v| v as usize >= surface.positions.len()) {
+            let count = surface.positions.len();
+            return Err(ParseFault::whole(format!(
+                "a triangle strip has vertex index {index}, but the file has only {count}"
+            )));
+        }
+        surface.triangles = strips;
+    } else {
+        let cut = faces.cut(&surface.positions)?;
+        surface.triangles = cut.triangles.iter().map(|t| t.map(|corner| faces.corners[corner as usize])).collect();
+        if corners_mapped {
+            surface.texture_uv = cut.triangles.iter().map(|t| t.map(|corner| corner_uv[corner as usize])).collect();
+        }
     }
     if surface.texture_uv.is_empty() && vertex_uv.len() == surface.positions.len() {
         surface.texture_uv = surface.triangles.iter().map(|t| t.map(|v| vertex_uv[v as usize])).collect();
     }
     Ok(surface)
+}
+
+/// Adds the triangles of strips that end with the index -1. Every second triangle of a strip is wound the other way;
+/// those with a corner twice only lead from one part of the strip to the next.
+fn add_strips(indices: &[i64], triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
+    for strip in indices.split(|&index| index == -1) {
+        for (i, corners) in strip.windows(3).enumerate() {
+            if let Some(index) = corners.iter().find(|&&index| index < 0 || index > i64::from(i32::MAX)) {
+                return Err(format!("has the vertex index {index}"));
+            }
+            let [a, b, c] = [0, 1, 2].map(|corner| corners[corner] as u32);
+            if a != b && b != c && c != a {
+                triangles.push(if i % 2 == 0 { [a, b, c] } else { [b, a, c] });
+            }
+        }
+    }
+    Ok(())
 }
 
 /// The bytes up to and with the line `end_header`.
@@ -87,7 +112,7 @@ fn read_header_bytes(reader: &mut impl BufRead) -> Result<Vec<u8>, ParseFault> {
         let line_start = bytes.len();
         let room = LONGEST_HEADER.saturating_sub(line_start as u64);
         let read = reader.by_ref().take(room).read_until(b'\n', &mut bytes);
-        read.map_err(|e| ParseFault::whole(format!("cannot be read: {e}")))?;
+        let read = read.map_err(|e| ParseFault::whole(format!("cannot be read: {e}")))?;
         let line = bytes[line_start..].trim_ascii();
         if line_start == 0 && line != b"ply" {
             return Err(ParseFault::whole("a PLY file begins with the line `ply`"));
@@ -95,14 +120,19 @@ fn read_header_bytes(reader: &mut impl BufRead) -> Result<Vec<u8>, ParseFault> {
         if line == b"end_header" {
             return Ok(bytes);
         }
-        if bytes.last() != Some(&b'\n') {
+        if read == 0 || bytes.last() != Some(&b'\n') {
             return Err(ParseFault::whole("the header has no line `end_header`; is the file cut off?"));
         }
     }
 }
 
 fn read_header(bytes: &[u8]) -> Result<Header, ParseFault> {
-    Parser::<Record>::new().read_header(&mut Reader::new(bytes)).map_err(|error| {
+    // Comments may be in any encoding (Latin-1 names of authors); the crate wants UTF-8.
+    let is_comment =
+        |line: &&[u8]| [&b"comment"[..], b"obj_info"].iter().any(|word| line.trim_ascii_start().starts_with(word));
+    let kept: Vec<u8> =
+        bytes.split_inclusive(|&c| c == b'\n').filter(|line| !is_comment(line)).flatten().copied().collect();
+    Parser::<Record>::new().read_header(&mut Reader::new(&kept[..])).map_err(|error| {
         // The crate's message is several lines long; the first says which line it did not understand.
         let text = error.to_string();
         ParseFault::whole(format!("the header is not understood: {}", text.lines().next().unwrap_or_default()))
@@ -180,14 +210,14 @@ impl Record {
         Some(Vec2::new(u as f32, v as f32))
     }
 
-    /// Corners of the triangles that the polygon is cut into.
-    fn fan(&self) -> Result<impl Iterator<Item = [usize; 3]> + use<>, String> {
+    /// Vertices of the polygon.
+    fn corners(&self) -> Result<impl Iterator<Item = u32> + use<'_>, String> {
         if self.indices.len() < 3 {
             return Err(format!("has {} corners where at least 3 are needed", self.indices.len()));
         }
         match self.indices.iter().find(|&&i| i < 0 || i > i64::from(i32::MAX)) {
             Some(index) => Err(format!("has the vertex index {index}")),
-            None => Ok((1..self.indices.len() - 1).map(|i| [0, i, i + 1])),
+            None => Ok(self.indices.iter().map(|&index| index as u32)),
         }
     }
 }
@@ -315,7 +345,7 @@ mod tests {
         let vertices = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n";
         let short = fault("0 0 0\n1 0\n0 0 0\n0 0 0\n3 0 1 2");
         assert_eq!((short.line, short.what.as_str()), (Some(11), "vertex 2 of 4: the line has too few values"));
-        assert_eq!(fault(&format!("{vertices}3 0 1 4")).what, "vertex index 4, but only 4 vertices are defined");
+        assert_eq!(fault(&format!("{vertices}3 0 1 4")).what, "face 1: vertex index 4, but the file has only 4");
         assert_eq!(fault(&format!("{vertices}2 0 1")).what, "face 1 has 2 corners where at least 3 are needed");
         assert_eq!(fault(&format!("{vertices}3 0 1 -1")).what, "face 1 has the vertex index -1");
         assert_eq!(
@@ -325,6 +355,42 @@ mod tests {
         let cut = binary("binary_little_endian", u32::to_le_bytes, 3).unwrap_err();
         assert_eq!(cut.what, "face 1 of 1: the file ends here; is it cut off?");
         assert_eq!(parse_ply(&b"plx"[..], 3).unwrap_err().what, "a PLY file begins with the line `ply`");
+    }
+
+    #[test]
+    fn a_header_without_an_end_is_refused_wherever_it_ends() {
+        let text = format!("ply\nformat ascii 1.0\n{HEADER}");
+        let end = text.find("end_header").unwrap();
+        for length in 0..end + "end_header".len() {
+            // At every byte, a line break among them, and again with one added.
+            for text in [text[..length].to_owned(), format!("{}\n", &text[..length])] {
+                if length < end + "end_header".len() || text.ends_with('\n') {
+                    assert!(parse_ply(text.as_bytes(), text.len() as u64).is_err(), "{text:?}");
+                }
+            }
+        }
+        let long = format!("ply\n{}", "comment no end\n".repeat(6_000));
+        assert!(parse_ply(long.as_bytes(), long.len() as u64).unwrap_err().what.contains("end_header"));
+    }
+
+    #[test]
+    fn comments_in_latin_1_faces_first_and_strips() {
+        let bytes = b"ply\nformat ascii 1.0\ncomment Cr\xe9\xe9\nelement face 1\nproperty list uchar int vertex_index\nelement vertex 4\n\
+            property float x\nproperty float y\nproperty float z\nobj_info \xff\nend_header\n4 0 1 2 3\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n";
+        assert_eq!(parse_ply(&bytes[..], bytes.len() as u64).unwrap().triangles, [[0, 1, 2], [0, 2, 3]]);
+        let strip = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement tristrips 1\n\
+            property list int int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n1 1 0\n8 0 1 2 3 -1 1 3 2\n";
+        assert_eq!(
+            parse_ply(strip.as_bytes(), strip.len() as u64).unwrap().triangles,
+            [[0, 1, 2], [2, 1, 3], [1, 3, 2]]
+        );
+        let beyond = strip.replace("1 3 2\n", "1 3 4\n");
+        assert!(
+            parse_ply(beyond.as_bytes(), beyond.len() as u64)
+                .unwrap_err()
+                .what
+                .ends_with("index 4, but the file has only 4")
+        );
     }
 
     #[test]

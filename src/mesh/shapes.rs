@@ -165,7 +165,7 @@ impl Builder {
 
     fn finish(self) -> Surface {
         let positions = self.points.iter().map(|point| point.as_vec3()).collect();
-        Surface { positions, triangles: self.triangles, texture_uv: Vec::new() }
+        Surface { positions, triangles: self.triangles, ..Surface::default() }
     }
 }
 

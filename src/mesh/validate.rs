@@ -29,6 +29,11 @@ pub enum MeshFault {
     #[error("triangles {} and {} run along their edge of vertices {} and {} in the same direction; turn one of them over",
         triangles[0], triangles[1], edge[0], edge[1])]
     MixedOrientation { edge: [u64; 2], triangles: [usize; 2] },
+    #[error("the surface has one side only, as a Moebius strip has (no winding suits all its triangles; {} and {} disagree): cut it \
+        from border to border, so that the cut's vertices are there twice", triangles[0], triangles[1])]
+    OneSided { triangles: [usize; 2] },
+    #[error("joining vertices within weld_m makes a line of triangle {0}; choose a smaller weld_m")]
+    Collapsed(usize),
     #[error("vertex {0} belongs to no triangle and so has no mass; remove it")]
     UnusedVertex(usize),
     #[error("{triangles} triangles have {coordinates} triples of material coordinates; every triangle needs one")]
@@ -62,7 +67,7 @@ pub(super) fn check_surface(positions: &[Vec3], triangles: &[[u32; 3]]) -> Resul
     Ok(used)
 }
 
-fn check_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<bool>, MeshFault> {
+pub(super) fn check_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<bool>, MeshFault> {
     if triangles.is_empty() {
         return Err(MeshFault::Empty);
     }
@@ -85,16 +90,24 @@ fn check_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<boo
             }
         }
     }
-    let is_flat = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|v| positions[v as usize].as_dvec3());
-        let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-        // At most, so that a triangle whose corners coincide is caught, too.
-        (b - a).cross(c - a).length() <= SMALLEST_SHAPE * longest
-    };
-    if let Some(t) = triangles.iter().position(is_flat) {
+    if let Some(t) = triangles.iter().position(|corners| is_flat(positions, corners)) {
         return Err(MeshFault::ZeroArea(t + 1));
     }
     Ok(used)
+}
+
+fn is_flat(positions: &[Vec3], corners: &[u32; 3]) -> bool {
+    let [a, b, c] = corners.map(|v| positions[v as usize].as_dvec3());
+    let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+    // At most, so that a triangle whose corners coincide is caught, too.
+    (b - a).cross(c - a).length() <= SMALLEST_SHAPE * longest
+}
+
+/// Which triangles have no area, or a corner twice. Only those whose vertices exist and are finite are looked at:
+/// [`check_obstacle`] names the others.
+pub(crate) fn needles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<bool> {
+    let known = |corners: &[u32; 3]| corners.iter().all(|&v| positions.get(v as usize).is_some_and(|p| p.is_finite()));
+    triangles.iter().map(|corners| known(corners) && is_flat(positions, corners)).collect()
 }
 
 /// Sorts the directed edges; 8 bytes each, because this is the largest array while a mesh is read.

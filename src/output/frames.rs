@@ -12,7 +12,7 @@ use super::obj::{self, TextureCoordinates};
 use super::pc2::{Pc2Error, Pc2Writer};
 use super::ply;
 use crate::math::Vec3;
-use crate::mesh::TriangleMesh;
+use crate::mesh::{Part, TriangleMesh};
 
 /// A file format of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
@@ -112,6 +112,8 @@ pub struct FrameWriter {
     folder: PathBuf,
     files: Vec<FrameFormat>,
     texture: Option<TextureCoordinates>,
+    /// Objects and groups of the mesh, for OBJ.
+    parts: Vec<Part>,
     point_cache: Option<Pc2Writer>,
     vertices: usize,
     buffer: Vec<u8>,
@@ -125,6 +127,17 @@ impl FrameWriter {
         mesh: &TriangleMesh,
         first_frame: u32,
     ) -> Result<FrameWriter, FrameError> {
+        FrameWriter::with_parts(directory, formats, mesh, &[], first_frame)
+    }
+
+    /// As [`FrameWriter::new`]; OBJ files name the objects and groups of the mesh.
+    pub fn with_parts(
+        directory: &RunDirectory,
+        formats: &[FrameFormat],
+        mesh: &TriangleMesh,
+        parts: &[Part],
+        first_frame: u32,
+    ) -> Result<FrameWriter, FrameError> {
         let texture = formats
             .iter()
             .any(|format| *format != FrameFormat::Ply)
@@ -134,12 +147,13 @@ impl FrameWriter {
         if formats.contains(&FrameFormat::Pc2) {
             let rest = directory.rest_mesh();
             write_atomically(&rest, |out| {
-                obj::write(out, &mut Vec::new(), &mesh.positions, &mesh.triangles, texture.as_ref())
+                obj::write(out, &mut Vec::new(), &mesh.positions, &mesh.triangles, texture.as_ref(), parts)
             })?;
             point_cache = Some(Pc2Writer::open(&directory.point_cache(), mesh.positions.len(), first_frame)?);
         }
         let vertices = mesh.positions.len();
-        Ok(FrameWriter { folder: directory.frames(), files, texture, point_cache, vertices, buffer: Vec::new() })
+        let (folder, parts) = (directory.frames(), parts.to_vec());
+        Ok(FrameWriter { folder, files, texture, parts, point_cache, vertices, buffer: Vec::new() })
     }
 
     /// Writes one frame of the cloth. `mesh` must be the mesh that the writer was made for; of it, only the triangles
@@ -148,7 +162,15 @@ impl FrameWriter {
         check(frame, self.vertices, positions)?;
         for format in &self.files {
             let path = frame_path(&self.folder, "frame", frame, *format);
-            write_file(&path, *format, &mut self.buffer, positions, &mesh.triangles, self.texture.as_ref())?;
+            write_file(
+                &path,
+                *format,
+                &mut self.buffer,
+                positions,
+                &mesh.triangles,
+                self.texture.as_ref(),
+                &self.parts,
+            )?;
         }
         if let Some(cache) = &mut self.point_cache {
             cache.write(frame, positions)?;
@@ -162,7 +184,7 @@ impl FrameWriter {
         let formats = if self.files.is_empty() { &[FrameFormat::Ply][..] } else { &self.files };
         for format in formats {
             let path = frame_path(&self.folder, "obstacle", frame, *format);
-            write_file(&path, *format, &mut self.buffer, positions, triangles, None)?;
+            write_file(&path, *format, &mut self.buffer, positions, triangles, None, &[])?;
         }
         Ok(())
     }
@@ -190,9 +212,10 @@ fn write_file(
     positions: &[Vec3],
     triangles: &[[u32; 3]],
     texture: Option<&TextureCoordinates>,
+    parts: &[Part],
 ) -> Result<(), WriteError> {
     write_atomically(path, |out| match format {
-        FrameFormat::Obj => obj::write(out, buffer, positions, triangles, texture),
+        FrameFormat::Obj => obj::write(out, buffer, positions, triangles, texture, parts),
         FrameFormat::Ply => ply::write(out, buffer, positions, triangles),
         FrameFormat::Pc2 => Ok(()),
     })

@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use super::read::{FrameMesh, ReadError};
 use crate::math::{Vec2, Vec3};
+use crate::mesh::Part;
 
 /// Bytes collected before they are handed on.
 const CHUNK: usize = 1 << 16;
@@ -45,7 +46,7 @@ impl TextureCoordinates {
     }
 }
 
-/// Writes a mesh. Numbers have the fewest digits that read back to the same f32. `buffer` is scratch, kept by the caller
+/// Writes a mesh; `parts` ascend by their triangles. Numbers have the fewest digits that read back to the same f32. `buffer` is scratch, kept by the caller
 /// to save allocations.
 pub fn write(
     out: &mut dyn Write,
@@ -53,6 +54,7 @@ pub fn write(
     positions: &[Vec3],
     triangles: &[[u32; 3]],
     texture: Option<&TextureCoordinates>,
+    parts: &[Part],
 ) -> io::Result<()> {
     buffer.clear();
     for p in positions {
@@ -68,7 +70,21 @@ pub fn write(
         buffer.push(b'\n');
         flush_full(out, buffer)?;
     }
+    let mut parts = parts.iter().peekable();
+    let (mut object, mut group) = ("", "");
     for (t, triangle) in triangles.iter().enumerate() {
+        while parts.next_if(|part| part.triangles.end as usize <= t).is_some() {}
+        // Triangles of no part stand in an object and a group without a name.
+        let here = parts.peek().filter(|part| part.triangles.start as usize <= t);
+        let wanted = here.map_or(("", ""), |part| (&part.object[..], &part.group[..]));
+        if wanted.0 != object {
+            (object, group) = (wanted.0, "");
+            push_name(buffer, b"o", object);
+        }
+        if wanted.1 != group {
+            group = wanted.1;
+            push_name(buffer, b"g", group);
+        }
         buffer.push(b'f');
         for corner in 0..3 {
             buffer.push(b' ');
@@ -84,6 +100,16 @@ pub fn write(
     out.write_all(buffer)?;
     buffer.clear();
     Ok(())
+}
+
+/// A line `o name` or `g name`.
+fn push_name(buffer: &mut Vec<u8>, word: &[u8], name: &str) {
+    buffer.extend_from_slice(word);
+    if !name.is_empty() {
+        buffer.push(b' ');
+        buffer.extend_from_slice(name.as_bytes());
+    }
+    buffer.push(b'\n');
 }
 
 fn flush_full(out: &mut dyn Write, buffer: &mut Vec<u8>) -> io::Result<()> {

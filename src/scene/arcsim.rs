@@ -51,7 +51,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     }
     left_out.whole_scene(&root);
     left_out.lines.extend(of_files);
-    Ok(ParsedScene {
+    let scene = ParsedScene {
         path: path.into(),
         name: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),
         cloths,
@@ -59,10 +59,12 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         motions: scene_motions,
         obstacles,
         settings,
+        warnings: Vec::new(),
         left_out: left_out.lines,
         cloths_at: list.place(),
         pins_at: root.get("handles").unwrap_or(root).place(),
-    })
+    };
+    Ok(scene.warn_of_sizes())
 }
 
 /// Collects the sentences about what is left out, each once.
@@ -159,7 +161,7 @@ fn cloth(cloth: &Json, left_out: &mut LeftOut) -> Result<(ClothSource, Option<St
         return Err(cloth.error("the scale of its transform must be above 0"));
     }
     let path = find(&file)?;
-    let placed = placed_mesh(&path, MaterialSource::TextureOrShape, &placement)?;
+    let placed = placed_mesh(&path, MaterialSource::TextureOrShape, None, &placement)?;
     let materials = cloth.required("materials")?.array()?;
     let Some(first) = materials.first() else {
         return Err(cloth.required("materials")?.error("a cloth needs a material"));
@@ -185,6 +187,7 @@ fn cloth(cloth: &Json, left_out: &mut LeftOut) -> Result<(ClothSource, Option<St
         }
     };
     let velocity = |p: &crate::math::Vec3| (linear + angular.cross(p.as_dvec3() - origin)).as_vec3();
+    placed.repairs(&path).into_iter().for_each(|line| left_out.say(line));
     let line = placed.left_out(&path);
     let source = ClothSource {
         name: cloth.name.clone(),

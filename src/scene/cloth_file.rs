@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::math::{DQuat, DVec3};
-use crate::mesh::MaterialSource;
+use crate::mesh::{FileMesh, MaterialSource};
 
 use super::fields::{Fields, Value};
 use super::file::find;
@@ -38,11 +38,12 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 13] = [
+pub(super) const CLOTH_FIELDS: [&str; 14] = [
     "name",
     "sheet",
     "mesh",
     "material",
+    "weld_m",
     "plane",
     "origin_m",
     "rotate_deg",
@@ -71,32 +72,29 @@ pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<
     Ok((0..cloths.len()).map(share).collect())
 }
 
-/// Reads a `[[cloth]]`; the second value is a sentence about what of its file is left out.
+/// Where sentences about a file go.
+pub(super) struct Remarks<'a> {
+    pub warnings: &'a mut Vec<String>,
+    pub left_out: &'a mut Vec<String>,
+}
+
+/// Reads a `[[cloth]]`.
 pub(super) fn cloth(
     fields: &Fields,
     index: usize,
     triangles: f64,
     fabrics: &[Fabric],
     path: &Path,
-) -> Result<(ClothSource, Option<String>), SceneError> {
+    remarks: &mut Remarks,
+) -> Result<ClothSource, SceneError> {
     let placement = Placement {
         translation_m: fields.or("origin_m", DVec3::ZERO, Value::vector)?,
         rotation: fields.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?,
         scale: fields.or("scale", 1.0, Value::positive)?,
     };
-    let (shape, left_out) = match (fields.get("sheet"), fields.get("mesh")) {
-        (Some(_), None) => (Shape::Sheet(sheet(fields, triangles, placement)?), None),
-        (None, Some(file)) => {
-            if fields.get("plane").is_some() {
-                return Err(fields.error_at("plane", "belongs to a cloth with a `sheet`; this one has a `mesh`"));
-            }
-            let sources = [("uv", MaterialSource::TextureOrShape), ("shape", MaterialSource::Shape)];
-            let source = fields.or("material", MaterialSource::TextureOrShape, |value| value.choice(&sources))?;
-            let found = find(path, file.text()?).map_err(|what| file.error(what))?;
-            let mesh = placed_mesh(&found, source, &placement)?;
-            let left_out = mesh.left_out(&found);
-            (Shape::Mesh(mesh), left_out)
-        }
+    let shape = match (fields.get("sheet"), fields.get("mesh")) {
+        (Some(_), None) => Shape::Sheet(sheet(fields, triangles, placement)?),
+        (None, Some(file)) => Shape::Mesh(mesh(fields, &file, placement, path, remarks)?),
         _ => return Err(fields.error("a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`")),
     };
     let mut fabric = match fields.get("fabric") {
@@ -108,18 +106,43 @@ pub(super) fn cloth(
     }
     fabric.damping_s = fields.or("damping_s", fabric.damping_s, Value::not_negative)?;
     fabric.check().map_err(|what| fields.error_at("fabric", what))?;
-    let source = ClothSource {
+    Ok(ClothSource {
         name: fields.or("name", format!("cloth {index}"), |value| value.text().map(str::to_owned))?,
         shape,
         velocity: StartVelocity::Same(fields.or("velocity_m_s", DVec3::ZERO, Value::vector)?.as_vec3()),
         fabric,
         friction: fields.optional("friction", Value::not_negative)?,
-    };
-    Ok((source, left_out))
+    })
+}
+
+fn mesh(
+    fields: &Fields,
+    file: &Value,
+    placement: Placement,
+    path: &Path,
+    remarks: &mut Remarks,
+) -> Result<FileMesh, SceneError> {
+    if fields.get("plane").is_some() {
+        return Err(fields.error_at("plane", "belongs to a cloth with a `sheet`; this one has a `mesh`"));
+    }
+    let sources =
+        [("auto", MaterialSource::Auto), ("uv", MaterialSource::TextureOrShape), ("shape", MaterialSource::Shape)];
+    let source = fields.or("material", MaterialSource::Auto, |value| value.choice(&sources))?;
+    let weld_m = fields.optional("weld_m", Value::not_negative)?;
+    let found = find(path, file.text()?).map_err(|what| file.error(what))?;
+    let mesh = placed_mesh(&found, source, weld_m, &placement)?;
+    remarks.left_out.extend(mesh.left_out(&found));
+    remarks.warnings.extend(mesh.warnings(&found, placement.scale));
+    if source == MaterialSource::TextureOrShape && mesh.fit.is_none() {
+        let what =
+            "not every corner has texture coordinates (or they have no area), so its shape in space is the rest shape";
+        remarks.warnings.push(format!("{}: {what}", found.display()));
+    }
+    Ok(mesh)
 }
 
 fn sheet(fields: &Fields, triangles: f64, placement: Placement) -> Result<SheetSource, SceneError> {
-    if let Some(key) = ["material", "scale"].into_iter().find(|key| fields.get(key).is_some()) {
+    if let Some(key) = ["material", "scale", "weld_m"].into_iter().find(|key| fields.get(key).is_some()) {
         return Err(fields.error_at(key, "belongs to a cloth with a `mesh`; this one has a `sheet`"));
     }
     let size = fields.table("sheet", &["size_m", "triangles"])?.required("size_m")?;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use toml::de::DeTable;
 
-use super::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, cloth, fabric, sheet_triangles};
+use super::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, Remarks, cloth, fabric, sheet_triangles};
 use super::fields::{Fields, Source};
 use super::obstacle_file::{OBSTACLE_FIELDS, obstacle};
 use super::parsed::ParsedScene;
@@ -35,22 +35,27 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     }
     let resolution = root.or("resolution", DEFAULT_RESOLUTION, |value| value.whole(RESOLUTIONS))?;
     let triangles = sheet_triangles(resolution, &tables)?;
-    let (mut cloths, mut left_out) = (Vec::with_capacity(tables.len()), Vec::new());
+    let (mut cloths, mut warnings, mut left_out) = (Vec::with_capacity(tables.len()), Vec::new(), Vec::new());
     for (i, table) in tables.iter().enumerate() {
-        let (source, line) = cloth(table, i, triangles[i], &fabrics, path)?;
-        cloths.push(source);
-        left_out.extend(line);
+        cloths.push(cloth(
+            table,
+            i,
+            triangles[i],
+            &fabrics,
+            path,
+            &mut Remarks { warnings: &mut warnings, left_out: &mut left_out },
+        )?);
     }
-    let settings = settings(&root)?;
+    let settings = settings(&root, &mut warnings)?;
     let mut obstacles = Vec::new();
     for (i, fields) in root.tables("obstacle", &OBSTACLE_FIELDS)?.iter().enumerate() {
-        obstacles.push(obstacle(fields, i, settings.friction, path)?);
+        obstacles.push(obstacle(fields, i, settings.friction, path, &mut left_out)?);
     }
     let (mut pins, mut motions) = (Vec::new(), Vec::new());
     for fields in root.tables("pin", &PIN_FIELDS)? {
         pins.push(pin(&fields, &cloths, &mut motions)?);
     }
-    Ok(ParsedScene {
+    let scene = ParsedScene {
         path: path.into(),
         name,
         cloths,
@@ -58,10 +63,12 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         motions,
         obstacles,
         settings,
+        warnings,
         left_out,
         cloths_at: root.place_at("cloth"),
         pins_at: root.place_at("pin"),
-    })
+    };
+    Ok(scene.warn_of_sizes())
 }
 
 /// The file a scene names: beside the scene, or in the working directory.

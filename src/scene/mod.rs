@@ -20,17 +20,20 @@ mod settings_file;
 mod sheet;
 mod start;
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use crate::input::{Input, Streams};
 use crate::math::Vec3;
-use crate::mesh::{MeshReadError, TriangleMesh};
+use crate::mesh::{MeshReadError, Part, TriangleMesh};
 
 pub use fabric::{load_fabric, parse_fabric};
 pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};
 pub use parsed::ParsedScene;
+pub use pieces::size_warning;
 pub use preconditioner::PreconditionerKind;
 pub use sheet::{Sheet, sheet_cells};
-pub use start::{BestState, Crossings, Untangling};
+pub use start::{BestState, Crossings, Doubled, Untangling};
 
 /// What the command line changes in a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,6 +49,9 @@ pub const RESOLUTIONS: std::ops::RangeInclusive<u64> = 2..=20_000_000;
 
 /// Stiffness of contacts where a scene does not say.
 const CONTACT_STIFFNESS: f64 = 8.0;
+
+/// Thickness of the cloth where a scene does not say, metres.
+pub const DEFAULT_THICKNESS_M: f64 = 0.002;
 
 /// Longest scene text that is read; a scene is written by hand.
 const LONGEST_TEXT_BYTES: u64 = 16 << 20;
@@ -116,14 +122,13 @@ fn parser_of(path: &Path) -> Result<Parser, SceneError> {
 
 fn read_text(path: &Path) -> Result<String, SceneError> {
     let fault = |what: String| SceneError::File { path: path.into(), what };
-    let metadata = std::fs::metadata(path).map_err(|error| fault(format!("cannot be read: {error}")))?;
-    if !metadata.is_file() {
-        return Err(fault("cannot be read: it is not a file".into()));
+    let unreadable = |error: std::io::Error| fault(format!("cannot be read: {error}"));
+    let input = Input::open(path, Streams::Refused).map_err(unreadable)?;
+    let mut bytes = Vec::new();
+    input.reader.take(LONGEST_TEXT_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+    if bytes.len() as u64 > LONGEST_TEXT_BYTES {
+        return Err(fault(format!("is longer than {LONGEST_TEXT_BYTES} bytes, which no scene is")));
     }
-    if metadata.len() > LONGEST_TEXT_BYTES {
-        return Err(fault(format!("has {} bytes; a scene has at most {LONGEST_TEXT_BYTES}", metadata.len())));
-    }
-    let bytes = std::fs::read(path).map_err(|error| fault(format!("cannot be read: {error}")))?;
     String::from_utf8(bytes).map_err(|_| fault("is not UTF-8 text".into()))
 }
 
@@ -148,8 +153,12 @@ pub struct Scene {
     pub cloths: Vec<Cloth>,
     /// Obstacles; [`Obstacles::new`] makes one numbered surface of them.
     pub obstacles: Vec<Obstacle>,
+    /// Objects and groups that the files of the pieces name, by triangles of the scene; ascending.
+    pub parts: Vec<Part>,
     /// Numbers of the run.
     pub settings: Settings,
+    /// One sentence for everything that was repaired or is likely not meant so.
+    pub warnings: Vec<String>,
     /// One sentence for every feature of an imported scene that is left out.
     pub left_out: Vec<String>,
 }

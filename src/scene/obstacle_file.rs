@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::math::{DQuat, DVec3};
-use crate::mesh::{Surface, check_obstacle, read_surface, shapes};
+use crate::mesh::{Surface, check_obstacle, read_obstacle, shapes};
 
 use super::fields::{Fields, Value};
 use super::file::find;
@@ -36,8 +36,15 @@ const DEFAULT_TRIANGLES: u64 = 3_000;
 /// Triangles a shape can be made of.
 const TRIANGLES: std::ops::RangeInclusive<u64> = 12..=5_000_000;
 
-/// Reads an obstacle. `path` = the scene file, `friction` = that of the whole scene.
-pub(super) fn obstacle(fields: &Fields, index: usize, friction: f64, path: &Path) -> Result<Obstacle, SceneError> {
+/// Reads an obstacle. `path` = the scene file, `friction` = that of the whole scene; `left_out` gets a sentence about what
+/// of a file is not used.
+pub(super) fn obstacle(
+    fields: &Fields,
+    index: usize,
+    friction: f64,
+    path: &Path,
+    left_out: &mut Vec<String>,
+) -> Result<Obstacle, SceneError> {
     let given: Vec<&str> = FORMS.into_iter().filter(|form| fields.get(form).is_some()).collect();
     let [form] = given[..] else {
         let what = format!("an obstacle needs exactly one of {}, not {}", FORMS.join(", "), given.len());
@@ -63,14 +70,17 @@ pub(super) fn obstacle(fields: &Fields, index: usize, friction: f64, path: &Path
                 return Err(fields.error_at("motion", "give either `motion` or a `sequence`"));
             }
             let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
-            let (surface, later) = read_frames(&sequence_files(&value, path)?, |points| placement.move_points(points))?;
+            let frames = read_frames(&sequence_files(&value, path)?, |points| placement.move_points(points))?;
+            let (surface, later) = (frames.first, frames.later);
+            left_out.extend(frames.left_out);
             let frames_per_s = fields.required("frames_per_s")?.positive()?;
             movement = Movement::Sequence { frames_per_s, later: later.into() };
             surface
         }
         "mesh" => {
             let found = find(path, value.text()?).map_err(|what| value.error(what))?;
-            let mut surface = read_surface(&found)?;
+            let (mut surface, line) = read_obstacle(&found)?;
+            left_out.extend(line);
             placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?.move_points(&mut surface.positions);
             surface
         }
@@ -104,14 +114,7 @@ fn sequence_files(value: &Value, scene: &Path) -> Result<Vec<PathBuf>, SceneErro
     let pattern = Pattern::parse(text).ok_or_else(|| {
         value.error(format!("`{text}` must have one number in it, as in `frame_%04d.obj` or `frame_%d.obj`"))
     })?;
-    let files = pattern.files(|name| find(scene, name).ok());
-    if files.is_empty() {
-        let (zero, one) = (pattern.name(0), pattern.name(1));
-        return Err(value.error(format!(
-            "neither a file `{zero}` nor a file `{one}` beside the scene or in the working directory"
-        )));
-    }
-    Ok(files)
+    pattern.files(scene).map_err(|what| value.error(what))
 }
 
 /// The shape about the origin, where its centre goes, and how its own directions turn it.

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use crate::math::{DVec2, DVec3, Vec3};
 use crate::mesh::{FileMesh, TriangleMesh};
 
-use super::pieces::{Piece, Placement, merge};
+use super::pieces::{Piece, Placement, merge, size_warning};
 use super::pins::{self, PinSource};
 use super::start::{Start, StartState};
 use super::{
@@ -51,6 +51,7 @@ pub struct ParsedScene {
     pub(super) motions: Vec<Motion>,
     pub(super) obstacles: Vec<Obstacle>,
     pub(super) settings: Settings,
+    pub(super) warnings: Vec<String>,
     pub(super) left_out: Vec<String>,
     /// The field that lists the cloths.
     pub(super) cloths_at: Place,
@@ -154,9 +155,22 @@ impl ParsedScene {
             motions: self.motions.clone(),
             cloths: merged.cloths,
             obstacles: self.obstacles.clone(),
+            parts: merged.parts,
             settings,
+            warnings: self.warnings.clone(),
             left_out: self.left_out.clone(),
         })
+    }
+
+    /// Adds a sentence for every mesh whose size does not go with the thickness of the cloth.
+    pub(super) fn warn_of_sizes(mut self) -> ParsedScene {
+        let thickness_m = self.settings.thickness_m;
+        for cloth in &self.cloths {
+            if let Shape::Mesh(mesh) = &cloth.shape {
+                self.warnings.extend(size_warning(&format!("`{}`", cloth.name), mesh.extent(), thickness_m));
+            }
+        }
+        self
     }
 
     /// What the triangles of every sheet are multiplied by.

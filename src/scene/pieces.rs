@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use crate::math::{DQuat, DVec3, Vec3};
-use crate::mesh::{FileMesh, MaterialSource, TriangleMesh, read_mesh, validate};
+use crate::mesh::{FileMesh, MaterialSource, MeshOptions, Part, TriangleMesh, read_mesh, validate};
 
 use super::parsed::{ClothSource, StartVelocity};
 use super::{Cloth, Fabric, SceneError, Sheet};
@@ -43,14 +43,40 @@ impl Placement {
     }
 }
 
-/// Reads and places a mesh from a file.
-pub(super) fn placed_mesh(path: &Path, source: MaterialSource, placement: &Placement) -> Result<FileMesh, SceneError> {
-    let mut file = read_mesh(path, source)?;
+/// Reads and places a mesh from a file; `weld_m` joins vertices that near at its place.
+pub(super) fn placed_mesh(
+    path: &Path,
+    material: MaterialSource,
+    weld_m: Option<f64>,
+    placement: &Placement,
+) -> Result<FileMesh, SceneError> {
+    let weld = weld_m.map(|distance| distance / placement.scale);
+    let mut file = read_mesh(path, MeshOptions { material, weld })?;
     placement.place(&mut file.mesh);
     // Far translations and extreme scales can undo what the file had right.
     validate(&file.mesh)
         .map_err(|fault| SceneError::File { path: path.into(), what: format!("at its place in the scene: {fault}") })?;
     Ok(file)
+}
+
+/// An extent above this many thicknesses is likely no length in metres: 40 m of a cloth of 2 mm.
+const EXTENT_MOST: f64 = 2e4;
+/// An extent below this many thicknesses is no cloth.
+const EXTENT_LEAST: f64 = 10.0;
+
+/// A sentence about a mesh whose size does not go with the thickness of the cloth: most likely its unit is another one.
+/// `extent_m` = longest side of the box around it.
+pub fn size_warning(name: &str, extent_m: f64, thickness_m: f64) -> Option<String> {
+    let ratio = extent_m / thickness_m;
+    let what = if ratio > EXTENT_MOST {
+        let (unit, scale) = if extent_m < 1e3 { ("centimetres", "0.01") } else { ("millimetres", "0.001") };
+        format!("if its file is in {unit}, `scale = {scale}` makes metres of them")
+    } else if ratio < EXTENT_LEAST {
+        "`scale` enlarges it, `thickness_m` is for the thickness".to_owned()
+    } else {
+        return None;
+    };
+    Some(format!("{name} is {extent_m:.4} m large, {ratio:.0} times thickness_m = {thickness_m}: {what}"))
 }
 
 /// The pieces as one mesh.
@@ -60,6 +86,7 @@ pub(super) struct Merged {
     pub fabrics: Vec<Fabric>,
     pub fabric_of_triangle: Vec<u16>,
     pub cloths: Vec<Cloth>,
+    pub parts: Vec<Part>,
 }
 
 /// Merges pieces in their order; `Err` is the reason as half a sentence. `friction` = that of pieces without one of their own.
@@ -70,6 +97,7 @@ pub(super) fn merge(pieces: &[Piece], friction: f64) -> Result<Merged, String> {
         fabrics: Vec::new(),
         fabric_of_triangle: Vec::new(),
         cloths: Vec::new(),
+        parts: Vec::new(),
     };
     for piece in pieces {
         let (mesh, source) = (&piece.cloth.mesh, piece.source);
@@ -91,6 +119,10 @@ pub(super) fn merge(pieces: &[Piece], friction: f64) -> Result<Merged, String> {
             StartVelocity::Same(velocity) => merged.velocities.resize(merged.mesh.positions.len(), *velocity),
             StartVelocity::PerVertex(velocities) => merged.velocities.extend(velocities),
         }
+        merged.parts.extend(piece.cloth.parts.iter().map(|part| Part {
+            triangles: first_triangle + part.triangles.start..first_triangle + part.triangles.end,
+            ..part.clone()
+        }));
         merged.fabric_of_triangle.resize(merged.mesh.triangles.len(), fabric);
         merged.cloths.push(Cloth {
             name: source.name.clone(),

@@ -1,6 +1,7 @@
 //! `[[pin]]` of the TOML scene format.
 
 use crate::math::DVec3;
+use crate::mesh::FileMesh;
 
 use super::fields::{Fields, Value};
 use super::keyframes::motion;
@@ -8,8 +9,9 @@ use super::parsed::{ClothSource, Shape};
 use super::pins::{self, PinSource, Selection, Spread};
 use super::{Motion, SceneError};
 
-pub(super) const PIN_FIELDS: [&str; 11] =
-    ["cloth", "corners", "edge", "every", "count", "vertices", "box_m", "sphere", "start_s", "end_s", "motion"];
+pub(super) const PIN_FIELDS: [&str; 12] = [
+    "cloth", "corners", "edge", "every", "count", "vertices", "group", "box_m", "sphere", "start_s", "end_s", "motion",
+];
 
 /// Reads a `[[pin]]`; adds its motion to `motions`.
 pub(super) fn pin(fields: &Fields, cloths: &[ClothSource], motions: &mut Vec<Motion>) -> Result<PinSource, SceneError> {
@@ -40,7 +42,7 @@ pub(super) fn pin(fields: &Fields, cloths: &[ClothSource], motions: &mut Vec<Mot
 
 /// How the pin selects vertices, and the field that says so.
 fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource) -> Result<(Selection, Value<'a>), SceneError> {
-    let ways = ["corners", "edge", "vertices", "box_m", "sphere"];
+    let ways = ["corners", "edge", "vertices", "group", "box_m", "sphere"];
     let given: Vec<&str> = ways.into_iter().filter(|way| pin.get(way).is_some()).collect();
     let [way] = given[..] else {
         return Err(pin.error(format!("a pin needs exactly one of {}, not {}", ways.join(", "), given.len())));
@@ -76,6 +78,18 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource) -> Result<(Selection, Va
             let number = |value: &Value| Ok(value.whole(0..=u64::from(u32::MAX))? as u32);
             Selection::Vertices(value.array()?.iter().map(number).collect::<Result<_, SceneError>>()?)
         }
+        "group" => {
+            let name = value.text()?;
+            let Shape::Mesh(mesh) = &cloth.shape else {
+                return Err(value.error(format!("`{}` is a sheet; only a mesh has objects and groups", cloth.name)));
+            };
+            let vertices = mesh.vertices_of(name);
+            if vertices.is_empty() {
+                let what = format!("`{}` has no object or group named `{name}`", cloth.name);
+                return Err(value.error(format!("{what}; {}", known_parts(mesh))));
+            }
+            Selection::MeshVertices(vertices)
+        }
         "box_m" => {
             let corners = value.array()?.iter().map(Value::vector).collect::<Result<Vec<DVec3>, _>>()?;
             let [low, high] = corners[..] else {
@@ -93,4 +107,17 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource) -> Result<(Selection, Va
         }
     };
     Ok((select, value))
+}
+
+/// The names that a pin may use, for a message.
+fn known_parts(mesh: &FileMesh) -> String {
+    /// Names that are listed.
+    const LISTED: usize = 12;
+    let mut names: Vec<&str> = mesh.parts.iter().flat_map(|part| [part.object.as_str(), part.group.as_str()]).collect();
+    names.retain(|name| !name.is_empty());
+    names.sort_unstable();
+    names.dedup();
+    let more = if names.len() > LISTED { ", .." } else { "" };
+    names.truncate(LISTED);
+    if names.is_empty() { "its file names none".into() } else { format!("it has {}{more}", names.join(", ")) }
 }

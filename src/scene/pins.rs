@@ -30,6 +30,8 @@ pub(super) enum Selection {
     Edge(Edge, Spread),
     /// Vertices by their number in the piece's file, from 0.
     Vertices(Vec<u32>),
+    /// Vertices of the mesh of a file.
+    MeshVertices(Vec<u32>),
     /// All that start in a box.
     Box { low: DVec3, high: DVec3 },
     /// All that start in a sphere.
@@ -77,6 +79,7 @@ impl PinSource {
                 };
                 numbers.iter().enumerate().map(vertex).collect::<Result<_, _>>()?
             }
+            Selection::MeshVertices(vertices) => vertices.clone(),
             Selection::Box { low, high } => region(&piece.cloth.mesh, |p| p.cmpge(*low).all() && p.cmple(*high).all()),
             Selection::Sphere { center, radius_m } => region(&piece.cloth.mesh, |p| p.distance(*center) <= *radius_m),
         };

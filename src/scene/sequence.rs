@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::math::Vec3;
-use crate::mesh::{Surface, read_surface};
+use crate::mesh::{Surface, needles, read_file};
 
 use super::SceneError;
 
@@ -36,32 +36,96 @@ impl Pattern {
         format!("{}{number:0width$}{}", self.before, self.after, width = self.width)
     }
 
-    /// The existing files with numbers from 0 or 1 up to the first that is missing; `resolve` says where a name is.
-    pub fn files(&self, resolve: impl Fn(&str) -> Option<PathBuf>) -> Vec<PathBuf> {
-        let first = u32::from(resolve(&self.name(0)).is_none());
-        (first..).map_while(|number| resolve(&self.name(number))).collect()
+    /// The files, from the smallest number there is to the largest, beside the scene or else in the working directory.
+    ///
+    /// # Errors
+    /// There is none, or a number between the first and the last is missing; half a sentence.
+    pub fn files(&self, scene: &Path) -> Result<Vec<PathBuf>, String> {
+        let beside = scene.parent().unwrap_or(Path::new(""));
+        let found =
+            [beside, Path::new("")].into_iter().map(|root| (root, self.numbers(root))).find(|(_, n)| !n.is_empty());
+        let Some((root, numbers)) = found else {
+            return Err(format!(
+                "there is no file such as `{}` beside the scene or in the working directory",
+                self.name(1)
+            ));
+        };
+        if let Some(pair) = numbers.windows(2).find(|pair| pair[1] != pair[0] + 1) {
+            let (missing, next) = (pair[0] + 1, pair[1]);
+            let name = self.name(missing);
+            return Err(match next - missing {
+                1 => format!(
+                    "number {missing} is missing: there are `{}` and `{}`, but no `{name}`",
+                    self.name(missing - 1),
+                    self.name(next)
+                ),
+                count => format!(
+                    "numbers {missing} to {} are missing ({count} files): there is `{}`, but no `{name}`",
+                    next - 1,
+                    self.name(next)
+                ),
+            });
+        }
+        Ok(numbers.into_iter().map(|number| root.join(self.name(number))).collect())
+    }
+
+    /// The first number from `least` on that has a file below a folder.
+    pub fn next_from(&self, root: &Path, least: u32) -> Option<u32> {
+        self.numbers(root).into_iter().find(|&number| number >= least)
+    }
+
+    /// The numbers of the files below a folder, ascending.
+    fn numbers(&self, root: &Path) -> Vec<u32> {
+        // The number may stand in the name of a folder as well as of a file.
+        let (folder, start) =
+            self.before.rsplit_once('/').map_or(("", &self.before[..]), |(folder, start)| (folder, start));
+        let folder =
+            if self.before.starts_with('/') && folder.is_empty() { Path::new("/") } else { &root.join(folder) };
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        let end = self.after.split('/').next().unwrap_or_default();
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        let number = |entry: std::fs::DirEntry| -> Option<u32> {
+            let name = entry.file_name().into_string().ok()?;
+            let digits = name.strip_prefix(start)?.strip_suffix(end)?;
+            let number = digits.parse().ok().filter(|_| digits.bytes().all(|c| c.is_ascii_digit()))?;
+            // As many digits as the pattern writes.
+            (format!("{number:0width$}", width = self.width) == digits && root.join(self.name(number)).is_file())
+                .then_some(number)
+        };
+        let mut numbers: Vec<u32> = entries.filter_map(number).collect();
+        numbers.sort_unstable();
+        numbers
     }
 }
 
+/// The meshes of a sequence.
+pub(super) struct Frames {
+    pub first: Surface,
+    /// Positions of the frames after the first.
+    pub later: Vec<Vec<Vec3>>,
+    /// A sentence about triangles that are left out.
+    pub left_out: Option<String>,
+}
+
 /// Reads the frames; every one must have the vertices and triangles of the first. The positions as `place` puts them.
-pub(super) fn read_frames(
-    files: &[PathBuf],
-    place: impl Fn(&mut [Vec3]),
-) -> Result<(Surface, Vec<Vec<Vec3>>), SceneError> {
+/// Triangles that have no area in one of the frames are left out.
+pub(super) fn read_frames(files: &[PathBuf], place: impl Fn(&mut [Vec3])) -> Result<Frames, SceneError> {
     let fault = |path: &Path, what: String| SceneError::File { path: path.into(), what };
     let mut first: Option<Surface> = None;
-    let mut later = Vec::new();
+    let (mut later, mut flat) = (Vec::new(), Vec::new());
     for path in files {
-        let mut frame = read_surface(path)?;
+        let mut frame = read_file(path)?;
         place(&mut frame.positions);
         if let Some(vertex) = frame.positions.iter().position(|p| !p.is_finite()) {
             return Err(fault(path, format!("at its place in the scene, vertex {} is not finite", vertex + 1)));
         }
+        let needles = needles(&frame.positions, &frame.triangles);
         let Some(first) = &first else {
             if files.len().saturating_mul(3 * frame.positions.len()) > MOST_VALUES {
                 let what = format!("{} frames of {} vertices are too many", files.len(), frame.positions.len());
                 return Err(fault(path, format!("{what}: at most {} positions are held", MOST_VALUES / 3)));
             }
+            flat = needles;
             first = Some(frame);
             continue;
         };
@@ -76,10 +140,15 @@ pub(super) fn read_frames(
             );
             return Err(fault(path, what));
         }
+        flat.iter_mut().zip(needles).for_each(|(flat, needle)| *flat |= needle);
         later.push(frame.positions);
     }
-    let first = first.ok_or_else(|| fault(Path::new(""), "a sequence has no file".into()))?;
-    Ok((first, later))
+    let mut first = first.ok_or_else(|| fault(Path::new(""), "a sequence has no file".into()))?;
+    if !flat.contains(&false) {
+        return Err(fault(&files[0], "the sequence has no triangle that has an area in every frame".into()));
+    }
+    let left_out = first.leave_out(&flat, &files[0]);
+    Ok(Frames { first, later, left_out })
 }
 
 #[cfg(test)]
@@ -97,11 +166,31 @@ mod tests {
     }
 
     #[test]
-    fn numbers_run_from_zero_or_one_to_the_first_gap() {
-        let there = |names: &'static [&str]| move |name: &str| names.contains(&name).then(|| PathBuf::from(name));
-        let files = |names| Pattern::parse("%02d").unwrap().files(there(names)).len();
-        assert_eq!(files(&["00", "01", "02", "04"]), 3);
-        assert_eq!(files(&["01", "02"]), 2);
-        assert_eq!(files(&["02"]), 0);
+    fn the_first_number_is_free_and_a_gap_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("s.toml");
+        let files = |pattern: &str, names: &[&str]| {
+            for name in names {
+                let path = folder.path().join(name);
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(path, "").unwrap();
+            }
+            Pattern::parse(pattern).unwrap().files(&scene).map(|files| files.len())
+        };
+        assert_eq!(
+            files("a_%02d.obj", &["a_00.obj", "a_01.obj", "a_02.obj", "a_1.obj", "a_002.obj", "a_x.obj"]),
+            Ok(3)
+        );
+        assert_eq!(files("b.%04d.obj", &["b.1001.obj", "b.1002.obj"]), Ok(2), "film counts from 1001");
+        assert_eq!(files("shot_%d/body.obj", &["shot_9/body.obj", "shot_10/body.obj", "shot_11/other.obj"]), Ok(2));
+        assert_eq!(
+            files("a_%02d.obj", &["a_04.obj"]).unwrap_err(),
+            "number 3 is missing: there are `a_02.obj` and `a_04.obj`, but no `a_03.obj`"
+        );
+        assert_eq!(
+            files("b.%04d.obj", &["b.1240.obj"]).unwrap_err(),
+            "numbers 1003 to 1239 are missing (237 files): there is `b.1240.obj`, but no `b.1003.obj`"
+        );
+        assert!(files("none_%02d.obj", &[]).unwrap_err().contains("`none_01.obj`"));
     }
 }

@@ -3,10 +3,10 @@
 use crate::math::Vec3;
 
 use super::fields::{Fields, Value};
-use super::{CONTACT_STIFFNESS, PreconditionerKind, SceneError, Settings};
+use super::{CONTACT_STIFFNESS, DEFAULT_THICKNESS_M, PreconditionerKind, SceneError, Settings};
 
 /// Reads the settings of the document `root`.
-pub(super) fn settings(root: &Fields) -> Result<Settings, SceneError> {
+pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Settings, SceneError> {
     let known = [
         "step_s",
         "frames",
@@ -22,22 +22,7 @@ pub(super) fn settings(root: &Fields) -> Result<Settings, SceneError> {
         "contact_stiffness",
     ];
     let simulation = root.table("simulation", &known)?;
-    let step_s = simulation.or("step_s", 1.0 / 250.0, Value::positive)?;
-    let steps_per_frame = simulation.optional("steps_per_frame", |value| value.whole(1..=1_000_000))?;
-    let frame_s = simulation.optional("frame_s", Value::positive)?;
-    let steps_per_frame = match (steps_per_frame, frame_s) {
-        (Some(_), Some(_)) => return Err(simulation.error_at("frame_s", "give either `frame_s` or `steps_per_frame`")),
-        (Some(steps), None) => steps as u32,
-        (None, None) => 10,
-        (None, Some(frame_s)) => {
-            let steps = (frame_s / step_s).round();
-            // A thousandth of a step: what rounding 1/24 s to four digits needs.
-            if !(1.0..=1e6).contains(&steps) || (frame_s / step_s - steps).abs() > 1e-3 * steps {
-                return Err(simulation.error_at("frame_s", format!("must be a whole number of steps of {step_s} s")));
-            }
-            steps as u32
-        }
-    };
+    let (step_s, steps_per_frame) = step(&simulation, warnings)?;
     let vector = |value: &Value| Ok(value.vector()?.as_vec3());
     let relative_tolerance = simulation.or("relative_tolerance", 0.01, Value::positive)?;
     if relative_tolerance >= 1.0 {
@@ -58,9 +43,38 @@ pub(super) fn settings(root: &Fields) -> Result<Settings, SceneError> {
         max_iterations: simulation.or("max_iterations", 500, |value| value.whole(1..=1_000_000))? as u32,
         preconditioner: simulation
             .or("preconditioner", PreconditionerKind::Auto, |value| value.choice(&PreconditionerKind::CHOICES))?,
-        thickness_m: simulation.or("thickness_m", 0.002, Value::positive)?,
+        thickness_m: simulation.or("thickness_m", DEFAULT_THICKNESS_M, Value::positive)?,
         friction: simulation.or("friction", 0.3, Value::not_negative)?,
         collisions: simulation.or("collisions", true, Value::boolean)?,
         contact_stiffness: simulation.or("contact_stiffness", CONTACT_STIFFNESS, Value::positive)?,
     })
+}
+
+/// Length of a step where the scene does not say, seconds.
+const STEP_S: f64 = 1.0 / 250.0;
+
+/// Length of a step and steps of a frame.
+fn step(simulation: &Fields, warnings: &mut Vec<String>) -> Result<(f64, u32), SceneError> {
+    let step_s = simulation.or("step_s", STEP_S, Value::positive)?;
+    let steps_per_frame = simulation.optional("steps_per_frame", |value| value.whole(1..=1_000_000))?;
+    let frame_s = simulation.optional("frame_s", Value::positive)?;
+    let frame_s = match (steps_per_frame, frame_s) {
+        (Some(_), Some(_)) => return Err(simulation.error_at("frame_s", "give either `frame_s` or `steps_per_frame`")),
+        (steps, None) => return Ok((step_s, steps.unwrap_or(10) as u32)),
+        (None, Some(frame_s)) => frame_s,
+    };
+    let steps = (frame_s / step_s).round();
+    // A thousandth of a step: what rounding 1/24 s to four digits needs.
+    if (1.0..=1e6).contains(&steps) && (frame_s / step_s - steps).abs() <= 1e-3 * steps {
+        return Ok((step_s, steps as u32));
+    }
+    // No longer than the step that was given or is the default.
+    let steps = (frame_s / step_s).ceil();
+    let fitting = frame_s / steps;
+    if simulation.get("step_s").is_none() && steps <= 1e6 {
+        warnings.push(format!("step_s is {fitting:.6} s, so that frame_s = {frame_s} is {steps} steps"));
+        return Ok((fitting, steps as u32));
+    }
+    let what = format!("must be a whole number of steps of {step_s} s");
+    Err(simulation.error_at("frame_s", format!("{what}; step_s = {fitting:.9} makes it {steps} steps")))
 }

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::math::Vec3;
-use crate::mesh::{Group, GroupKind, MOST_PAIRS, Tangle, TriangleMesh, crossings};
+use crate::mesh::{Group, GroupKind, MOST_PAIRS, Tangle, TriangleMesh, crossings, first_at_place};
 
 use super::pieces::Merged;
 use super::{Obstacle, Obstacles, Pin, Settings};
@@ -25,8 +25,21 @@ pub struct Crossings {
     pub command: String,
     /// A file that holds a mesh of them, if there is one already.
     pub written: Option<PathBuf>,
+    /// What splits them, if it is a seam of a mesh that has its vertices twice.
+    pub doubled: Option<Doubled>,
     /// How far untangling went, if it was asked for: then all of the above is about its best state.
     pub best: Option<BestState>,
+}
+
+/// A piece of cloth that has vertices at the place of other ones: exporters split seams of texture and of parts so.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Doubled {
+    /// Name of the piece.
+    pub cloth: String,
+    /// Its vertices that lie exactly at the place of an earlier one.
+    pub vertices: usize,
+    /// Pairs of triangles that meet there.
+    pub pairs: usize,
 }
 
 /// What untangling that failed has reached.
@@ -79,6 +92,16 @@ impl fmt::Display for Crossings {
             pairs if pairs >= MOST_PAIRS => write!(f, ", and at least {} more pairs do", pairs - 1)?,
             pairs => write!(f, ", and {} more pairs do", pairs - 1)?,
         }
+        if let Some(Doubled { cloth, vertices, pairs }) = &self.doubled {
+            write!(
+                f,
+                "; {pairs} of these pairs meet where `{cloth}` has {vertices} vertices at the place of others, as an exporter \
+                 splits a seam: `weld_m = 1e-6` in its [[cloth]] joins them"
+            )?;
+            if *pairs == self.pairs {
+                return Ok(());
+            }
+        }
         match &self.written {
             Some(file) => write!(f, "; move them apart ({} holds a mesh of them", file.display())?,
             None => write!(f, "; move them apart (`{}` writes a mesh of them", self.command)?,
@@ -123,8 +146,10 @@ impl Start<'_> {
         if pairs.is_empty() {
             return Ok(());
         }
-        if !state.untangle {
-            return Err(self.refusal(&surface, &surface.positions, &pairs));
+        let refusal = self.refusal(merged, &surface, &surface.positions, &pairs);
+        // Untangling would open the seam.
+        if !state.untangle || refusal.doubled.is_some() {
+            return Err(refusal);
         }
         let cloth = merged.mesh.positions.len();
         let mut movable = vec![true; cloth];
@@ -133,7 +158,7 @@ impl Start<'_> {
         let (triangles, groups, gap_m) = (&surface.triangles[..], &surface.groups[..], GAP * self.settings.thickness_m);
         let done = Tangle { triangles, groups, movable: &movable, gap_m }.untangle(&surface.positions);
         if !done.left.is_empty() {
-            let mut refusal = self.refusal(&surface, &done.positions, &done.left);
+            let mut refusal = self.refusal(merged, &surface, &done.positions, &done.left);
             let (positions, triangles) = (done.positions[..cloth].to_vec(), merged.mesh.triangles.clone());
             refusal.best = Some(BestState { pairs_before: done.pairs_before, positions, triangles, written: None });
             return Err(refusal);
@@ -181,7 +206,7 @@ impl Start<'_> {
         surface
     }
 
-    fn refusal(&self, surface: &Surface, positions: &[Vec3], pairs: &[[u32; 2]]) -> Box<Crossings> {
+    fn refusal(&self, merged: &Merged, surface: &Surface, positions: &[Vec3], pairs: &[[u32; 2]]) -> Box<Crossings> {
         let mut meeting: Vec<u32> = pairs.iter().flatten().copied().collect();
         meeting.sort_unstable();
         meeting.dedup();
@@ -193,9 +218,29 @@ impl Start<'_> {
             positions: meeting.iter().flat_map(corners).collect(),
             command: format!("loomtree check {}{resolution} --write-crossings crossings.obj", self.path.display()),
             written: None,
+            doubled: doubled(merged, surface, positions, pairs),
             best: None,
         })
     }
+}
+
+/// The first piece with a seam that is split, if that is why one of the pairs meets.
+fn doubled(merged: &Merged, surface: &Surface, positions: &[Vec3], pairs: &[[u32; 2]]) -> Option<Doubled> {
+    let first = first_at_place(positions);
+    let apart = |corners: [u32; 3], other: [u32; 3]| {
+        let same_place = |&v: &u32| other.iter().any(|&w| v != w && first[v as usize] == first[w as usize]);
+        corners.iter().any(same_place)
+    };
+    let corners = |t: u32| surface.triangles[t as usize];
+    let split = |&&[s, t]: &&[u32; 2]| surface.group_of(s) == surface.group_of(t) && apart(corners(s), corners(t));
+    let (s, _) = pairs.iter().find(split).map(|&[s, t]| (s, t))?;
+    let group = surface.group_of(s);
+    let cloth = merged.cloths.get(group)?;
+    Some(Doubled {
+        cloth: cloth.name.clone(),
+        vertices: cloth.vertices.clone().filter(|&v| (cloth.vertices.start..v).contains(&first[v as usize])).count(),
+        pairs: pairs.iter().filter(split).filter(|&&[s, _]| surface.group_of(s) == group).count(),
+    })
 }
 
 struct Surface {
@@ -207,8 +252,12 @@ struct Surface {
 }
 
 impl Surface {
+    fn group_of(&self, t: u32) -> usize {
+        self.groups.partition_point(|group| group.triangles.end <= t as usize)
+    }
+
     fn name_of(&self, t: u32) -> String {
-        let group = self.groups.partition_point(|group| group.triangles.end <= t as usize);
+        let group = self.group_of(t);
         format!("triangle {} of {}", t as usize - self.groups[group].triangles.start + 1, self.names[group])
     }
 }

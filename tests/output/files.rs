@@ -83,7 +83,7 @@ fn obj_of_two_triangles_is_this_text() {
     let mesh = two_triangles();
     let texture = obj::TextureCoordinates::new(4, &mesh.triangles, &mesh.material_uv);
     let mut bytes = Vec::new();
-    obj::write(&mut bytes, &mut Vec::new(), &mesh.positions, &mesh.triangles, Some(&texture)).unwrap();
+    obj::write(&mut bytes, &mut Vec::new(), &mesh.positions, &mesh.triangles, Some(&texture), &[]).unwrap();
     let text = String::from_utf8(bytes).unwrap();
     let expected = "v 0 0 0\nv 1 0 0.1\nv 1 -1.5 1e-7\nv 0 1 123456.79\n\
         vt 0 0\nvt 1 0\nvt 1 1\nvt 0.5 0.25\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/4 4/5\n";
@@ -105,7 +105,7 @@ proptest! {
         let triangles: Vec<[u32; 3]> = (2..positions.len() as u32).map(|i| [0, i - 1, i]).collect();
         let as_bits = |p: &[Vec3]| p.iter().map(|p| p.to_array().map(f32::to_bits)).collect::<Vec<_>>();
         for write_and_read in [
-            |p: &[Vec3], t: &[[u32; 3]]| { let mut b = Vec::new(); obj::write(&mut b, &mut Vec::new(), p, t, None).unwrap(); obj::read(&b) },
+            |p: &[Vec3], t: &[[u32; 3]]| { let mut b = Vec::new(); obj::write(&mut b, &mut Vec::new(), p, t, None, &[]).unwrap(); obj::read(&b) },
             |p: &[Vec3], t: &[[u32; 3]]| { let mut b = Vec::new(); ply::write(&mut b, &mut Vec::new(), p, t).unwrap(); ply::read(&b) },
         ] {
             let mesh = write_and_read(&positions, &triangles).unwrap();

@@ -25,7 +25,10 @@ fn test_data(folder: &str) -> Option<PathBuf> {
 /// What `loomtree check` prints, or its sentence.
 fn checked(path: &Path) -> Result<String, String> {
     let mut out = Vec::new();
-    match check(&CheckArgs { file: path.into(), resolution: None, write_crossings: None, untangle: None }, &mut out) {
+    match check(
+        &CheckArgs { file: path.into(), resolution: None, write_crossings: None, untangle: None, obstacle: false },
+        &mut out,
+    ) {
         Ok(()) => Ok(String::from_utf8(out).expect("a summary is text")),
         Err(error) => {
             assert_eq!((error.exit_code, error.message.lines().count()), (2, 1), "{}", error.message);
@@ -83,7 +86,12 @@ fn texture_coordinates_are_the_material_space_where_they_are_a_map() {
     let rest = [Vec2::ZERO, Vec2::new(2.0, 0.0), Vec2::new(0.0, 3.0)];
     let flat = [Vec2::ZERO, Vec2::X, Vec2::Y];
     assert_eq!(mapped.clone().into_mesh(MaterialSource::TextureOrShape).unwrap().mesh.material_uv, [rest]);
-    assert_eq!(mapped.into_mesh(MaterialSource::Shape).unwrap().mesh.material_uv, [flat]);
+    assert_eq!(mapped.clone().into_mesh(MaterialSource::Shape).unwrap().mesh.material_uv, [flat]);
+    assert_eq!(
+        mapped.into_mesh(MaterialSource::Auto).unwrap().mesh.material_uv,
+        [flat],
+        "twice and three times as long"
+    );
     for face in ["f 1/1 2/1 3/1", "f 1/1 2/2 3", "f 1 2 3"] {
         let mesh = surface(&format!("{vertices}{face}")).into_mesh(MaterialSource::TextureOrShape).unwrap().mesh;
         assert_eq!(mesh.material_uv, [flat], "{face}");

@@ -217,6 +217,8 @@ fn scene() -> Scene {
         cloths: Vec::new(),
         obstacles: Vec::new(),
         settings,
+        parts: Vec::new(),
+        warnings: Vec::new(),
         left_out: Vec::new(),
     }
 }

@@ -164,7 +164,7 @@ fn mistakes_name_line_and_field() {
     assert_eq!(fault("a = "), "line 1: string values must be quoted, expected literal string");
     assert_eq!(
         with("\ncolour = 1"),
-        "line 4: field `cloth.colour`: unknown field; known here: name, sheet, mesh, material, plane, origin_m, rotate_deg, \
+        "line 4: field `cloth.colour`: unknown field; known here: name, sheet, mesh, material, weld_m, plane, origin_m, rotate_deg, \
          scale, fabric, thicken, damping_s, velocity_m_s, friction"
     );
     assert_eq!(
@@ -186,8 +186,8 @@ fn mistakes_name_line_and_field() {
         "line 4: field `simulation.step_s`: must be a number above 0, not nan"
     );
     assert_eq!(
-        with("[simulation]\nframe_s = 0.0055"),
-        "line 4: field `simulation.frame_s`: must be a whole number of steps of 0.004 s"
+        with("[simulation]\nframe_s = 0.0055\nstep_s = 0.004"),
+        "line 4: field `simulation.frame_s`: must be a whole number of steps of 0.004 s; step_s = 0.002750000 makes it 2 steps"
     );
     assert_eq!(
         with("[simulation]\ngravity_m_s2 = [0, 1]"),
@@ -220,7 +220,7 @@ fn mistakes_of_pins_name_line_and_field() {
     let with = |rest: &str| fault(&format!("{SHEET}[[pin]]\n{rest}"));
     assert_eq!(
         with(""),
-        "line 3: field `pin`: a pin needs exactly one of corners, edge, vertices, box_m, sphere, not 0"
+        "line 3: field `pin`: a pin needs exactly one of corners, edge, vertices, group, box_m, sphere, not 0"
     );
     assert_eq!(
         with("corners = \"middle\""),

@@ -199,8 +199,7 @@ fn mistakes_name_line_and_field() {
     );
     assert_eq!(
         with("sequence = \"no_%03d.obj\"\nframes_per_s = 24"),
-        "line 4: field `obstacle.sequence`: neither a file `no_000.obj` nor a file `no_001.obj` beside the scene or in the \
-         working directory"
+        "line 4: field `obstacle.sequence`: there is no file such as `no_001.obj` beside the scene or in the working directory"
     );
 }
 
@@ -242,7 +241,13 @@ fn check_writes_a_mesh_of_the_crossings() {
     let (file, mesh) = (folder.path().join("s.toml"), folder.path().join("c.obj"));
     let floor = "[[obstacle]]\nname = \"floor\"\nplane = { point_m = [0, 0.25, 0], size_m = [9, 9], triangles = 12 }\n";
     std::fs::write(&file, format!("{SHEET}{floor}")).unwrap();
-    let args = CheckArgs { file: file.clone(), resolution: None, write_crossings: Some(mesh.clone()), untangle: None };
+    let args = CheckArgs {
+        file: file.clone(),
+        resolution: None,
+        write_crossings: Some(mesh.clone()),
+        untangle: None,
+        obstacle: false,
+    };
     let error = check(&args, &mut Vec::new()).unwrap_err();
     assert_eq!(error.exit_code, 2);
     assert!(error.message.contains("of obstacle `floor`"), "{error}");
@@ -297,5 +302,5 @@ fn a_sequence_is_read_placed_and_interpolated() {
         )
     );
     write("body_03.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 0 0\nf 1 2 3\n");
-    assert_eq!(fault(&text), "body_03.obj: triangle 1 has no area in space: its corners lie on one line");
+    assert_eq!(fault(&text), "body_01.obj: the sequence has no triangle that has an area in every frame");
 }

@@ -53,11 +53,11 @@ impl<'a> MotionFile<'a> {
         let frames_per_s = motions.required("fps")?.positive()?;
         let overall = motions.or("transform", super::UNMOVED, super::placement)?;
         let read = match super::find(&name) {
-            Ok(path) => match std::fs::read_to_string(&path) {
+            Ok(path) => match super::super::read_text(&path) {
                 Ok(text) => {
                     mot_file::parse(&text).map_err(|what| format!("its motion is in {}: {what}", path.display()))
                 }
-                Err(error) => Err(format!("its motion is in {}: {error}", path.display())),
+                Err(error) => Err(format!("its motion is in {error}")),
             },
             Err(_) => Err(format!(
                 "its motion is in `{}`, which is neither beside the scene, in the folder above nor in the working directory",

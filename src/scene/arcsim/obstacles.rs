@@ -1,7 +1,9 @@
 //! ARCSim's obstacles: a list of meshes with motions, or a printf pattern of body parts whose i-th has the i-th motion.
 //! A motion puts an obstacle where it says in the world, also at time 0.
 
-use crate::mesh::{check_obstacle, read_surface};
+use std::path::Path;
+
+use crate::mesh::{check_obstacle, read_obstacle};
 
 use super::super::json::Json;
 use super::super::keyframes::stays_finite;
@@ -29,7 +31,8 @@ pub(super) fn obstacles(
             left_out.say(format!("{name}: left out, there is no file `{file}`"));
             continue;
         };
-        let mut surface = read_surface(&path)?;
+        let (mut surface, line) = read_obstacle(&path)?;
+        line.into_iter().for_each(|line| left_out.say(line));
         json.or("transform", UNMOVED, placement)?.move_points(&mut surface.positions);
         check_obstacle(&surface).map_err(|fault| mesh.error(format!("at its place in the scene: {fault}")))?;
         for key in ["start_time", "end_time"] {
@@ -65,7 +68,8 @@ fn body_parts(
         let name = pattern.name(number);
         let value = serde_json::Value::String(name.clone());
         let Ok(path) = find(&Json { file: field.file, name: field.name.clone(), value: &value }) else { break };
-        let surface = read_surface(&path)?;
+        let (surface, line) = read_obstacle(&path)?;
+        line.into_iter().for_each(|line| left_out.say(line));
         let motion = motion_number(root, motions, number as usize, field)?;
         obstacles.push(Obstacle {
             friction,
@@ -74,6 +78,18 @@ fn body_parts(
             positions: surface.positions,
             triangles: surface.triangles,
         });
+    }
+    let folder = field.file.parent().unwrap_or(Path::new(""));
+    let missing = obstacles.len() as u32;
+    if let Some(next) =
+        [folder, &folder.join(".."), Path::new("")].iter().find_map(|root| pattern.next_from(root, missing))
+    {
+        let what = format!(
+            "number {missing} is missing: there is `{}`, but no `{}`",
+            pattern.name(next),
+            pattern.name(missing)
+        );
+        return Err(field.error(what));
     }
     if obstacles.is_empty() {
         left_out.say(format!("obstacles: none, there is no file `{}`", pattern.name(0)));

@@ -92,6 +92,8 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
             collisions: false,
             contact_stiffness: 8.0,
         },
+        parts: Vec::new(),
+        warnings: Vec::new(),
         left_out: Vec::new(),
     }
 }

@@ -1,0 +1,236 @@
+//! From what a file holds to a mesh that can be simulated: rest shape, vertices at one place, winding, unused vertices.
+
+use std::path::Path;
+
+use crate::math::Vec3;
+
+use super::{MeshFault, Part, Surface, TextureFit, TriangleMesh, flatten_triangles, material, validate, weld, winding};
+
+/// Where the material (rest) coordinates of a mesh file come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MaterialSource {
+    /// The file's texture coordinates in metres if every corner has one and they keep the lengths of the mesh in space
+    /// ([`TextureFit::is_isometric`]), its 3D shape otherwise: a picture's coordinates run from 0 to 1.
+    #[default]
+    Auto,
+    /// The file's texture coordinates in metres where every corner has one, its 3D shape otherwise.
+    TextureOrShape,
+    /// Always the 3D shape.
+    Shape,
+}
+
+/// How a mesh is made of a file.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MeshOptions {
+    /// Where the rest shape comes from.
+    pub material: MaterialSource,
+    /// Vertices this near are joined, in the file's unit; none = all are kept.
+    pub weld: Option<f64>,
+}
+
+impl From<MaterialSource> for MeshOptions {
+    fn from(material: MaterialSource) -> MeshOptions {
+        MeshOptions { material, weld: None }
+    }
+}
+
+/// Stands for "not in the mesh" in [`FileMesh::mesh_vertices`].
+const NONE: u32 = u32::MAX;
+
+impl Surface {
+    /// The validated mesh. Vertices in no triangle are dropped; triangles that are wound against their neighbors are turned
+    /// over where that helps.
+    pub fn into_mesh(self, options: impl Into<MeshOptions>) -> Result<FileMesh, MeshFault> {
+        let options = options.into();
+        let Surface { mut positions, mut triangles, mut texture_uv, parts } = self;
+        let mut joined = None;
+        if let Some(distance) = options.weld {
+            validate::check_triangles(&positions, &triangles)?;
+            let first = weld::joined(&positions, distance);
+            triangles.iter_mut().flatten().for_each(|v| *v = first[*v as usize]);
+            let collapsed = |t: &[u32; 3]| t[0] == t[1] || t[1] == t[2] || t[2] == t[0];
+            if let Some(t) = triangles.iter().position(collapsed) {
+                return Err(MeshFault::Collapsed(t + 1));
+            }
+            joined = Some(first);
+        }
+        let mut turned = 0;
+        let used = match validate::check_surface(&positions, &triangles) {
+            Err(MeshFault::MixedOrientation { .. }) => {
+                // Which edges have too many triangles has to be known before anything is turned over.
+                let over = winding::turn_over(&triangles)?;
+                turned = over.iter().filter(|&&over| over).count();
+                (0..).zip(&over).filter(|(_, over)| **over).for_each(|(t, _): (usize, _)| {
+                    triangles[t].swap(1, 2);
+                    texture_uv.get_mut(t).into_iter().for_each(|uv| uv.swap(1, 2));
+                });
+                validate::check_surface(&positions, &triangles)?
+            }
+            other => other?,
+        };
+        let welded = joined.iter().flatten().zip(0..).filter(|&(&first, vertex)| first != vertex).count();
+        let mut mesh_vertices = None;
+        let in_file = used.len();
+        if used.contains(&false) {
+            let mut numbers = vec![NONE; in_file];
+            let mut kept = Vec::new();
+            (0..in_file).filter(|&vertex| used[vertex]).for_each(|vertex| {
+                numbers[vertex] = kept.len() as u32;
+                kept.push(positions[vertex]);
+            });
+            triangles.iter_mut().flatten().for_each(|v| *v = numbers[*v as usize]);
+            positions = kept;
+            if let Some(first) = &joined {
+                // A vertex that was joined is the one that it was joined with.
+                numbers = first.iter().map(|&first| numbers[first as usize]).collect();
+            }
+            mesh_vertices = Some(numbers);
+        }
+        // A map that is a point or a line everywhere (exporters write `vt 0 0` for "none") says nothing about the rest shape.
+        let is_a_map = texture_uv.iter().any(|uv| material::doubled_area(uv) != 0.0);
+        let fit = is_a_map.then(|| TextureFit::new(&positions, &triangles, &texture_uv));
+        let from_texture = match (options.material, &fit) {
+            (MaterialSource::Auto, Some(fit)) => fit.is_isometric(),
+            (MaterialSource::TextureOrShape, Some(_)) => true,
+            _ => false,
+        };
+        let mut material_uv = if from_texture { texture_uv } else { flatten_triangles(&positions, &triangles) };
+        material::mirror_clockwise(&mut material_uv);
+        let dropped = in_file - positions.len() - welded;
+        let mesh = TriangleMesh { positions, triangles, material_uv };
+        validate::check_material(&mesh)?;
+        let material = options.material;
+        Ok(FileMesh { mesh, parts, mesh_vertices, dropped, welded, turned, fit, material, from_texture })
+    }
+}
+
+/// A mesh as it came from a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileMesh {
+    /// The mesh, vertices in the order of the file.
+    pub mesh: TriangleMesh,
+    /// Objects and groups of the file.
+    pub parts: Vec<Part>,
+    /// The mesh's number of every vertex of the file, where they differ.
+    mesh_vertices: Option<Vec<u32>>,
+    /// Vertices of the file that belong to no triangle; without mass they cannot be simulated.
+    pub dropped: usize,
+    /// Vertices that were joined with an earlier one.
+    pub welded: usize,
+    /// Triangles that were turned over.
+    pub turned: usize,
+    /// How the file's texture coordinates fit, if it has some.
+    pub fit: Option<TextureFit>,
+    material: MaterialSource,
+    from_texture: bool,
+}
+
+impl From<TriangleMesh> for FileMesh {
+    fn from(mesh: TriangleMesh) -> FileMesh {
+        FileMesh {
+            mesh,
+            parts: Vec::new(),
+            mesh_vertices: None,
+            dropped: 0,
+            welded: 0,
+            turned: 0,
+            fit: None,
+            material: MaterialSource::Shape,
+            from_texture: false,
+        }
+    }
+}
+
+impl FileMesh {
+    /// The mesh's vertex with this number (from 0) in the file, unless it was dropped or never existed.
+    pub fn vertex(&self, file_vertex: u32) -> Option<u32> {
+        match &self.mesh_vertices {
+            None => ((file_vertex as usize) < self.mesh.positions.len()).then_some(file_vertex),
+            Some(numbers) => numbers.get(file_vertex as usize).copied().filter(|&vertex| vertex != NONE),
+        }
+    }
+
+    /// The vertices of the triangles that stand under a name, ascending; none if the file has no such object or group.
+    pub fn vertices_of(&self, name: &str) -> Vec<u32> {
+        let named = self.parts.iter().filter(|part| part.is_named(name));
+        let triangles =
+            named.flat_map(|part| &self.mesh.triangles[part.triangles.start as usize..part.triangles.end as usize]);
+        let mut vertices: Vec<u32> = triangles.flatten().copied().collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        vertices
+    }
+
+    /// A sentence about what has been dropped, if anything has.
+    pub fn left_out(&self, path: &Path) -> Option<String> {
+        let what = match self.dropped {
+            0 => return None,
+            1 => "1 vertex belongs to no triangle and is left out".to_owned(),
+            count => format!("{count} vertices belong to no triangle and are left out"),
+        };
+        Some(format!("{}: {what}", path.display()))
+    }
+
+    /// Sentences about what was repaired.
+    pub fn repairs(&self, path: &Path) -> Vec<String> {
+        let mut lines = Vec::new();
+        let mut say = |what: String| lines.push(format!("{}: {what}", path.display()));
+        match self.turned {
+            0 => {}
+            1 => say("1 triangle was wound against its neighbors and is turned over".into()),
+            count => say(format!("{count} triangles were wound against their neighbors and are turned over")),
+        }
+        match self.welded {
+            0 => {}
+            1 => say("1 vertex is joined with another one within weld_m".into()),
+            count => say(format!("{count} vertices are joined with others within weld_m")),
+        }
+        lines
+    }
+
+    /// As [`FileMesh::repairs`], and what is likely not meant so. `scale` = metres per unit of the file.
+    pub fn warnings(&self, path: &Path, scale: f64) -> Vec<String> {
+        let mut lines = self.repairs(path);
+        let mut say = |what: String| lines.push(format!("{}: {what}", path.display()));
+        if let Some(fit) = self.fit.filter(|fit| !fit.is_isometric()) {
+            let [texture, space] = [fit.texture_m2, fit.space_m2].map(|area| shown(area * scale * scale));
+            let kept = (100.0 * fit.isometric).floor();
+            let areas = format!(
+                "its texture coordinates, taken as metres, cover {texture} m^2 where the mesh has {space} m^2 in space ({kept} % of \
+                 it keeps its lengths within 20 %)"
+            );
+            match self.material {
+                MaterialSource::Auto => say(format!(
+                    "{areas}, so its shape in space is the rest shape; `material = \"uv\"` takes the texture coordinates all the same"
+                )),
+                MaterialSource::TextureOrShape if self.from_texture => say(format!(
+                    "{areas}: the cloth will spring to that size; `material = \"shape\"` takes its shape in space as the rest shape"
+                )),
+                _ => {}
+            }
+        }
+        lines
+    }
+
+    /// The longest side of the box around it.
+    pub fn extent(&self) -> f64 {
+        extent(&self.mesh.positions)
+    }
+}
+
+/// The longest side of the box around points.
+pub fn extent(points: &[Vec3]) -> f64 {
+    let (low, high) = points.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), &p| (l.min(p), h.max(p)));
+    if points.is_empty() { 0.0 } else { (high.as_dvec3() - low.as_dvec3()).max_element() }
+}
+
+/// A number with four digits that count.
+fn shown(value: f64) -> String {
+    if (1e-3..1e6).contains(&value) {
+        let digits = (3.0 - value.log10().floor()).clamp(0.0, 6.0) as usize;
+        let text = format!("{value:.digits$}");
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    } else {
+        format!("{value:.3e}")
+    }
+}
