@@ -1,7 +1,9 @@
 //! Files: scenes and meshes read, frames, reports, traces and pictures written.
 
 mod files;
+mod fuzz;
 mod mesh_files;
+mod outside_files;
 mod pictures;
 mod records;
 mod scene_any_input;

@@ -1,0 +1,260 @@
+//! Every reader of files from outside on mutated files: a value or one sentence, never a panic, never a hang.
+//!
+//! Seeds are small valid files of every format. An input is made from a number alone, so that a failure names the number and
+//! can be had again; [`KEPT`] holds the ones that once broke a reader. `.ci/campaign` runs millions of them.
+
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::mpsc;
+use std::time::Duration;
+
+use loomtree::cli::ccd::{parse_queries, parse_truth};
+use loomtree::input::Input;
+use loomtree::interconnect::Topology;
+use loomtree::linear_system::{parse_block_csr, parse_matrix_market, parse_right_hand_side};
+use loomtree::mesh::{MaterialSource, MeshOptions, first_intersection, parse_obj, parse_ply, validate};
+use loomtree::output::{Checkpoint, obj, ply};
+use loomtree::scene::{Overrides, parse, parse_fabric};
+use support::seeded::Seeded;
+
+/// Far above what any of these inputs needs (milliseconds), far below a hang.
+const LIMIT: Duration = Duration::from_secs(60);
+/// Inputs of every seed in the normal suite.
+const INPUTS: u64 = 150;
+/// Seed and number of inputs that broke a reader once.
+const KEPT: [(usize, u64); 0] = [];
+
+/// What reads an input; `Err` is the sentence of the refusal.
+type Reader = fn(&[u8]) -> Result<(), String>;
+
+struct Seed {
+    name: &'static str,
+    bytes: Vec<u8>,
+    read: Reader,
+}
+
+fn mesh(surface: Result<loomtree::mesh::Surface, loomtree::mesh::ParseFault>) -> Result<(), String> {
+    let surface = surface.map_err(|fault| fault.to_string())?;
+    for options in [MaterialSource::Auto.into(), MeshOptions { material: MaterialSource::Shape, weld: Some(0.1) }] {
+        let file = surface.clone().into_mesh(options).map_err(|fault| fault.to_string())?;
+        assert_eq!(validate(&file.mesh), Ok(()));
+        first_intersection(&file.mesh);
+        let triangles = file.mesh.triangles.len() as u32;
+        assert!(file.parts.iter().all(|part| part.triangles.end <= triangles));
+        file.warnings(Path::new("a.obj"), 1.0).iter().for_each(|line| assert_eq!(line.lines().count(), 1));
+    }
+    Ok(())
+}
+
+fn scene(bytes: &[u8], name: &str) -> Result<(), String> {
+    let text = String::from_utf8_lossy(bytes);
+    let overrides = Overrides { resolution: None, frames: Some(1) };
+    parse(&text, Path::new(name), &overrides).map(|_| ()).map_err(|error| error.to_string())
+}
+
+fn seeds() -> Vec<Seed> {
+    let mut seeds = Vec::new();
+    let mut add = |name, bytes: &[u8], read| seeds.push(Seed { name, bytes: bytes.to_vec(), read });
+    let obj_text = b"# a quad\\\no Coat\ng left arm\nv 0 0 0\nv 1 0 0\nv 1 1 0.1\nv 0 1 0\nv 2 0 0\nv .2e1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\n\
+        vt 0 1\nf 1/1 2/2 3/3 4/4\ng right\nf 2/2 -2/2 \\\n 6/3 3/3\n";
+    add("obj", obj_text, |bytes| mesh(parse_obj(bytes)));
+    let wide: Vec<u8> = [0xff, 0xfe].into_iter().chain(obj_text.iter().flat_map(|&c| [c, 0])).collect();
+    add("input", &wide, |bytes| {
+        let input =
+            Input::decoded(Cursor::new(bytes.to_vec()), bytes.len() as u64).map_err(|error| error.to_string())?;
+        mesh(parse_obj(input.reader))
+    });
+    let ply_text = "ply\nformat ascii 1.0\ncomment x\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nproperty float s\n\
+        property float t\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n0 0 0 0 0\n1 0 0 1 0\n1 1 0 1 1\n0 1 0 0 1\n3 0 1 2\n3 0 2 3\n";
+    add("ply", ply_text.as_bytes(), |bytes| mesh(parse_ply(bytes, bytes.len() as u64)));
+    let strips = "ply\nformat ascii 1.0\nelement tristrips 1\nproperty list int int vertex_indices\nelement vertex 4\nproperty double x\n\
+        property double y\nproperty double z\nend_header\n7 0 1 2 3 -1 0 1\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n";
+    add("strips", strips.as_bytes(), |bytes| mesh(parse_ply(bytes, bytes.len() as u64)));
+    let mut binary =
+        ply_text[..ply_text.find("end_header").unwrap()].replace("ascii", "binary_little_endian").into_bytes();
+    binary.extend(b"end_header\n");
+    [[0.0f32, 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]].iter().for_each(|p| {
+        p.iter().chain(&p[..2]).for_each(|x| binary.extend(x.to_le_bytes()));
+    });
+    for face in [[0u32, 1, 2], [0, 2, 3]] {
+        binary.push(3);
+        face.iter().for_each(|v| binary.extend(v.to_le_bytes()));
+    }
+    add("binary ply", &binary, |bytes| mesh(parse_ply(bytes, bytes.len() as u64)));
+    add("frame ply", &binary, |bytes| ply::read(bytes).map(|_| ()).map_err(|error| error.to_string()));
+    add("frame obj", obj_text, |bytes| obj::read(bytes).map(|_| ()).map_err(|error| error.to_string()));
+    let toml = "resolution = 40\n[simulation]\nframe_s = 0.04\nthickness_m = 0.01\n[air]\nwind_m_s = [1, 0, 0]\n[[fabric]]\nname = \"a\"\ndensity_kg_m2 = 0.2\n\
+        stretching_n_m = [1, 0, 1, 1]\nbending_n_m = 1e-5\n[[cloth]]\nname = \"b\"\nsheet = { size_m = [1, 2] }\nfabric = \"a\"\nrotate_deg = [9, 0, 1, 0]\n\
+        [[pin]]\nedge = \"top\"\ncount = 3\nmotion = [{ time_s = 1, translate_m = [0, 1, 0] }]\n[[obstacle]]\n\
+        sphere = { center_m = [0, 0, 9], radius_m = 1, triangles = 20 }\n";
+    add("scene", toml.as_bytes(), |bytes| scene(bytes, "a.toml"));
+    let json = "{ // comment\n frame_time: 0.04, frame_steps: 8, duration: 2,\n cloths: [{mesh: 'none.obj', transform: {translate: [0, 0, 1], scale: 2},\n\
+        materials: [{data: 'none.json', thicken: 2}]}],\n handles: [{nodes: [0, 1], motion: 0}],\n motions: [[{time: 0}, {time: 1, transform: {rotate: [90, 0, 0, 1]}}]],\n\
+        obstacles: 'body%04d.obj', gravity: [0, 0, -9.8], wind: {density: 1}, magic: {repulsion_thickness: 0.005}, disable: ['remeshing'] }";
+    add("arcsim", json.as_bytes(), |bytes| scene(bytes, "a.json"));
+    let fabric = "{\"density\": 0.2, \"stretching\": [[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1]],\n\
+        \"bending\": [[1,1,1,1,1],[1,1,1,1,1],[1,1,1,1,1]]}";
+    add("fabric", fabric.as_bytes(), |bytes| {
+        parse_fabric(&String::from_utf8_lossy(bytes), Path::new("f.json"))
+            .map(|_| ())
+            .map_err(|error| error.to_string())
+    });
+    let market = "%%MatrixMarket matrix coordinate real symmetric\n% \u{e9}\n4 4 6\n1 1 4.0D+00\n2 2 4\n2 1 -1\n3 3 4e0\n4 4 4\n4 3 -1.5-1\n";
+    add("matrix", market.as_bytes(), |bytes| {
+        parse_matrix_market(bytes, bytes.len() as u64, "a.mtx").map(|_| ()).map_err(|error| error.to_string())
+    });
+    let mut bsr = b"CLTHBSR1".to_vec();
+    [2u64, 2].iter().for_each(|x| bsr.extend(x.to_le_bytes()));
+    [3u32, 8].iter().for_each(|x| bsr.extend(x.to_le_bytes()));
+    [0u64, 1, 2].iter().for_each(|x| bsr.extend(x.to_le_bytes()));
+    [0u32, 1].iter().for_each(|x| bsr.extend(x.to_le_bytes()));
+    (0..18).for_each(|i| bsr.extend(if i % 9 % 4 == 0 { 2.0f64 } else { 0.0 }.to_le_bytes()));
+    (0..6).for_each(|i| bsr.extend(f64::from(i).to_le_bytes()));
+    add("block csr", &bsr, |bytes| {
+        parse_block_csr(bytes, bytes.len() as u64, "a.bsr").map(|_| ()).map_err(|error| error.to_string())
+    });
+    add("right-hand side", b"%%MatrixMarket matrix array real general\n3 1\n1\n2.5d0\n-3e2\n", |bytes| {
+        parse_right_hand_side(bytes, 3, "b.mtx").map(|_| ()).map_err(|error| error.to_string())
+    });
+    let queries = "0,1,1,2,-3,4,1\n".repeat(8);
+    add("queries", queries.as_bytes(), |bytes| parse_queries(bytes).map(|_| ()).map_err(|fault| fault.to_string()));
+    add("truth", b"i,hit_f32,toi_f32\n0,1,0.5\n1,0,\n", |bytes| {
+        parse_truth(bytes).map(|_| ()).map_err(|fault| fault.to_string())
+    });
+    let topology = include_bytes!("../../topology/pcie_8.toml");
+    add("topology", topology, |bytes| Topology::parse(bytes, "t.toml").map(|_| ()).map_err(|error| error.to_string()));
+    add("checkpoint", b"LTCHECK\x00\x01\x00\x00\x00\x00\x00\x00\x00\x04\x00\x00\x00\x00\x00\x00\x00", |bytes| {
+        Checkpoint::from_bytes(bytes).map(|_| ()).map_err(|error| error.to_string())
+    });
+    seeds
+}
+
+/// What a mutation may write in place of a word.
+const WORDS: [&str; 26] = [
+    "0",
+    "-1",
+    "1",
+    "4294967295",
+    "99999999999999999999",
+    "-2147483649",
+    "nan",
+    "inf",
+    "1e39",
+    "1e-45",
+    "1e308",
+    "\n",
+    "\r",
+    "\\\n",
+    "#",
+    "\"",
+    "[",
+    "{",
+    "]]",
+    "end_header\n",
+    "element vertex 4000000000\n",
+    "%",
+    "\u{feff}",
+    "\0",
+    "o \\\n",
+    "1D400",
+];
+
+/// The input with a number: one to eight changes of the seed.
+fn mutated(seed: &[u8], number: u64, salt: u64) -> Vec<u8> {
+    let mut seeded = Seeded::new(number ^ salt.rotate_left(32));
+    let mut random = |end: usize| seeded.below(end as u32) as usize;
+    let mut bytes = seed.to_vec();
+    for _ in 0..1 + random(8) {
+        let at = random(bytes.len() + 1);
+        let length = random(12).min(bytes.len() - at);
+        match random(8) {
+            0 => bytes.truncate(at),
+            1 if at < bytes.len() => bytes[at] ^= 1 << random(8),
+            2 if at < bytes.len() => bytes[at] = random(256) as u8,
+            3 => drop(bytes.drain(at..at + length)),
+            4 => {
+                let copy = bytes[at..at + length].to_vec();
+                let to = random(bytes.len() + 1);
+                bytes.splice(to..to, copy);
+            }
+            5 => {
+                // A whole word in place of a word.
+                let end = bytes[at..].iter().position(u8::is_ascii_whitespace).map_or(bytes.len(), |n| at + n);
+                let start = bytes[..at].iter().rposition(u8::is_ascii_whitespace).map_or(0, |n| n + 1);
+                bytes.splice(start..end.max(start), WORDS[random(WORDS.len())].bytes());
+            }
+            6 => drop(bytes.splice(at..at, WORDS[random(WORDS.len())].bytes())),
+            _ => {
+                // A line goes elsewhere.
+                let start = bytes[..at].iter().rposition(|&c| c == b'\n').map_or(0, |n| n + 1);
+                let end = bytes[at..].iter().position(|&c| c == b'\n').map_or(bytes.len(), |n| at + n + 1);
+                let line: Vec<u8> = bytes.drain(start..end).collect();
+                let to = random(bytes.len() + 1);
+                bytes.splice(to..to, line);
+            }
+        }
+    }
+    bytes
+}
+
+/// Reads every input on a thread of its own, which says what it begins: one that hangs is named.
+fn survive(inputs: impl Iterator<Item = (usize, u64)> + Send + 'static) -> u64 {
+    let (began, beginnings) = mpsc::channel();
+    std::thread::spawn(move || {
+        let seeds = seeds();
+        for (seed, number) in inputs {
+            let Seed { name, bytes, read } = &seeds[seed % seeds.len()];
+            let input = mutated(bytes, number, seed as u64);
+            let _ = began.send(Some((*name, seed, number)));
+            let result = catch_unwind(AssertUnwindSafe(|| read(&input)));
+            let fault = match &result {
+                Ok(Ok(())) => None,
+                Ok(Err(sentence)) if sentence.is_empty() || sentence.lines().count() != 1 => {
+                    Some("its refusal is not one line")
+                }
+                Ok(Err(_)) => None,
+                Err(_) => Some("panicked"),
+            };
+            if let Some(fault) = fault {
+                let shown = String::from_utf8_lossy(&input).into_owned();
+                panic!("{name}, input ({seed}, {number}): {fault}: {result:?}\n{shown}");
+            }
+        }
+        let _ = began.send(None);
+    });
+    let (mut count, mut last) = (0, None);
+    loop {
+        match beginnings.recv_timeout(LIMIT) {
+            Ok(Some(input)) => (count, last) = (count + 1, Some(input)),
+            Ok(None) => return count,
+            Err(mpsc::RecvTimeoutError::Timeout) => panic!("hangs: {last:?}"),
+            Err(mpsc::RecvTimeoutError::Disconnected) => panic!("failed: {last:?}, see above"),
+        }
+    }
+}
+
+#[test]
+fn every_seed_is_a_good_file() {
+    for seed in seeds().iter().filter(|seed| !["arcsim", "checkpoint", "frame obj", "frame ply"].contains(&seed.name)) {
+        assert_eq!((seed.read)(&seed.bytes), Ok(()), "{}", seed.name);
+    }
+}
+
+#[test]
+fn readers_survive_mutated_files() {
+    let seeds = seeds().len();
+    let inputs = (0..INPUTS).flat_map(move |number| (0..seeds).map(move |seed| (seed, number)));
+    assert_eq!(survive(KEPT.into_iter().chain(inputs)), INPUTS * seeds as u64 + KEPT.len() as u64);
+}
+
+/// `LOOMTREE_FUZZ_INPUTS` per seed, from number `LOOMTREE_FUZZ_FIRST` on.
+#[test]
+#[ignore = "a campaign: .ci/campaign runs it"]
+fn fuzz_campaign() {
+    let number = |name: &str, default: u64| std::env::var(name).map_or(default, |text| text.parse().expect("a number"));
+    let (first, count) = (number("LOOMTREE_FUZZ_FIRST", INPUTS), number("LOOMTREE_FUZZ_INPUTS", 100_000));
+    let seeds = seeds().len();
+    let inputs = (first..first + count).flat_map(move |number| (0..seeds).map(move |seed| (seed, number)));
+    println!("{} inputs survived", survive(inputs));
+}
