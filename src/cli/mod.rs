@@ -78,10 +78,10 @@ pub(crate) fn count(text: &str) -> Result<u64, String> {
     let number = digits.replace('_', "").parse::<f64>().unwrap_or(f64::NAN) * unit;
     // Rounded, because 1.2 * 1e6 need not be whole in binary.
     let count = number.round();
-    if count >= 1.0 && count <= 1e15 && (number - count).abs() < 1e-6 * count.max(1.0) {
+    if (0.0..=1e15).contains(&count) && (number - count).abs() < 1e-6 * count.max(1.0) {
         Ok(count as u64)
     } else {
-        Err("expected a whole number of at least 1, for example 30000, 500K or 1.2M".into())
+        Err("expected a whole number, for example 30000, 500K or 1.2M".into())
     }
 }
 
@@ -92,11 +92,11 @@ mod tests {
     #[test]
     fn counts_may_have_a_unit() {
         for (text, value) in
-            [("2", 2), ("30_000", 30_000), ("500K", 500_000), ("1.2M", 1_200_000), ("1G", 1_000_000_000)]
+            [("0", 0), ("30_000", 30_000), ("500K", 500_000), ("1.2M", 1_200_000), ("1G", 1_000_000_000)]
         {
             assert_eq!(count(text), Ok(value));
         }
-        for text in ["", "M", "0", "-1", "1.5", "1e", "1MB", "nan", "inf", "1 M", "99999999999G"] {
+        for text in ["", "M", "-1", "1.5", "1e", "1MB", "nan", "inf", "1 M", "99999999999G"] {
             assert!(count(text).is_err(), "{text}");
         }
     }

@@ -50,7 +50,6 @@ fn meshes() {
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", vec!["area"]),
         ("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", vec!["line 3"]),
         (&format!("{corners}f 1 2 3\nf 2 1 4\nf 1 2 5\n"), vec!["1", "2"]),
-        (&format!("{corners}f 1 2 3\nf 2 3 4\n"), vec!["direction"]),
         ("", vec!["no "]),
         ("v 0 0 0\n", vec!["no "]),
     ] {
