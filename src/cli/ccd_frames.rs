@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::CliError;
 use super::ccd::{CcdKind, CsvFault, columns, in_file, lines, parse_flag, parse_time, read, shown, write_json};
-use crate::collision::broad::CollisionMesh;
+use crate::collision::broad::{CollisionMesh, Split};
 use crate::collision::{Candidate, ContactParams, Detector, Impact};
 use crate::gpu::CpuExecutor;
 use crate::mesh::{ParseFault, Surface, parse_obj, parse_ply};
@@ -120,7 +120,8 @@ fn search(
     let (x_t0, x_t1) = (bytemuck::cast_slice(&first.positions), bytemuck::cast_slice(&second.positions));
     let started = Instant::now();
     let mut impacts: Vec<Impact> = Vec::new();
-    let stats = detector.impacts(&cpu, x_t0, x_t1, None, 0, 1, None, &mut impacts).map_err(CliError::bad_input)?;
+    let stats =
+        detector.impacts(&cpu, x_t0, x_t1, None, &mut Split::alone(0, 1), &mut impacts).map_err(CliError::bad_input)?;
     let seconds = started.elapsed().as_secs_f64();
     let found = |pair: &TruePair| {
         let wanted = features.candidate(pair, kind)?;

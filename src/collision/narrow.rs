@@ -3,11 +3,11 @@
 
 use glam::Vec4;
 
-use super::broad::Sink;
+use super::broad::{Sink, nanoseconds};
 use super::contact::{Pair, Surfaces};
-use super::detector::{Rules, nanoseconds};
 use super::elementary::lanes::{Lanes, undecided, undecided_at_rest};
 use super::elementary::{StencilKind, ccd};
+use super::rules::Rules;
 use super::{Candidate, Impact};
 use crate::forces::ContactElement;
 use crate::math::Vec3;

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use super::Candidate;
-use super::broad::{Broad, BroadError, BroadStats, Choice, DeviceBroad, Filter, Query, Sink, Split};
+use super::broad::{Broad, BroadError, BroadStats, DeviceBroad, Search, Sink, Split};
 use crate::gpu::{CpuExecutor, Executor};
 
 /// Candidates per unit of work of the host's threads, and at most handed over at once.
@@ -50,22 +50,19 @@ impl Searches {
         self.native.mesh_bytes() + self.device.as_ref().map_or(0, DeviceBroad::mesh_bytes)
     }
 
-    /// As [`Broad::search`]; what `filter` drops may be missing. A search among touched vertices is native: it costs a look at
-    /// every triangle and the work near a few vertices, less than asking a device. So is one that does not fit a device,
+    /// As [`Broad::search`]; what the filter drops may be missing. A search among touched vertices is native: it costs a look
+    /// at every triangle and the work near a few vertices, less than asking a device. So is one that does not fit a device,
     /// which is the same decision on all ranks.
     pub fn search<S: Sink>(
         &mut self,
         on: RunsOn,
-        query: &Query,
-        choice: &Choice,
-        filter: &Filter,
+        search: &Search,
         split: &mut Split,
-        memory_limit_bytes: Option<u64>,
         start: &(dyn Fn() -> S + Sync),
         finish: &mut (dyn FnMut(S) + Send),
     ) -> Result<BroadStats, BroadError> {
-        if let Some(executor) = on.kernels.filter(|_| choice.touched.is_none() && DeviceBroad::fits(self.native.mesh()))
-        {
+        let is_for_device = search.choice.touched.is_none() && DeviceBroad::fits(self.native.mesh());
+        if let Some(executor) = on.kernels.filter(|_| is_for_device) {
             let device = self.device.get_or_insert_with(|| DeviceBroad::new(executor, Arc::clone(self.native.mesh())));
             let finish = Mutex::new(&mut *finish);
             let emit = &mut |found: &[Candidate]| {
@@ -77,11 +74,10 @@ impl Searches {
                     }
                 });
             };
-            let on = (executor, on.host);
-            if let Some(stats) = device.search(on, query, choice, filter, split, memory_limit_bytes, emit)? {
+            if let Some(stats) = device.search((executor, on.host), search, split, emit)? {
                 return Ok(stats);
             }
         }
-        self.native.search(on.host, query, choice, split, memory_limit_bytes, start, finish)
+        self.native.search(on.host, search, split, start, finish)
     }
 }

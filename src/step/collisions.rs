@@ -115,8 +115,10 @@ impl Collisions {
             inverse_masses_per_kg: inverse_masses,
             smallest_altitudes_m: altitudes_m,
         };
+        let mut detector = Detector::new(mesh, params).map_err(|error| unfit(error.to_string()))?;
+        detector.limit_memory(model.memory_limit_bytes);
         Ok(Collisions {
-            detector: Detector::new(mesh, params).map_err(|error| unfit(error.to_string()))?,
+            detector,
             cpu,
             partition,
             plan,
@@ -191,10 +193,10 @@ impl Collisions {
         share_positions(&mut traced, &self.partition, &ahead, &mut self.x_t1)?;
         traced.shares(EventName::ShareQuery);
         let mut found = Vec::new();
-        let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
+        let on = RunsOn::new(executor, &self.cpu);
         let query = self
             .detector
-            .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(&mut traced), limit, &mut found)
+            .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(&mut traced), &mut found)
             .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
         stats.proximity.add(&query);
         stats.query_bytes[0] = stats.query_bytes[0].max(query.bytes);
@@ -388,11 +390,11 @@ impl Collisions {
         let (query, share) = (EventName::ContinuousQuery, EventName::ShareQuery);
         let mut traced = TracedTransport::new(transport, recorder, query, share);
         let mut found = Vec::new();
-        let (on, limit) = (RunsOn::new(executor, &self.cpu), self.model.memory_limit_bytes);
+        let on = RunsOn::new(executor, &self.cpu);
         let split = &mut Split::together(&mut traced);
         let query = self
             .detector
-            .impacts_split(on, &self.x_t0, &self.x_t1, touched, split, limit, &mut found)
+            .impacts(on, &self.x_t0, &self.x_t1, touched, split, &mut found)
             .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
         stats.continuous.add(&query);
         stats.query_bytes[1] = stats.query_bytes[1].max(query.bytes);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use loomtree::collision::broad::CollisionMesh;
+use loomtree::collision::broad::{CollisionMesh, Split};
 use loomtree::collision::{Candidate, ContactParams, Detector, DetectorError, merge_contacts, smallest_altitudes};
 use loomtree::forces::{ContactElement, NO_VERTEX};
 use loomtree::gpu::CpuExecutor;
@@ -52,7 +52,8 @@ fn found(detector: &mut Detector, x: &[f32], ranks: usize, threads: usize, limit
     let lists: Vec<Vec<ContactElement>> = (0..ranks)
         .map(|rank| {
             let mut out = vec![];
-            let stats = detector.contacts(&cpu, x, rank, ranks, limit, &mut out).expect("contacts");
+            detector.limit_memory(limit);
+            let stats = detector.contacts(&cpu, x, &mut Split::alone(rank, ranks), &mut out).expect("contacts");
             assert_eq!(stats.found, out.len() as u64);
             assert!(out.windows(2).all(|w| w[0].key() < w[1].key()), "sorted, each once");
             assert!(limit.is_none() || stats.broad.batches > 1, "the limit makes batches");
@@ -268,7 +269,7 @@ fn a_memory_limit_changes_nothing() {
     let mut detector = Detector::new(model.mesh(), params(&model, 0.004)).expect("a detector");
     let x = flat(&model.x0);
     let cpu = CpuExecutor::new(1);
-    let stats = detector.contacts(&cpu, x, 0, 1, None, &mut vec![]).expect("contacts");
+    let stats = detector.contacts(&cpu, x, &mut Split::alone(0, 1), &mut vec![]).expect("contacts");
     let free = found(&mut detector, x, 1, 1, None);
     let limit = stats.broad.bytes - 32 * stats.broad.entries * 3 / 4;
     let limited = found(&mut detector, x, 1, 2, Some(limit + 200_000));

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use loomtree::collision::Candidate;
-use loomtree::collision::broad::{Broad, BroadStats, Choice, Query, Sink, Split, brute_force};
+use loomtree::collision::broad::{Broad, BroadStats, Choice, Query, Search, Sink, Split, brute_force};
 use loomtree::collision::elementary::{StencilKind, closest_points};
 use loomtree::gpu::CpuExecutor;
 use loomtree::math::Vec3;
@@ -22,9 +22,9 @@ impl Sink for Found {
 fn search(broad: &mut Broad, query: &Query, choice: &Choice, split: &mut Split) -> (Vec<Candidate>, BroadStats) {
     let mut all = Vec::new();
     let mut finish = |sink: Found| all.extend(sink.0);
-    let stats = broad
-        .search(&CpuExecutor::new(1), query, choice, split, None, &|| Found(Vec::new()), &mut finish)
-        .expect("a search");
+    let search = Search { choice: *choice, ..Search::all(*query) };
+    let stats = broad.search(&CpuExecutor::new(1), &search, split, &|| Found(Vec::new()), &mut finish);
+    let stats = stats.expect("a search");
     all.sort_unstable();
     (all, stats)
 }

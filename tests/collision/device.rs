@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use loomtree::collision::broad::{BroadError, BroadStats, Choice, DeviceBroad, Filter, Query, Split, brute_force};
+use loomtree::collision::broad::{BroadError, BroadStats, DeviceBroad, Filter, Query, Search, Split, brute_force};
 use loomtree::collision::{
     Candidate, ContactParams, Detector, RunsOn, merge_contacts, merge_impacts, smallest_altitudes,
 };
@@ -62,7 +62,8 @@ fn candidates(
         let before = all.len();
         let emit = &mut |found: &[Candidate]| all.extend_from_slice(found);
         let (host, split) = (CpuExecutor::new(1), &mut Split::alone(rank, ranks));
-        let own = broad.search((executor, &host), query, &Choice::default(), filter, split, limit, emit);
+        let search = Search { filter: *filter, memory_limit_bytes: limit, ..Search::all(*query) };
+        let own = broad.search((executor, &host), &search, split, emit);
         let own = own.expect("a search").expect("few tests");
         assert_eq!(own.candidates, (all.len() - before) as u64);
         stats.push(own);
@@ -122,11 +123,8 @@ fn a_memory_limit_makes_batches_and_changes_nothing() {
         assert_eq!(free[0].batches, 1);
         let refused = DeviceBroad::new(&executor, Arc::new(model.mesh())).search(
             (&executor, &CpuExecutor::new(1)),
-            &query,
-            &Choice::default(),
-            &Filter::Boxes,
+            &Search { memory_limit_bytes: Some(1000), ..Search::all(query) },
             &mut Split::alone(0, 1),
-            Some(1000),
             &mut |_| (),
         );
         let Err(BroadError::MemoryLimit { needs_bytes, limit_bytes: 1000 }) = refused else { panic!("{refused:?}") };
@@ -164,18 +162,20 @@ fn contacts_and_impacts_have_the_bits_of_native_detection() {
             let mut detector =
                 Detector::new(model.mesh(), params(&model, thickness_m, separation_m)).expect("a detector");
             let (mut contacts, mut impacts) = (vec![], vec![]);
-            let at_rest = detector.contacts(&host, x_t0, 0, 1, None, &mut contacts).expect("contacts");
-            let moving = detector.impacts(&host, x_t0, x_t1, None, 0, 1, None, &mut impacts).expect("impacts");
+            let at_rest = detector.contacts(&host, x_t0, &mut Split::alone(0, 1), &mut contacts).expect("contacts");
+            let moving =
+                detector.impacts(&host, x_t0, x_t1, None, &mut Split::alone(0, 1), &mut impacts).expect("impacts");
             assert!(contacts.len() > 20 && impacts.len() > 20, "{} {}", contacts.len(), impacts.len());
             let on = RunsOn { host: &host, kernels: Some(&executor) };
             for ranks in [1, 2, 3, 4] {
                 let (mut lists, mut moving_lists) = (vec![], vec![]);
                 for rank in 0..ranks {
                     let (mut out, mut impacts) = (vec![], vec![]);
-                    let stats = detector.contacts(on, x_t0, rank, ranks, None, &mut out).expect("contacts");
+                    let split = &mut Split::alone(rank, ranks);
+                    let stats = detector.contacts(on, x_t0, split, &mut out).expect("contacts");
                     // Most candidates never reach the host.
                     assert!(4 * stats.broad.candidates < at_rest.broad.candidates * 3, "{stats:?} {at_rest:?}");
-                    let stats = detector.impacts(on, x_t0, x_t1, None, rank, ranks, None, &mut impacts);
+                    let stats = detector.impacts(on, x_t0, x_t1, None, split, &mut impacts);
                     assert!(2 * stats.expect("impacts").broad.candidates < moving.broad.candidates);
                     lists.push(out);
                     moving_lists.push(impacts);
@@ -202,9 +202,7 @@ fn contacts_ahead_do_not_depend_on_the_number_of_ranks() {
             let lists: Vec<_> = (0..ranks)
                 .map(|rank| {
                     let mut out = vec![];
-                    detector
-                        .contacts_ahead(on, x, ahead, &mut Split::alone(rank, ranks), None, &mut out)
-                        .expect("contacts");
+                    detector.contacts_ahead(on, x, ahead, &mut Split::alone(rank, ranks), &mut out).expect("contacts");
                     out
                 })
                 .collect();
@@ -213,11 +211,11 @@ fn contacts_ahead_do_not_depend_on_the_number_of_ranks() {
         let one = merged(1);
         assert!([2, 3, 4].into_iter().all(|ranks| merged(ranks) == one), "{}", executor.name());
         let mut near = vec![];
-        detector.contacts(&host, x, 0, 1, None, &mut near).expect("contacts");
+        detector.contacts(&host, x, &mut Split::alone(0, 1), &mut near).expect("contacts");
         assert!(one.len() > near.len() + 20, "{} {}", one.len(), near.len());
         // A few pairs may be proven apart here and not there.
         let mut native = vec![];
-        detector.contacts_ahead(&host, x, ahead, &mut Split::alone(0, 1), None, &mut native).expect("contacts");
+        detector.contacts_ahead(&host, x, ahead, &mut Split::alone(0, 1), &mut native).expect("contacts");
         let differ =
             native.iter().filter(|c| !one.contains(c)).count() + one.iter().filter(|c| !native.contains(c)).count();
         assert!(1000 * differ <= native.len(), "{differ} of {}", native.len());
@@ -245,9 +243,9 @@ fn nothing_near_the_reach_is_dropped() {
             let mut detector = Detector::new(model.mesh(), params(&model, 0.1 * size, 0.0)).expect("a detector");
             let host = CpuExecutor::new(1);
             let (mut native, mut found) = (vec![], vec![]);
-            detector.contacts(&host, x, 0, 1, None, &mut native).expect("contacts");
+            detector.contacts(&host, x, &mut Split::alone(0, 1), &mut native).expect("contacts");
             let on = RunsOn { host: &host, kernels: Some(&executor) };
-            detector.contacts(on, x, 0, 1, None, &mut found).expect("contacts");
+            detector.contacts(on, x, &mut Split::alone(0, 1), &mut found).expect("contacts");
             assert_eq!(found, native, "case {case}");
             assert!(native.len() > 10, "case {case}: {}", native.len());
         }
@@ -264,11 +262,8 @@ fn nothing_at_all_and_bad_positions() {
         let mut broad = DeviceBroad::new(&executor, Arc::new(model.mesh()));
         let refused = broad.search(
             (&executor, &CpuExecutor::new(1)),
-            &model.query(0.1),
-            &Choice::default(),
-            &Filter::Boxes,
+            &Search::all(model.query(0.1)),
             &mut Split::alone(0, 1),
-            None,
             &mut |_| panic!("none"),
         );
         assert!(matches!(refused, Err(BroadError::Position { which: "end", vertex: 3, .. })), "{refused:?}");

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use loomtree::collision::Candidate;
 use loomtree::collision::broad::{
-    Broad, BroadError, BroadStats, Choice, DeviceBroad, Filter, Query, Sink, Split, brute_force,
+    Broad, BroadError, BroadStats, Choice, DeviceBroad, Query, Search, Sink, Split, brute_force,
 };
 use loomtree::gpu::{CpuExecutor, Executor};
 use loomtree::math::Vec3;
@@ -41,7 +41,8 @@ fn native(model: &Model, query: &Query, choice: &Choice) -> (Vec<Candidate>, Bro
     let (mut all, split) = (Vec::new(), &mut Split::alone(0, 1));
     let mut finish = |sink: Found| all.extend(sink.0);
     let (host, mut broad) = (CpuExecutor::new(1), Broad::new(model.mesh()));
-    let stats = broad.search(&host, query, choice, split, None, &|| Found(Vec::new()), &mut finish);
+    let search = Search { choice: *choice, ..Search::all(*query) };
+    let stats = broad.search(&host, &search, split, &|| Found(Vec::new()), &mut finish);
     all.sort_unstable();
     (all, stats.expect("a search"))
 }
@@ -68,8 +69,8 @@ fn together(
         let mut search = || {
             let (mut found, query) = (Vec::new(), model.query(radius_m));
             let emit = &mut |some: &[Candidate]| found.extend_from_slice(some);
-            let on = (&executor, &host);
-            let stats = broad.search(on, &query, choice, &Filter::Boxes, &mut split, limit, emit)?;
+            let search = Search { choice: *choice, memory_limit_bytes: limit, ..Search::all(query) };
+            let stats = broad.search((&executor, &host), &search, &mut split, emit)?;
             found.sort_unstable();
             Ok((found, stats.expect("few tests in a cell")))
         };

@@ -1,7 +1,7 @@
 //! Impacts: the whole pipeline against the continuous test on every pair of features, and searches among touched vertices.
 
 use glam::Vec4;
-use loomtree::collision::broad::{CollisionMesh, brute_force};
+use loomtree::collision::broad::{CollisionMesh, Split, brute_force};
 use loomtree::collision::elementary::lanes::{Lanes, undecided, undecided_at_rest};
 use loomtree::collision::elementary::{StencilKind, ccd, proximity};
 use loomtree::collision::{Candidate, ContactParams, Detector, Impact, merge_impacts};
@@ -50,7 +50,9 @@ fn found(
     for rank in 0..ranks {
         let mut out = vec![];
         let (x_t0, x_t1) = (flat(&model.x0), flat(&model.x1));
-        let stats = detector.impacts(&cpu, x_t0, x_t1, touched, rank, ranks, limit, &mut out).expect("impacts");
+        detector.limit_memory(limit);
+        let stats =
+            detector.impacts(&cpu, x_t0, x_t1, touched, &mut Split::alone(rank, ranks), &mut out).expect("impacts");
         assert_eq!(stats.found, out.len() as u64);
         assert!(stats.tested <= stats.broad.candidates && limit.is_none_or(|limit| stats.broad.bytes <= limit));
         lists.push(out);
@@ -122,7 +124,7 @@ fn few_touched_vertices_need_few_tests() {
     let touched: Vec<bool> = (0..10_000).map(|v| v % 1000 == 17).collect();
     let mut ask = |touched| {
         let (x_t0, x_t1) = (flat(&model.x0), flat(&model.x1));
-        detector.impacts(&cpu, x_t0, x_t1, touched, 0, 1, None, &mut vec![]).expect("impacts").broad
+        detector.impacts(&cpu, x_t0, x_t1, touched, &mut Split::alone(0, 1), &mut vec![]).expect("impacts").broad
     };
     let (all, few) = (ask(None), ask(Some(&touched)));
     assert!(few.tests_total * 20 < all.tests_total, "{} of {} tests", few.tests_total, all.tests_total);
@@ -137,7 +139,7 @@ fn a_rank_holds_its_share_only() {
     // A detector each, as in a process each: buffers keep their size from query to query.
     let bytes = |rank, ranks| {
         let (x_t0, x_t1) = (flat(&model.x0), flat(&model.x1));
-        let stats = detector(&model, 0.0).impacts(&cpu, x_t0, x_t1, None, rank, ranks, None, &mut vec![]);
+        let stats = detector(&model, 0.0).impacts(&cpu, x_t0, x_t1, None, &mut Split::alone(rank, ranks), &mut vec![]);
         stats.expect("impacts").bytes as f64
     };
     for rank in 0..4 {
@@ -152,8 +154,9 @@ fn a_memory_limit_changes_nothing() {
     let mut detector = detector(&model, 0.0);
     let free = found(&mut detector, &model, None, (1, 1), None);
     let cpu = CpuExecutor::new(1);
-    let stats =
-        detector.impacts(&cpu, flat(&model.x0), flat(&model.x1), None, 0, 1, None, &mut vec![]).expect("impacts");
+    let stats = detector
+        .impacts(&cpu, flat(&model.x0), flat(&model.x1), None, &mut Split::alone(0, 1), &mut vec![])
+        .expect("impacts");
     let limit = stats.broad.bytes - 32 * stats.broad.entries / 2;
     assert_eq!(found(&mut detector, &model, None, (1, 1), Some(limit)), free);
     assert_eq!(found(&mut detector, &model, None, (3, 1), Some(limit)), free);

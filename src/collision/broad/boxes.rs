@@ -3,7 +3,8 @@
 
 use glam::Vec3A;
 
-use super::{BroadError, Choice, CollisionMesh, Query};
+use super::mesh::CollisionMesh;
+use super::query::{BroadError, Choice, Query};
 
 /// Relative widening of every bound: more than the rounding of a few f32 operations on the coordinates, so that a test
 /// that decides with rounded numbers is still handed the pair.
@@ -66,7 +67,7 @@ impl Aabb {
 }
 
 /// The positions of a query, checked.
-pub(super) struct Motion<'a> {
+pub(super) struct Trajectories<'a> {
     start: &'a [f32],
     end: &'a [f32],
     pad: Vec3A,
@@ -76,9 +77,9 @@ pub(super) struct Motion<'a> {
     pub within_piece_m: f32,
 }
 
-impl<'a> Motion<'a> {
+impl<'a> Trajectories<'a> {
     /// Refuses positions and radii that boxes cannot be built from.
-    pub fn new(mesh: &CollisionMesh, query: &Query<'a>, choice: &Choice) -> Result<Motion<'a>, BroadError> {
+    pub fn new(mesh: &CollisionMesh, query: &Query<'a>, choice: &Choice) -> Result<Trajectories<'a>, BroadError> {
         for (which, positions) in [("start", query.x_t0), ("end", query.x_t1)] {
             if positions.len() != 3 * mesh.vertices {
                 return Err(BroadError::PositionCount { which, values: positions.len(), vertices: mesh.vertices });
@@ -100,7 +101,7 @@ impl<'a> Motion<'a> {
         let within_piece =
             within_piece.map(|radius_m| Vec3A::splat((query.radius_m - radius_m.max(0.0)) * (1.0 - SLACK)));
         let pad = Vec3A::splat(0.5 * query.radius_m * (1.0 + SLACK));
-        Ok(Motion { start: query.x_t0, end: query.x_t1, pad, within_piece, within_piece_m })
+        Ok(Trajectories { start: query.x_t0, end: query.x_t1, pad, within_piece, within_piece_m })
     }
 
     /// Box of the path of a vertex, not inflated.

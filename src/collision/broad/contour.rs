@@ -3,7 +3,7 @@
 
 use glam::{Vec2, Vec3A, Vec4};
 
-use super::boxes::Motion;
+use super::boxes::Trajectories;
 
 /// Edges whose bounds are looked at together.
 const CHUNK: usize = 4;
@@ -127,15 +127,15 @@ impl Bounds {
 
 impl Contour {
     /// Takes the points of a contour as seen along the unit vector `view`; how far they may be off, metres.
-    pub fn project(&mut self, motion: &Motion, vertices: &[u32], view: Vec3A) -> f32 {
+    pub fn project(&mut self, paths: &Trajectories, vertices: &[u32], view: Vec3A) -> f32 {
         let side = view.any_orthonormal_vector();
         let up = view.cross(side);
-        let origins = [false, true].map(|end| motion.at(vertices[0], end));
+        let origins = [false, true].map(|end| paths.at(vertices[0], end));
         let mut extent = 0.0f32;
         self.points.clear();
         self.points.extend(vertices.iter().map(|&vertex| {
             [0, 1].map(|end| {
-                let x = motion.at(vertex, end == 1) - origins[end];
+                let x = paths.at(vertex, end == 1) - origins[end];
                 extent = extent.max(x.abs().max_element());
                 Vec2::new(x.dot(side), x.dot(up))
             })

@@ -24,94 +24,19 @@
 //! A patch is left out if all pairs of its triangles with triangles that are near are proven apart in this way. Says nothing
 //! of patches that are not left out.
 
-use std::ops::Range;
-
-use bytemuck::{Pod, Zeroable};
 use glam::Vec3A;
 
-use super::contour::Contour;
+use super::cone::ROUNDING;
+use super::contour::{Contour, outline, polygon};
 use super::input::Input;
+use super::mesh::CollisionMesh;
 use super::patches::Patches;
 use super::split::{Split, even};
 use crate::gpu::CpuExecutor;
 use crate::transport::TransportError;
 
-/// Least cosine between a normal and the direction of view: beyond it altitudes are seen too short to prove anything.
-const LEAST_COSINE: f32 = 0.15;
-/// Least area over squared longest edge, seen along the axis: keeps the rounding of normals below [`ROUNDING`].
-const LEAST_AREA: f32 = 1e-3;
-/// More than normals of such triangles are wrong in angle (radians) and relative length: their rounding is 16 units in the
-/// last place of the squared edge.
-const ROUNDING: f32 = 4e-3;
-
 /// In place of a second patch: the first one is active, whoever the other is.
 const ALONE: u32 = u32::MAX;
-
-/// Where the normals of a patch point during the step.
-#[derive(Clone, Copy, Pod, Zeroable)]
-#[repr(C)]
-pub(super) struct Cone {
-    /// Unit vector, or 0 where there is no cone.
-    axis: [f32; 3],
-    /// Least cosine of the angle between a normal and the axis.
-    cosine: f32,
-    /// Least altitude of a triangle seen along the axis, metres.
-    altitude_m: f32,
-}
-
-impl Cone {
-    /// The cone of some triangles.
-    pub fn new(input: &Input, triangles: Range<usize>) -> Cone {
-        let moves = input.motion.moves();
-        let mut normals = Vec::with_capacity(triangles.len());
-        let mut sum = Vec3A::ZERO;
-        for &[a, b, c] in &input.mesh.triangles[triangles] {
-            let sides = |end: bool| {
-                let a = input.motion.at(a, end);
-                (input.motion.at(b, end) - a, input.motion.at(c, end) - a)
-            };
-            let longest = |(one, other): (Vec3A, Vec3A)| {
-                one.length_squared().max(other.length_squared()).max((one - other).length_squared())
-            };
-            let start = sides(false);
-            let end = if moves { sides(true) } else { start };
-            let first = start.0.cross(start.1);
-            // Bernstein coefficients of the normal over time.
-            let (middle, last) = if moves {
-                (0.5 * (start.0.cross(end.1) + end.0.cross(start.1)), end.0.cross(end.1))
-            } else {
-                (first, first)
-            };
-            sum += first + last;
-            normals.push(([first, middle, last], longest(start).max(longest(end))));
-        }
-        let Some(axis) = sum.try_normalize() else { return Cone::zeroed() };
-        let (mut cosine, mut altitude_m) = (1.0f32, f32::INFINITY);
-        for (normals, longest_squared) in &normals {
-            for normal in normals {
-                let area = normal.dot(axis);
-                // What is no number makes no cone.
-                let faces_the_axis = area > LEAST_AREA * longest_squared;
-                if !faces_the_axis {
-                    return Cone::zeroed();
-                }
-                cosine = cosine.min(area / normal.length());
-                altitude_m = altitude_m.min(area / longest_squared.sqrt());
-            }
-        }
-        let altitude_m = altitude_m * (1.0 - ROUNDING);
-        Cone { axis: axis.to_array(), cosine: (cosine - ROUNDING).max(0.0), altitude_m }
-    }
-
-    /// An altitude that all triangles exceed when seen along `view`; 0 if some may not face it.
-    fn altitude_along(&self, view: Vec3A) -> f32 {
-        let toward = view.dot(Vec3A::from_array(self.axis));
-        let sine = |cosine: f32| (1.0 - cosine * cosine).max(0.0).sqrt();
-        // Cosine of the sum of both angles; less than half a turn, as both cosines are positive.
-        let least = self.cosine * toward - sine(self.cosine) * sine(toward) - ROUNDING;
-        if toward > 0.0 && least >= LEAST_COSINE { self.altitude_m * least } else { 0.0 }
-    }
-}
 
 /// What the mesh alone decides: who is around every patch of cloth, and the contour of both together.
 pub(super) struct Culling {
@@ -129,7 +54,7 @@ pub(super) struct Culling {
 }
 
 impl Culling {
-    pub fn new(mesh: &super::CollisionMesh, patches: &Patches) -> Culling {
+    pub fn new(mesh: &CollisionMesh, patches: &Patches) -> Culling {
         let mut culling = Culling {
             firsts: vec![0],
             around: vec![],
@@ -157,13 +82,12 @@ impl Culling {
         }
         pairs.sort_unstable();
         pairs.dedup();
-        let outlines: Vec<_> =
-            (0..patches.cloth()).map(|p| super::contour::outline(&mesh.triangles[patches.triangles(p)])).collect();
+        let outlines: Vec<_> = (0..patches.cloth()).map(|p| outline(&mesh.triangles[patches.triangles(p)])).collect();
         for same in pairs.chunk_by(|a, b| a.0 == b.0) {
             culling.around.extend(same.iter().map(|(_, other)| *other));
             culling.firsts.push(culling.around.len() as u32);
             let parts = same.iter().map(|(_, other)| outlines[*other as usize].as_deref());
-            culling.contours.extend(super::contour::polygon(parts));
+            culling.contours.extend(polygon(parts));
             culling.contour_firsts.push(culling.contours.len() as u32);
         }
         culling.chosen = culling.choose(patches.cloth());
@@ -203,11 +127,11 @@ impl Culling {
         let sum: Vec3A = cones().map(|cone| Vec3A::from_array(cone.axis)).sum();
         let Some(view) = sum.try_normalize() else { return false };
         let altitude_m = cones().map(|cone| cone.altitude_along(view)).fold(f32::INFINITY, f32::min);
-        let radius_m = input.motion.within_piece_m;
+        let radius_m = input.paths.within_piece_m;
         if altitude_m <= radius_m {
             return false;
         }
-        let rounding_m = contour.project(&input.motion, vertices, view);
+        let rounding_m = contour.project(&input.paths, vertices, view);
         // A relative margin, too, as the query's radius is a rounded number.
         let margin_m = radius_m * (1.0 + ROUNDING) + rounding_m;
         altitude_m > margin_m && contour.is_apart(margin_m)
@@ -300,7 +224,7 @@ impl Culling {
                 if known || one.min(other) >= free.len() || beside.is_empty() || !aabb.overlaps(&beside) {
                     continue;
                 }
-                let within_piece = input.motion.within_piece.filter(|_| piece(one) == piece(other));
+                let within_piece = input.paths.within_piece.filter(|_| piece(one) == piece(other));
                 if within_piece.is_some_and(|by| !aabb.shrink(by).overlaps(&beside)) {
                     continue;
                 }

@@ -81,7 +81,7 @@ impl Features {
     pub fn set(&mut self, input: &Input, triangle: u32) {
         let corners = input.mesh.triangles[triangle as usize];
         let owned = u32::from(input.mesh.owned[triangle as usize]);
-        let vertices = corners.map(|v| input.motion.vertex(v));
+        let vertices = corners.map(|v| input.paths.vertex(v));
         self.corners = corners;
         self.piece = input.mesh.pieces[corners[0] as usize];
         self.known = true;

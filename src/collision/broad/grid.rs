@@ -7,8 +7,8 @@
 
 use glam::{Vec3A, Vec4};
 
-use super::CollisionMesh;
-use super::boxes::{Aabb, Motion};
+use super::boxes::{Aabb, Trajectories};
+use super::mesh::CollisionMesh;
 
 /// Grids. The last has one cell for all of space and takes what no other takes.
 pub(super) const LEVELS: usize = 16;
@@ -41,10 +41,10 @@ pub(super) struct Grid {
 impl Grid {
     /// Cells fit most (sampled) cloth triangles; the origin is the median of the samples, so that a piece far away
     /// costs the rest no resolution.
-    pub fn new(mesh: &CollisionMesh, motion: &Motion) -> Grid {
+    pub fn new(mesh: &CollisionMesh, paths: &Trajectories) -> Grid {
         let stride = mesh.cloth_triangles.div_ceil(SAMPLES).max(1);
         let boxes: Vec<Aabb> =
-            mesh.triangles[..mesh.cloth_triangles].iter().step_by(stride).map(|&t| motion.triangle(t)).collect();
+            mesh.triangles[..mesh.cloth_triangles].iter().step_by(stride).map(|&t| paths.triangle(t)).collect();
         let quantile = |value: &dyn Fn(&Aabb) -> f32, part: f32| {
             let mut values: Vec<f32> = boxes.iter().map(value).collect();
             let at = (values.len() as f32 * part) as usize;

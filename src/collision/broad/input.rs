@@ -1,13 +1,14 @@
-//! What the passes of a query work on: mesh, motion, grids, and boxes of triangles. Promises the same to every rank.
+//! What the passes of a query work on: mesh, paths, grids, and boxes of triangles. Promises the same to every rank.
 
-use super::boxes::{Aabb, Motion};
+use super::boxes::{Aabb, Trajectories};
 use super::grid::{Grid, WANTED};
-use super::{Choice, CollisionMesh};
+use super::mesh::CollisionMesh;
+use super::query::Choice;
 
 /// What a query works on.
 pub(super) struct Input<'a> {
     pub mesh: &'a CollisionMesh,
-    pub motion: Motion<'a>,
+    pub paths: Trajectories<'a>,
     pub grid: Grid,
     /// What the query leaves out.
     pub choice: Choice<'a>,
@@ -16,10 +17,10 @@ pub(super) struct Input<'a> {
 }
 
 impl<'a> Input<'a> {
-    pub fn new(mesh: &'a CollisionMesh, motion: Motion<'a>, choice: Choice<'a>) -> Input<'a> {
-        let grid = Grid::new(mesh, &motion);
-        let cloth = motion.cloth_bounds(mesh);
-        Input { mesh, motion, grid, choice, cloth }
+    pub fn new(mesh: &'a CollisionMesh, paths: Trajectories<'a>, choice: Choice<'a>) -> Input<'a> {
+        let grid = Grid::new(mesh, &paths);
+        let cloth = paths.cloth_bounds(mesh);
+        Input { mesh, paths, grid, choice, cloth }
     }
 
     /// [`WANTED`], or 0 for a triangle that is of interest only as partner of such a one.
@@ -34,7 +35,7 @@ impl<'a> Input<'a> {
     /// None for an obstacle's triangle that cannot meet cloth.
     #[inline(always)]
     pub fn aabb(&self, triangle: usize) -> Option<Aabb> {
-        let aabb = self.motion.triangle(self.mesh.triangles[triangle]);
+        let aabb = self.paths.triangle(self.mesh.triangles[triangle]);
         if triangle < self.mesh.cloth_triangles {
             return Some(aabb);
         }

@@ -3,7 +3,7 @@
 
 use thiserror::Error;
 
-use super::patches::cut;
+use super::cut::cut;
 use crate::mesh::pieces;
 use crate::partition::chunk_rows;
 

@@ -144,7 +144,7 @@ impl Tester {
         let one = self.features(input, &entries[one], one, 0);
         let other = self.features(input, &entries[other], other, 1);
         let (a, b) = (&self.features[one], &self.features[other]);
-        let within_piece = input.motion.within_piece.filter(|_| a.piece == b.piece);
+        let within_piece = input.paths.within_piece.filter(|_| a.piece == b.piece);
         if let Some(by) = within_piece {
             (box_a, box_b) = (box_a.shrink(by), box_b.shrink(by));
             if !box_a.overlaps(&full_b) {

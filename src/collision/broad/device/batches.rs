@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::hash::{CHUNK, Entries};
+use super::hash::{CHUNK, DeviceEntries};
 use crate::collision::Candidate;
 use crate::collision::broad::BroadError;
 use crate::gpu::Executor;
@@ -14,7 +14,7 @@ const TESTS_MOST: u64 = (1 << 31) - 1;
 const PAIRS_PER_TRIANGLE: usize = 8;
 const PAIRS_PER_TRIANGLE_MOST: usize = 16;
 const ROOM_LEAST: usize = 4096;
-/// Entries that are always made at once if the memory limit allows it.
+/// DeviceEntries that are always made at once if the memory limit allows it.
 const ENTRIES_TOGETHER: u64 = 1 << 12;
 /// Bytes of an array that every adapter can bind.
 pub(super) const BINDING_BYTES: usize = 128 << 20;
@@ -42,7 +42,7 @@ impl Chunk {
 }
 
 /// The part of a rank's share of the tests that is done together.
-pub(super) struct Batch {
+pub(super) struct ChunkBatch {
     /// First bucket and end.
     pub buckets: [u32; 2],
     /// Buckets and ends of the first and of the last chunk.
@@ -100,13 +100,13 @@ impl Room {
         let Some(limit_bytes) = limit_bytes else { return Ok(room) };
         // Arrays may be an eighth larger than asked for.
         let free = limit_bytes.saturating_sub(wanted.fixed) / 9 * 8;
-        let least = Entries::bytes_for(CHUNK as u64, fullest);
+        let least = DeviceEntries::bytes_for(CHUNK as u64, fullest);
         let least = least.max((ROOM_LEAST * candidate) as u64) * 4;
         if free < least {
             return Err(BroadError::MemoryLimit { needs_bytes: wanted.fixed + least / 8 * 9 + 9, limit_bytes });
         }
         // An eighth for what belongs to buckets, three eighths for entries.
-        room.buckets = room.buckets.min(free / 8 / Entries::bytes_for(1, 0)).max(CHUNK as u64);
+        room.buckets = room.buckets.min(free / 8 / DeviceEntries::bytes_for(1, 0)).max(CHUNK as u64);
         room.entries = room.entries.min(free * 3 / 8 / item as u64).max(fullest);
         room.pairs = room.pairs.min((free / 4) as usize / item);
         room.candidates = room.candidates.min((free / 4) as usize / candidate);
@@ -122,8 +122,8 @@ pub(super) fn fewer(items: u64, found: usize, room: usize) -> u64 {
 }
 
 /// The chunks that hold the tests `share`, numbered from the first of the window, as few batches as fit.
-pub(super) fn batches(chunks: &[Chunk], share: &Range<u64>, room: &Room) -> Vec<Batch> {
-    let mut batches: Vec<Batch> = Vec::new();
+pub(super) fn batches(chunks: &[Chunk], share: &Range<u64>, room: &Room) -> Vec<ChunkBatch> {
+    let mut batches: Vec<ChunkBatch> = Vec::new();
     let mut before = 0;
     for chunk in chunks {
         let first = before;
@@ -146,7 +146,7 @@ pub(super) fn batches(chunks: &[Chunk], share: &Range<u64>, room: &Room) -> Vec<
                 last.buckets[1] = chunk.buckets[1];
                 last.ends[1] = chunk.buckets;
             }
-            _ => batches.push(Batch {
+            _ => batches.push(ChunkBatch {
                 buckets: chunk.buckets,
                 ends: [chunk.buckets; 2],
                 entries: chunk.entries,

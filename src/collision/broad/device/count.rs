@@ -2,19 +2,30 @@
 //! search. Host code around the passes of `hash`.
 
 use std::ops::Range;
+use std::sync::Arc;
 
-use super::DeviceBroad;
 use super::batches::{BINDING_BYTES, Chunk};
-use super::hash::HashParams;
-use super::space::{Space, Window};
+use super::hash::{DeviceTable, HashParams, Shapes, Window};
+use super::space::Space;
 use crate::collision::broad::input::Input;
-use crate::collision::broad::split::Split;
+use crate::collision::broad::patches::Patches;
 use crate::collision::broad::workload::{LayerLoad, Workload, layers_of};
-use crate::collision::broad::{BroadError, CollisionMesh};
-use crate::gpu::Executor;
+use crate::collision::broad::{BroadError, CollisionMesh, Query, Split};
+use crate::gpu::{DeviceVec, Executor};
 
 /// Tests of a layer with a chunk that no dispatch takes, as ranks tell each other.
 const TOO_MANY: u64 = u64::MAX;
+
+/// Counts layers of space for one mesh. Keeps its arrays from query to query.
+pub(super) struct Counter {
+    mesh: Arc<CollisionMesh>,
+    /// Per vertex the number of its piece.
+    pieces: Vec<u32>,
+    pub shapes: Shapes,
+    /// The triangles whose faces are on the device.
+    members: Vec<u32>,
+    pub table: DeviceTable,
+}
 
 /// What a rank knows when all is counted.
 pub(super) struct Counted {
@@ -25,6 +36,18 @@ pub(super) struct Counted {
     pub share: Range<u64>,
     /// Bytes of lists on the host.
     pub host_bytes: u64,
+}
+
+/// Pieces numbered from 0.
+pub(super) fn numbered_pieces(mesh: &CollisionMesh) -> Vec<u32> {
+    let mut numbers = vec![0u32; mesh.vertices];
+    let mut next = 0;
+    // The smallest vertex of a piece comes before its others.
+    for (v, &piece) in mesh.pieces.iter().enumerate() {
+        numbers[v] = if piece as usize == v { next } else { numbers[piece as usize] };
+        next += u32::from(piece as usize == v);
+    }
+    numbers
 }
 
 /// Corners, owned features and number of the piece of a triangle.
@@ -43,23 +66,65 @@ fn layer_load(chunks: &[Chunk]) -> LayerLoad {
     LayerLoad::of(chunks.iter().map(|chunk| chunk.tests).sum(), busy, entries)
 }
 
-impl DeviceBroad {
+impl Counter {
+    pub fn new(executor: &Executor, mesh: &Arc<CollisionMesh>) -> Counter {
+        Counter {
+            mesh: Arc::clone(mesh),
+            pieces: numbered_pieces(mesh),
+            shapes: Shapes { x_t0: DeviceVec::zeros(executor, 0), x_t1: None, faces: DeviceVec::zeros(executor, 0) },
+            members: Vec::new(),
+            table: DeviceTable::new(executor),
+        }
+    }
+
+    /// Bytes of what follows from the mesh alone.
+    pub fn mesh_bytes(&self) -> u64 {
+        size_of_val(&self.pieces[..]) as u64
+    }
+
+    /// Bytes of faces and table on the device.
+    pub fn bytes(&self) -> u64 {
+        self.shapes.faces.held_bytes() + self.table.bytes()
+    }
+
+    /// Gives back what queries leave for the next one.
+    pub fn drop_arrays(&mut self, executor: &Executor) {
+        self.members = Vec::new();
+        self.shapes.faces = DeviceVec::zeros(executor, 0);
+        self.table = DeviceTable::new(executor);
+    }
+
+    /// Positions of a query.
+    pub fn upload(&mut self, executor: &Executor, query: &Query) {
+        self.shapes.x_t0.assign(executor, query.x_t0);
+        if std::ptr::eq(query.x_t0, query.x_t1) {
+            self.shapes.x_t1 = None;
+        } else {
+            let end = self.shapes.x_t1.get_or_insert_with(|| DeviceVec::zeros(executor, 0));
+            end.assign(executor, query.x_t1);
+        }
+    }
+
     /// Counts the layers that hold this rank's share of the tests: those that it is likely to need, then, if they do not,
     /// those that do. None if all ranks leave the search to native code. Between ranks: 16 bytes per layer.
-    pub(super) fn count(
+    ///
+    /// # Errors
+    /// A fault of the device; another rank is not heard.
+    pub fn count(
         &mut self,
         executor: &Executor,
         input: &Input,
+        patches: &Patches,
         split: &mut Split,
     ) -> Result<Option<Counted>, BroadError> {
         let (rank, ranks) = split.place();
-        let space = Space::new(input, &self.patches);
+        let space = Space::new(input, patches);
         if space.buckets() > BINDING_BYTES / size_of::<[u32; 4]>() {
             return Ok(None);
         }
         let guess = if split.is_together() { space.guess(rank, ranks) } else { 0..space.layers() };
         let mut loads = vec![LayerLoad::default(); space.layers()];
-        let (mut window, mut chunks) = self.count_window(executor, input, &space, guess.clone());
+        let (mut window, mut chunks) = self.count_window(executor, (input, patches, &space), guess.clone());
         let mut of_layers = &chunks[..];
         for layer in guess.clone() {
             let (own, others) = of_layers.split_at(space.chunks_of(layer));
@@ -78,7 +143,7 @@ impl DeviceBroad {
         let share = workload.share(rank, ranks);
         let needed = layers_of(&loads, &share);
         if needed.start < guess.start || needed.end > guess.end {
-            (window, chunks) = self.count_window(executor, input, &space, needed);
+            (window, chunks) = self.count_window(executor, (input, patches, &space), needed);
         }
         let before: u64 = loads[..window.layers.start].iter().map(LayerLoad::tests).sum();
         let share = share.start.max(before) - before..share.end.max(before) - before;
@@ -89,11 +154,10 @@ impl DeviceBroad {
     fn count_window(
         &mut self,
         executor: &Executor,
-        input: &Input,
-        space: &Space,
+        (input, patches, space): (&Input, &Patches, &Space),
         layers: Range<usize>,
     ) -> (Window, Vec<Chunk>) {
-        let members = space.members(input, &self.patches, &layers);
+        let members = space.members(input, patches, &layers);
         let window = space.window(input, layers, &members);
         if members != self.members {
             let faces: Vec<_> = members.iter().map(|&t| face(&self.mesh, &self.pieces, t)).collect();

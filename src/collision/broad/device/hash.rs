@@ -7,11 +7,12 @@
 //! it covers at most two cells per axis and *visits* the coarser ones that have residents near it. In every layer the finest
 //! grid has buckets of its own, the coarser ones share the rest.
 //!
-//! Entries of a bucket are in order of their class (resident cloth, resident obstacles, visiting cloth, visiting obstacles)
+//! DeviceEntries of a bucket are in order of their class (resident cloth, resident obstacles, visiting cloth, visiting obstacles)
 //! and in no order within; counts are the same every time.
 
+use std::ops::Range;
+
 use super::hash_cpu;
-use super::space::Window;
 use crate::gpu::primitives::exclusive_scan;
 use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
 
@@ -26,8 +27,6 @@ static CHUNK_LOADS: KernelSource = kernel("chunk_loads");
 static BUCKET_LOADS: KernelSource = kernel("bucket_loads");
 static FILL: KernelSource = kernel("fill");
 
-/// Grids; in the last one everything covers at most two cells per axis.
-pub(super) const LEVELS: usize = 11;
 /// Values per grid: see the shader.
 const LEVEL: usize = 8;
 /// Most buckets per chunk.
@@ -68,8 +67,28 @@ impl Shapes {
     }
 }
 
+/// What kernels need to count a range of layers.
+pub(super) struct Window {
+    pub layers: Range<usize>,
+    pub params: HashParams,
+    /// Per layer: its first bucket, counted from the first of the window; log2 of the numbers of blocks of 8 buckets:
+    /// finest grid, coarser grids times 256.
+    pub table: Vec<[u32; 2]>,
+    /// Per grid lowest cell, highest cell, 1 if it may have residents, 0.
+    pub levels: Vec<[u32; 8]>,
+    /// First bucket and end of every chunk. A chunk lies in one layer.
+    pub chunks: Vec<[u32; 2]>,
+}
+
+impl Window {
+    /// Bytes of what the host holds.
+    pub fn bytes(&self) -> u64 {
+        (size_of_val(&self.chunks[..]) + size_of_val(&self.table[..])) as u64
+    }
+}
+
 /// The table of a window of layers.
-pub(super) struct Table {
+pub(super) struct DeviceTable {
     /// Per triangle lower and upper corner, bits; behind them owned features and piece, grid + 1 (0: takes no part).
     pub boxes: DeviceVec<[u32; 4]>,
     /// Per triangle lowest and highest cell of the finest grid.
@@ -84,21 +103,21 @@ pub(super) struct Table {
 }
 
 /// Chunks whose entries are in memory together.
-pub(super) struct Entries {
+pub(super) struct DeviceEntries {
     tests: DeviceVec<u32>,
     sizes: DeviceVec<u32>,
     /// Tests before every bucket of the batch, and all.
     pub test_starts: DeviceVec<u32>,
-    /// Entries before every bucket of the batch, and all.
+    /// DeviceEntries before every bucket of the batch, and all.
     pub starts: DeviceVec<u32>,
     cursors: DeviceVec<[u32; 4]>,
     /// Triangle and tag.
     pub entries: DeviceVec<[u32; 2]>,
 }
 
-impl Table {
-    pub fn new(executor: &Executor) -> Table {
-        Table {
+impl DeviceTable {
+    pub fn new(executor: &Executor) -> DeviceTable {
+        DeviceTable {
             boxes: DeviceVec::zeros(executor, 0),
             cells: DeviceVec::zeros(executor, 0),
             counts: DeviceVec::zeros(executor, 0),
@@ -190,7 +209,7 @@ impl Table {
     }
 
     /// Makes the entries of `params.buckets` buckets of the window from `params.first_bucket` on; there are `size` of them.
-    pub fn fill(&mut self, executor: &Executor, params: &HashParams, size: usize, out: &mut Entries) {
+    pub fn fill(&mut self, executor: &Executor, params: &HashParams, size: usize, out: &mut DeviceEntries) {
         let buckets = params.buckets as usize;
         out.tests.resize(executor, buckets);
         out.sizes.resize(executor, buckets);
@@ -247,9 +266,9 @@ impl Table {
     }
 }
 
-impl Entries {
-    pub fn new(executor: &Executor) -> Entries {
-        Entries {
+impl DeviceEntries {
+    pub fn new(executor: &Executor) -> DeviceEntries {
+        DeviceEntries {
             tests: DeviceVec::zeros(executor, 0),
             sizes: DeviceVec::zeros(executor, 0),
             test_starts: DeviceVec::zeros(executor, 0),
@@ -273,6 +292,7 @@ impl Entries {
 
 #[cfg(test)]
 mod tests {
+    use super::super::levels::LEVELS;
     use super::*;
 
     #[test]

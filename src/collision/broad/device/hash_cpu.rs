@@ -2,11 +2,9 @@
 
 use glam::{UVec3, Vec3A};
 
-use super::hash::{HashParams, LEVELS};
-use super::space::{coarser, home_of};
+use super::hash::HashParams;
+use super::levels::{LEVELS, REACH, coarser, home_of};
 use crate::collision::broad::boxes::Aabb;
-
-const REACH: f32 = (1 << 20) as f32;
 
 /// Box of the path of a vertex.
 pub(super) fn path_box(x_t0: &[f32], x_t1: &[f32], v: u32) -> Aabb {

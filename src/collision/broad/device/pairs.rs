@@ -3,7 +3,7 @@
 //!
 //! Which pairs are appended does not depend on the device's timing; their order does.
 
-use super::hash::{Entries, Shapes, Table};
+use super::hash::{DeviceEntries, DeviceTable, Shapes};
 use super::pairs_cpu;
 use crate::collision::Candidate;
 use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
@@ -41,15 +41,15 @@ gpu_struct! {
 }
 
 /// Bounded buffers of what was found, and how much there was: pairs of triangles, candidates.
-pub(super) struct Found {
+pub(super) struct FoundPairs {
     pub pairs: DeviceVec<[u32; 2]>,
     pub candidates: DeviceVec<Candidate>,
     counters: DeviceVec<u32>,
 }
 
-impl Found {
-    pub fn new(executor: &Executor) -> Found {
-        Found {
+impl FoundPairs {
+    pub fn new(executor: &Executor) -> FoundPairs {
+        FoundPairs {
             pairs: DeviceVec::zeros(executor, 0),
             candidates: DeviceVec::zeros(executor, 0),
             counters: DeviceVec::zeros(executor, 2),
@@ -62,7 +62,13 @@ impl Found {
     }
 
     /// Pairs of triangles with overlapping boxes among the tests `params.first_test..params.end_test`; how many there are.
-    pub fn box_tests(&mut self, executor: &Executor, params: &PairParams, table: &Table, of: &Entries) -> usize {
+    pub fn box_tests(
+        &mut self,
+        executor: &Executor,
+        params: &PairParams,
+        table: &DeviceTable,
+        of: &DeviceEntries,
+    ) -> usize {
         let params = PairParams { pair_room: self.pairs.len() as u32, ..*params };
         self.counters.fill_zero(executor);
         match executor {
@@ -98,7 +104,7 @@ impl Found {
         &mut self,
         executor: &Executor,
         params: &PairParams,
-        table: &Table,
+        table: &DeviceTable,
         shapes: &Shapes,
         reach_m: &DeviceVec<f32>,
     ) -> usize {

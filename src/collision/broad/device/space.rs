@@ -8,15 +8,14 @@ use std::ops::Range;
 
 use glam::{UVec3, Vec3A};
 
-use super::hash::{CHUNK, HashParams, LEVELS};
+use super::hash::{CHUNK, HashParams, Window};
+use super::levels::{LEVELS, REACH, home_of};
 use crate::collision::broad::boxes::Aabb;
 use crate::collision::broad::grid::{Buckets, Grid};
 use crate::collision::broad::input::Input;
 use crate::collision::broad::layers::{Layers, block};
 use crate::collision::broad::patches::Patches;
 
-/// Cells per axis and direction, as in the shader.
-const REACH: f32 = (1 << 20) as f32;
 /// Most cells per metre: with the largest coordinate still a finite number.
 const PER_M_MOST: f32 = 1e18;
 /// More than what devices and this code make of the same position differ: relative, and in cells.
@@ -58,20 +57,9 @@ impl Nested {
     }
 }
 
-/// The cells of the grid `level` that hold cells of the finest one.
-pub(super) fn coarser(cell: UVec3, level: usize) -> UVec3 {
-    cell >> (2 * level as u32)
-}
-
-/// Finest grid in which cells lo..hi are at most two per axis.
-pub(super) fn home_of(lo: UVec3, hi: UVec3) -> usize {
-    let fits = |level: &usize| (coarser(hi, *level) - coarser(lo, *level)).cmple(UVec3::ONE).all();
-    (0..LEVELS - 1).find(fits).unwrap_or(LEVELS - 1)
-}
-
 /// Where a coarser grid may have residents: cells of the finest grid.
 #[derive(Clone, Copy)]
-struct Level {
+struct LevelBounds {
     lo: UVec3,
     hi: UVec3,
 }
@@ -84,20 +72,7 @@ pub(super) struct Space {
     /// Buckets of the finest grid and of the coarser ones, by layer.
     buckets: Vec<[Buckets; 2]>,
     /// Grids with residents, as far as the host knows.
-    levels: [Option<Level>; LEVELS],
-}
-
-/// What kernels need to count a range of layers.
-pub(super) struct Window {
-    pub layers: Range<usize>,
-    pub params: HashParams,
-    /// Per layer: its first bucket, counted from the first of the window; log2 of the numbers of blocks of 8 buckets:
-    /// finest grid, coarser grids times 256.
-    pub table: Vec<[u32; 2]>,
-    /// Per grid lowest cell, highest cell, 1 if it may have residents, 0.
-    pub levels: Vec<[u32; 8]>,
-    /// First bucket and end of every chunk. A chunk lies in one layer.
-    pub chunks: Vec<[u32; 2]>,
+    levels: [Option<LevelBounds>; LEVELS],
 }
 
 impl Space {
@@ -156,8 +131,8 @@ impl Space {
             let [fine, coarse] = &self.buckets[layer];
             [(fine.start() - first) as u32, fine.bits() | coarse.bits() << 8]
         };
-        let of_level = |level: &Option<Level>| match level {
-            Some(Level { lo, hi }) => [lo.x, lo.y, lo.z, hi.x, hi.y, hi.z, 1, 0],
+        let of_level = |level: &Option<LevelBounds>| match level {
+            Some(LevelBounds { lo, hi }) => [lo.x, lo.y, lo.z, hi.x, hi.y, hi.z, 1, 0],
             None => [0; 8],
         };
         let mut chunks = Vec::new();
@@ -170,7 +145,7 @@ impl Space {
         let bounds = input.cloth_bounds();
         let params = HashParams {
             origin: with(self.grid.origin, self.grid.per_m),
-            cloth_lo: with(bounds.lo, input.motion.pad_m()),
+            cloth_lo: with(bounds.lo, input.paths.pad_m()),
             cloth_hi: with(bounds.hi, 0.0),
             triangles: members.len() as u32,
             cloth_triangles: cloth as u32,
@@ -241,26 +216,19 @@ impl Space {
 }
 
 /// Bounds of what may reside in the coarser grids.
-fn levels(input: &Input, grid: &Nested, patches: &Patches) -> [Option<Level>; LEVELS] {
-    let mut levels: [Option<Level>; LEVELS] = [None; LEVELS];
+fn levels(input: &Input, grid: &Nested, patches: &Patches) -> [Option<LevelBounds>; LEVELS] {
+    let mut levels: [Option<LevelBounds>; LEVELS] = [None; LEVELS];
     for &patch in patches.active.iter().filter(|&&p| patches.states[p as usize].is_large()) {
         for aabb in patches.triangles(patch as usize).filter_map(|triangle| input.aabb(triangle)) {
             let [lo, hi] = grid.cells(&aabb);
             let least = home_of(lo[1].min(hi[0]), hi[0]);
             for level in &mut levels[least..=home_of(lo[0], hi[1])] {
-                let all = level.get_or_insert(Level { lo: lo[0], hi: hi[1] });
-                *all = Level { lo: all.lo.min(lo[0]), hi: all.hi.max(hi[1]) };
+                let all = level.get_or_insert(LevelBounds { lo: lo[0], hi: hi[1] });
+                *all = LevelBounds { lo: all.lo.min(lo[0]), hi: all.hi.max(hi[1]) };
             }
         }
     }
     // Who is in the finest grid visits no bucket of it.
     levels[0] = None;
     levels
-}
-
-impl Window {
-    /// Bytes of what the host holds.
-    pub fn bytes(&self) -> u64 {
-        (size_of_val(&self.chunks[..]) + size_of_val(&self.table[..])) as u64
-    }
 }

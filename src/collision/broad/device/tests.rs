@@ -1,11 +1,22 @@
 //! Every kernel against its native twin, on seeded triangles of odd numbers and very different sizes.
 
+use std::ops::Range;
+
+use bytemuck::Zeroable;
+
 use super::batches::Chunk;
-use super::count::face;
-use super::hash::{Entries, HashParams, Shapes, Table};
-use super::pairs::{BOXES_ONLY, BY_STENCIL, Found, PairParams, SEPARATION};
-use super::space::{Space, Window};
-use super::*;
+use super::count::{face, numbered_pieces};
+use super::hash::{DeviceEntries, DeviceTable, HashParams, Shapes, Window};
+use super::pairs::{BOXES_ONLY, BY_STENCIL, FoundPairs, PairParams, SEPARATION};
+use super::search::pair_params;
+use super::space::{Nested, Space};
+use crate::collision::Candidate;
+use crate::collision::broad::active::ActivePatches;
+use crate::collision::broad::boxes::Trajectories;
+use crate::collision::broad::input::Input;
+use crate::collision::broad::patches::Patches;
+use crate::collision::broad::{Choice, CollisionMesh, Filter, Query, Split};
+use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::test_support::device;
 use crate::test_support::seeded::Seeded;
 
@@ -57,16 +68,17 @@ struct Case<'a> {
 impl<'a> Case<'a> {
     fn new(mesh: &'a CollisionMesh, query: &'a Query<'a>) -> Case<'a> {
         let choice = Choice { piece_radius_m: Some(0.002), ..Choice::default() };
-        let input = Input::new(mesh, Motion::new(mesh, query, &choice).expect("positions"), choice);
-        let (nested, mut patches) = (Nested::new(&input.grid), Patches::new(mesh));
+        let input = Input::new(mesh, Trajectories::new(mesh, query, &choice).expect("positions"), choice);
+        let (nested, mut active) = (Nested::new(&input.grid), ActivePatches::new(mesh));
         let split = &mut Split::alone(0, 1);
-        patches.look(&CpuExecutor::new(1), &input, |aabb| nested.may_be_large(aabb), split).expect("one rank");
+        active.find(&CpuExecutor::new(1), &input, |aabb| nested.may_be_large(aabb), split).expect("one rank");
+        let patches = active.patches;
         let space = Space::new(&input, &patches);
         Case { mesh, query, input, patches, space }
     }
 
     /// Counts some layers.
-    fn count(&self, executor: &Executor, layers: Range<usize>) -> (Window, Shapes, Table, Vec<[u32; 4]>) {
+    fn count(&self, executor: &Executor, layers: Range<usize>) -> (Window, Shapes, DeviceTable, Vec<[u32; 4]>) {
         let members = self.space.members(&self.input, &self.patches, &layers);
         let window = self.space.window(&self.input, layers, &members);
         let pieces = numbered_pieces(self.mesh);
@@ -76,7 +88,7 @@ impl<'a> Case<'a> {
             x_t1: Some(DeviceVec::upload(executor, self.query.x_t1)),
             faces: DeviceVec::upload(executor, &faces),
         };
-        let mut table = Table::new(executor);
+        let mut table = DeviceTable::new(executor);
         let loads = table.count(executor, &window, &shapes);
         (window, shapes, table, loads)
     }
@@ -98,7 +110,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
     let first = chunks.first().expect("chunks").buckets[0] as usize;
     let buckets = window.params.buckets - first as u32;
     let params = HashParams { first_bucket: first as u32, buckets, ..window.params };
-    let mut entries = Entries::new(executor);
+    let mut entries = DeviceEntries::new(executor);
     table.fill(executor, &params, size as usize, &mut entries);
     let starts = entries.starts.read(executor);
     let counts = table.counts.read(executor);
@@ -111,13 +123,13 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
         }
     }
     entries.entries.write_range(executor, 0, &listed);
-    let mut found = Found::new(executor);
+    let mut found = FoundPairs::new(executor);
     let pass = PairParams {
         first_bucket: params.first_bucket,
         buckets: params.buckets,
         first_test: (tests / 9) as u32,
         end_test: tests as u32,
-        ..pair_params(&case.input.motion, &Filter::Boxes)
+        ..pair_params(&case.input.paths, &Filter::Boxes)
     };
     // Without room pairs are counted all the same.
     let count = found.box_tests(executor, &pass, &table, &entries);
@@ -136,7 +148,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
             separation_m: 0.003,
             ..pass
         };
-        let mut out = Found::new(executor);
+        let mut out = FoundPairs::new(executor);
         out.pairs.assign(executor, &pairs);
         let count = out.feature_pairs(executor, &pass, &table, &shapes, &reach_m);
         out.candidates.resize(executor, count);
@@ -215,7 +227,7 @@ fn tests_beyond_32_bits_are_counted() {
     let load = [200_000, 3, 70_000, 9];
     let expected = 200_000u64 * 199_999 / 2 + 200_000 * (3 + 70_000 + 9) + 3 * 70_000;
     for executor in std::iter::once(Executor::cpu(1)).chain(device::executor()) {
-        let mut table = Table::new(&executor);
+        let mut table = DeviceTable::new(&executor);
         table.counts.resize(&executor, 40);
         table.counts.fill_zero(&executor);
         table.counts.write_range(&executor, 5, &[load]);
