@@ -13,11 +13,12 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use clap::ValueEnum;
 use serde::Serialize;
 
+pub use super::ccd_csv::{CcdKind, CsvFault};
+use super::ccd_csv::{columns, in_file, lines, parse_flag, parse_time, read, shown, write_json};
 use super::ccd_frames::write_frames;
-use super::{CliError, print_to};
+use super::CliError;
 use crate::collision::elementary::{DecidedBy, StencilKind, ccd};
 use crate::math::Vec3;
 
@@ -45,15 +46,6 @@ pub struct CcdArgs {
     /// CSV with a column hit_f32 (and toi_f32): the truth for coordinates rounded to f32, one row per query
     #[arg(long, value_name = "CSV", conflicts_with = "frames")]
     pub truth: Option<PathBuf>,
-}
-
-/// What the queries of a file are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum CcdKind {
-    /// Vertex against face
-    Vf,
-    /// Edge against edge
-    Ee,
 }
 
 fn separation(text: &str) -> Result<f32, String> {
@@ -109,16 +101,6 @@ pub struct DecidedByCounts {
     pub plane_limit: usize,
 }
 
-/// Why a line of a file is wrong: line counting from 1, what and what would be right.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("line {line}: {what}")]
-pub struct CsvFault {
-    /// Line counting from 1.
-    pub line: usize,
-    /// What is wrong and what would be right.
-    pub what: String,
-}
-
 /// Runs the command; the report goes to stdout.
 ///
 /// # Errors
@@ -149,12 +131,6 @@ pub fn write_ccd(args: &CcdArgs, out: &mut impl Write) -> Result<(), CliError> {
         return Err(CliError::failed(format!("{name}: {missed} contacts missed, {late} found later than they happen")));
     }
     Ok(())
-}
-
-/// Prints a report; a reader that went away is no error.
-pub(super) fn write_json(report: &impl Serialize, out: &mut impl Write) -> Result<(), CliError> {
-    let text = serde_json::to_string_pretty(report).map_err(CliError::failed)?;
-    print_to(out, &(text + "\n"))
 }
 
 /// Tests all queries and compares with the truth; `truth` has one entry per query.
@@ -193,14 +169,6 @@ pub fn check(
         decided_by,
         ns_per_query: (ns / queries.len().max(1) as f64).round(),
     }
-}
-
-pub(super) fn read(path: &Path) -> Result<Vec<u8>, CliError> {
-    std::fs::read(path).map_err(|error| CliError::bad_input(format!("{}: cannot be read: {error}", path.display())))
-}
-
-pub(super) fn in_file(path: &Path, fault: &CsvFault) -> CliError {
-    CliError::bad_input(format!("{}, {fault}", path.display()))
 }
 
 /// The truth and its name in the report.
@@ -261,21 +229,6 @@ pub fn parse_queries(bytes: &[u8]) -> Result<Vec<Query>, CsvFault> {
     Ok(queries)
 }
 
-/// Lines that are not blank, with their numbers.
-pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
-    bytes
-        .split(|&b| b == b'\n')
-        .map(<[u8]>::trim_ascii)
-        .zip(1..)
-        .filter(|(text, _)| !text.is_empty())
-        .map(|(t, n)| (n, t))
-}
-
-pub(super) fn columns(text: &[u8]) -> Result<Vec<&str>, String> {
-    let text = std::str::from_utf8(text).map_err(|_| "not text; a row is numbers with commas between".to_string())?;
-    Ok(text.split(',').map(str::trim).collect())
-}
-
 fn parse_vertex(text: &[u8]) -> Result<(Vec3, Option<bool>), String> {
     let columns = columns(text)?;
     if columns.len() != 6 && columns.len() != 7 {
@@ -285,20 +238,6 @@ fn parse_vertex(text: &[u8]) -> Result<(Vec3, Option<bool>), String> {
     let hit = columns.get(6).map(|&text| parse_flag(text)).transpose()?;
     let component = |c: usize| ratio_to_f32(columns[2 * c], columns[2 * c + 1]);
     Ok((Vec3::new(component(0)?, component(1)?, component(2)?), hit))
-}
-
-pub(super) fn parse_flag(text: &str) -> Result<bool, String> {
-    match text {
-        "0" => Ok(false),
-        "1" => Ok(true),
-        _ => Err(format!("{} is no truth; write 0 or 1", shown(text))),
-    }
-}
-
-/// At most a few characters of a field, for an error sentence.
-pub(super) fn shown(text: &str) -> String {
-    let start: String = text.chars().take(24).collect();
-    format!("{start:?}")
 }
 
 /// The f32 nearest to the quotient of two decimal integers (ties to even). Exact up to 18 digits each; with more digits
@@ -343,13 +282,6 @@ fn nearest_f32(n: u64, d: u64) -> f32 {
     let left = rest != 0 || quotient & ((1u128 << cut) - 1) != 0;
     let head = ((quotient >> cut) as u64) << 1 | u64::from(left);
     (head as f64 * 2f64.powi(cut as i32 - 1 - shift as i32)) as f32
-}
-
-pub(super) fn parse_time(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(time) if (0.0..=1.0).contains(&time) => Ok(time),
-        _ => Err(format!("{} is no time; write a number from 0 to 1", shown(text))),
-    }
 }
 
 /// Reads a table of truth: a header line with the columns `hit_f32` and optionally `toi_f32`, then a row per query.

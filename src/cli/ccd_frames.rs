@@ -12,7 +12,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::CliError;
-use super::ccd::{CcdKind, CsvFault, columns, in_file, lines, parse_flag, parse_time, read, shown, write_json};
+use super::ccd_csv::{CcdKind, CsvFault, columns, in_file, lines, parse_flag, parse_time, read, shown, write_json};
 use crate::collision::broad::{CollisionMesh, Split};
 use crate::collision::{Candidate, ContactParams, Detector, Impact};
 use crate::gpu::CpuExecutor;

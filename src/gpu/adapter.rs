@@ -1,6 +1,6 @@
 //! Adapters of this machine, and which one a rank takes. Listing adapters creates no device.
 
-use super::GpuError;
+use super::error::GpuError;
 
 /// What kind of hardware an adapter is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

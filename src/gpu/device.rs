@@ -10,13 +10,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use super::adapter::{self, AdapterSummary};
-use super::commands::{Commands, Dispatch, ReadPart};
+use super::array::{BindGroups, Binding, GpuArray, LEAST_BYTES};
+use super::clock;
+use super::commands::{Commands, Dispatch};
+use super::error::GpuError;
 use super::fault::{Fault, locked};
-use super::kernel::{Kernel, KernelSource};
-use super::{GpuError, GpuStruct, clock, self_test};
-
-/// Least bytes of a buffer. No struct of a kernel is larger, so an empty array can be bound as an array of any of them.
-pub(super) const LEAST_BYTES: u64 = 256;
+use super::kernel::KernelSource;
+use super::layout::GpuStruct;
+use super::pipeline::{Kernel, spread};
 
 /// Windows of an array begin at multiples of this many items: 64 words are 256 bytes, the largest alignment that WebGPU
 /// lets an adapter ask for.
@@ -38,39 +39,10 @@ pub struct GpuExecutor {
     bind_groups: Arc<BindGroups>,
 }
 
-/// Bind groups by kernel and windows. Those of an array go with it.
-#[derive(Default)]
-struct BindGroups(Mutex<HashMap<BindKey, wgpu::BindGroup>>);
-
-/// Kernel and (array, offset, size) of every binding.
-type BindKey = (u64, Vec<(u64, u64, u64)>);
-
-/// A buffer of the device.
-pub(super) struct GpuArray {
-    pub(super) buffer: wgpu::Buffer,
-    id: u64,
-    owner: Arc<BindGroups>,
-}
-
-impl Drop for GpuArray {
-    fn drop(&mut self) {
-        locked(&self.owner.0).retain(|(_, windows), _| windows.iter().all(|window| window.0 != self.id));
-    }
-}
-
-/// A part of an array, as a kernel sees it.
-#[derive(Clone, Copy)]
-pub struct Binding<'a> {
-    pub(super) array: &'a GpuArray,
-    pub(super) offset: u64,
-    pub(super) size: u64,
-    pub(super) writable: bool,
-}
-
 impl GpuExecutor {
-    /// Opens adapter number `adapter`, or the default one of `rank`, and tests that it computes what kernels rely on.
+    /// Opens adapter number `adapter`, or the default one of `rank`, untested: see [`GpuExecutor::self_test`].
     /// Kernels see at most `binding_bytes` bytes of an array at once, fewer if that is the adapter's limit.
-    pub fn open(adapter: Option<usize>, rank: usize, binding_bytes: u64) -> Result<GpuExecutor, GpuError> {
+    pub(super) fn open(adapter: Option<usize>, rank: usize, binding_bytes: u64) -> Result<GpuExecutor, GpuError> {
         let (adapter, summary) = adapter::select(adapter, rank)?;
         let mut limits = adapter.limits();
         limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(binding_bytes);
@@ -90,7 +62,7 @@ impl GpuExecutor {
             on_lost.raise(format!("device {name} was lost ({reason:?}: {text})"));
         });
         let commands = Arc::new(Commands::new(device.clone(), queue, fault.clone()));
-        let executor = GpuExecutor {
+        Ok(GpuExecutor {
             device,
             limits,
             summary,
@@ -99,9 +71,7 @@ impl GpuExecutor {
             next_id: AtomicU64::new(1),
             kernels: Mutex::default(),
             bind_groups: Arc::default(),
-        };
-        self_test::run(&executor)?;
-        Ok(executor)
+        })
     }
 
     /// The adapter in use.
@@ -165,7 +135,7 @@ impl GpuExecutor {
     }
 
     /// Runs kernel `source` on `bindings` (in the order of their numbers, parameters left out), with at least
-    /// `invocations` invocations. Panics if the bindings do not match the shader.
+    /// `invocations` invocations; nothing for 0. Panics if bindings or parameters do not match the shader.
     pub fn run<P: GpuStruct>(
         &self,
         source: &'static KernelSource,
@@ -173,8 +143,39 @@ impl GpuExecutor {
         params: &P,
         invocations: u64,
     ) {
-        if let Some(kernel) = self.kernel(source) {
-            kernel.dispatch(self, bindings, params, invocations);
+        let Some(kernel) = self.kernel(source) else { return };
+        assert_eq!(*kernel.params, P::LAYOUT, "{}: parameters of another kernel", kernel.name);
+        self.check_bindings(&kernel, bindings);
+        let groups = invocations.div_ceil(u64::from(kernel.workgroup));
+        if groups > 0 {
+            self.dispatch(&kernel, bindings, bytemuck::bytes_of(params), spread(groups));
+        }
+    }
+
+    /// Panics if the bindings are not those of the shader: a mistake in the wrapper, whatever the scene. Stops the executor
+    /// if one is larger than the adapter binds.
+    fn check_bindings(&self, kernel: &Kernel, bindings: &[Binding<'_>]) {
+        assert_eq!(bindings.len(), kernel.arrays.len(), "{}: number of arrays", kernel.name);
+        let (alignment, most) =
+            (self.limits.min_storage_buffer_offset_alignment, self.limits.max_storage_buffer_binding_size);
+        for (binding, slot) in bindings.iter().zip(&kernel.arrays) {
+            assert!(binding.writable || !slot.writable, "{}: {} must be bound as writable", kernel.name, slot.name);
+            assert_eq!(
+                binding.offset % u64::from(alignment),
+                0,
+                "{}: offset of {} cannot be bound",
+                kernel.name,
+                slot.name
+            );
+            if binding.size > most {
+                self.stop(format!(
+                    "array {} of kernel {} has {} bytes, {} binds at most {most}: use more workers",
+                    slot.name,
+                    kernel.name,
+                    binding.size,
+                    self.summary.describe(),
+                ));
+            }
         }
     }
 
@@ -188,7 +189,7 @@ impl GpuExecutor {
         if let Some(kernel) = kernels.get(&key) {
             return Some(kernel.clone());
         }
-        match Kernel::new(self, source) {
+        match Kernel::new(&self.device, &self.limits, self.new_id(), source) {
             Ok(kernel) => Some(kernels.entry(key).or_insert(Arc::new(kernel)).clone()),
             Err(error) => {
                 self.stop(error.to_string());
@@ -250,13 +251,6 @@ impl GpuExecutor {
     /// Waits until everything asked so far has been done.
     pub fn finish(&self) {
         self.commands.finish();
-    }
-}
-
-impl GpuArray {
-    /// Bytes from `offset` on, to be read into `out`.
-    pub(super) fn read_part<'a>(&'a self, offset: u64, out: &'a mut [u8]) -> ReadPart<'a> {
-        ReadPart { buffer: &self.buffer, offset, out }
     }
 }
 

@@ -1,24 +1,20 @@
-//! Kernels: WGSL text, what naga finds in it, and the compiled pipeline. Bindings, workgroup size and struct layouts are
+//! Kernels: WGSL text, and what naga finds in it. Bindings, workgroup size and struct layouts are
 //! read from the shader, never repeated in Rust.
 
 use wgpu::naga;
 use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
 
-use super::device::{Binding, GpuExecutor};
 use super::layout::{self, GpuStruct, StructLayout};
 
 /// Text in front of every kernel.
 pub const PRELUDE: &str = include_str!("prelude.wgsl");
-/// Workgroups that a dispatch may have in one direction, on every adapter.
-const MAX_GROUPS: u64 = 65_535;
-
 /// One entry point of a WGSL file. Make it a `static`: an executor compiles each one once.
 pub struct KernelSource {
-    name: &'static str,
+    pub(super) name: &'static str,
     text: &'static str,
-    entry: &'static str,
+    pub(super) entry: &'static str,
     libraries: &'static [&'static str],
-    params: &'static StructLayout,
+    pub(super) params: &'static StructLayout,
     structs: &'static [StructLayout],
 }
 
@@ -40,7 +36,7 @@ impl KernelSource {
     }
 
     /// All text of the kernel.
-    fn assembled(&self) -> String {
+    pub(super) fn assembled(&self) -> String {
         let parts: Vec<&str> = [PRELUDE].into_iter().chain(self.libraries.iter().copied()).chain([self.text]).collect();
         parts.join("\n")
     }
@@ -66,8 +62,9 @@ impl KernelSource {
 #[derive(Debug, thiserror::Error)]
 #[error("kernel {kernel} is invalid: {reason}")]
 pub struct KernelError {
-    kernel: String,
-    reason: String,
+    /// File and entry point.
+    pub(super) kernel: String,
+    pub(super) reason: String,
 }
 
 /// An array that a kernel sees.
@@ -168,109 +165,6 @@ fn reflect(module: &naga::Module, info: &naga::valid::ModuleInfo, entry: &str) -
     Ok(reflection)
 }
 
-/// A kernel compiled for one device.
-pub(super) struct Kernel {
-    pub(super) name: &'static str,
-    pub(super) id: u64,
-    pub(super) pipeline: wgpu::ComputePipeline,
-    pub(super) layout: wgpu::BindGroupLayout,
-    pub(super) arrays: Vec<ArraySlot>,
-    pub(super) uniform: Option<UniformSlot>,
-    params: &'static StructLayout,
-    workgroup: u32,
-}
-
-impl Kernel {
-    /// Compiles `source`. What the driver refuses becomes a fault of `gpu` instead.
-    pub(super) fn new(gpu: &GpuExecutor, source: &'static KernelSource) -> Result<Kernel, KernelError> {
-        let Reflection { arrays, uniform, workgroup } = source.check()?;
-        let limits = gpu.limits();
-        if arrays.len() > limits.max_storage_buffers_per_shader_stage as usize
-            || workgroup > limits.max_compute_invocations_per_workgroup
-        {
-            let reason =
-                format!("needs {} arrays and workgroups of {workgroup}, more than the adapter has", arrays.len());
-            return Err(KernelError { kernel: format!("{}:{}", source.name, source.entry), reason });
-        }
-        let entry = |binding, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
-            count: None,
-        };
-        let mut entries: Vec<wgpu::BindGroupLayoutEntry> = arrays
-            .iter()
-            .map(|slot| entry(slot.binding, wgpu::BufferBindingType::Storage { read_only: !slot.writable }, false))
-            .collect();
-        entries.extend(uniform.iter().map(|slot| entry(slot.binding, wgpu::BufferBindingType::Uniform, true)));
-        let device = gpu.device();
-        let label = Some(source.entry);
-        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
-        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label,
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label,
-            source: wgpu::ShaderSource::Wgsl(source.assembled().into()),
-        });
-        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label,
-            layout: Some(&pipeline_layout),
-            module: &module,
-            entry_point: Some(source.entry),
-            // Every kernel writes its workgroup memory before it reads it.
-            compilation_options: wgpu::PipelineCompilationOptions {
-                zero_initialize_workgroup_memory: false,
-                ..Default::default()
-            },
-            cache: None,
-        });
-        let id = gpu.new_id();
-        Ok(Kernel { name: source.entry, id, pipeline, layout, arrays, uniform, params: source.params, workgroup })
-    }
-
-    /// Adds a dispatch with at least `invocations` invocations to the commands of `gpu`; none for 0. Panics if bindings
-    /// or parameters are not those of the shader: a mistake in the wrapper, whatever the scene.
-    pub(super) fn dispatch<P: GpuStruct>(
-        &self,
-        gpu: &GpuExecutor,
-        bindings: &[Binding<'_>],
-        params: &P,
-        invocations: u64,
-    ) {
-        assert_eq!(*self.params, P::LAYOUT, "{}: parameters of another kernel", self.name);
-        assert_eq!(bindings.len(), self.arrays.len(), "{}: number of arrays", self.name);
-        let alignment = u64::from(gpu.limits().min_storage_buffer_offset_alignment);
-        for (binding, slot) in bindings.iter().zip(&self.arrays) {
-            assert!(binding.writable || !slot.writable, "{}: {} must be bound as writable", self.name, slot.name);
-            assert_eq!(binding.offset % alignment, 0, "{}: offset of {} cannot be bound", self.name, slot.name);
-            if binding.size > gpu.limits().max_storage_buffer_binding_size {
-                gpu.stop(format!(
-                    "array {} of kernel {} has {} bytes, {} binds at most {}: use more workers",
-                    slot.name,
-                    self.name,
-                    binding.size,
-                    gpu.adapter().describe(),
-                    gpu.limits().max_storage_buffer_binding_size
-                ));
-            }
-        }
-        let groups = invocations.div_ceil(u64::from(self.workgroup));
-        if groups > 0 {
-            gpu.dispatch(self, bindings, bytemuck::bytes_of(params), spread(groups));
-        }
-    }
-}
-
-/// `groups` workgroups as x * y, each at most 65,535, with few left over.
-fn spread(groups: u64) -> [u32; 2] {
-    let y = groups.div_ceil(MAX_GROUPS);
-    assert!(y <= MAX_GROUPS, "{groups} workgroups in one dispatch");
-    [groups.div_ceil(y) as u32, y as u32]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -314,15 +208,6 @@ mod tests {
         );
         let bad = "@compute @workgroup_size(1) fn main() {\n let x: u32 = 1.5; }";
         assert!(error(KernelSource::new::<()>("s.wgsl", bad, "main")).contains("line 2: "));
-    }
-
-    #[test]
-    fn dispatches_spread_over_two_directions() {
-        assert_eq!(spread(1), [1, 1]);
-        assert_eq!(spread(65_535), [65_535, 1]);
-        assert_eq!(spread(65_536), [32_768, 2]);
-        let [x, y] = spread(1 << 26);
-        assert!(u64::from(x) * u64::from(y) >= 1 << 26 && u64::from(x) <= MAX_GROUPS);
     }
 
     /// Files ending in `.wgsl` under `folder`.

@@ -6,7 +6,8 @@
 
 use bytemuck::{Pod, Zeroable, bytes_of, cast_slice};
 
-use super::device::{GpuArray, GpuExecutor};
+use super::array::GpuArray;
+use super::device::GpuExecutor;
 use super::{Executor, GpuError, gpu_struct};
 
 const TEXT: &str = include_str!("offscreen.wgsl");

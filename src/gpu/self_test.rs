@@ -1,9 +1,10 @@
 //! The start-up test of a device: a few values that drivers are known to get wrong, checked before anything is simulated.
 
+use super::array::Binding;
 use super::device::GpuExecutor;
+use super::error::GpuError;
 use super::kernel::KernelSource;
 use super::layout::gpu_struct;
-use super::{Binding, GpuError};
 
 /// Loop turns that every kernel may count on (the prelude states the rule).
 const SAFE_TURNS: u32 = 60_000;
@@ -24,20 +25,6 @@ pub struct SelfTest {
     pub nan_compares_unequal: bool,
 }
 
-/// Runs the test. Errors if kernels could compute wrong numbers on this device.
-pub(super) fn run(gpu: &GpuExecutor) -> Result<SelfTest, GpuError> {
-    const WORDS: usize = 5;
-    let out = gpu.allocate((WORDS * 4) as u64);
-    let window = Binding { array: &out, offset: 0, size: (WORDS * 4) as u64, writable: true };
-    gpu.run(&SELF_TEST, &[window], &SelfTestParams { turns: SAFE_TURNS, zero: 0.0 }, 3 * 128);
-    let mut words = [0u32; WORDS];
-    gpu.commands().read(&mut [out.read_part(0, bytemuck::cast_slice_mut(&mut words))]);
-    if let Some(fault) = gpu.fault() {
-        return Err(fault);
-    }
-    judge(words).map_err(|reason| GpuError::SelfTest { adapter: gpu.adapter().describe(), reason })
-}
-
 fn judge(words: [u32; 5]) -> Result<SelfTest, String> {
     let turned = |turns| (0..turns).fold(1u32, |x, _| x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
     if words[0] != turned(SAFE_TURNS) {
@@ -50,9 +37,21 @@ fn judge(words: [u32; 5]) -> Result<SelfTest, String> {
 }
 
 impl GpuExecutor {
-    /// Runs the start-up test again and tells what it finds.
+    /// Runs the start-up test.
+    ///
+    /// # Errors
+    /// Kernels could compute wrong numbers on this device, or the device stopped.
     pub fn self_test(&self) -> Result<SelfTest, GpuError> {
-        run(self)
+        const WORDS: usize = 5;
+        let out = self.allocate((WORDS * 4) as u64);
+        let window = Binding { array: &out, offset: 0, size: (WORDS * 4) as u64, writable: true };
+        self.run(&SELF_TEST, &[window], &SelfTestParams { turns: SAFE_TURNS, zero: 0.0 }, 3 * 128);
+        let mut words = [0u32; WORDS];
+        self.commands().read(&mut [out.read_part(0, bytemuck::cast_slice_mut(&mut words))]);
+        if let Some(fault) = self.fault() {
+            return Err(fault);
+        }
+        judge(words).map_err(|reason| GpuError::SelfTest { adapter: self.adapter().describe(), reason })
     }
 }
 

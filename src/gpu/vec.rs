@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use bytemuck::Pod;
 
 use super::Executor;
+use super::array::{Binding, GpuArray, LEAST_BYTES};
 use super::commands::ReadPart;
-use super::device::{Binding, GpuArray, LEAST_BYTES};
 use super::host_memory;
 
 /// An array on an executor. Plain data only; the length changes only by [`DeviceVec::resize`]. Items are whole 32-bit words,

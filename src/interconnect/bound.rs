@@ -5,7 +5,8 @@
 use super::flow::FlowGraph;
 use super::network::Channels;
 use super::packing::Demand;
-use super::topology::{Duplex, Topology};
+use super::parts::Duplex;
+use super::topology::Topology;
 
 /// Lower bounds on the time until every GPU holds every sub-vector, seconds. All modelled from the topology file.
 #[derive(Clone, Debug, PartialEq)]

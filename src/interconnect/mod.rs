@@ -2,8 +2,8 @@
 //!
 //! Rank r of a run sits on GPU r of the topology. Every time computed here is modelled from the topology file; nothing
 //! in this folder measures anything. Each concept has one file:
-//! - [`Topology`]: switches, GPUs and links (`topology.rs`, its file in `topology_file.rs`, rules in `validate.rs`,
-//!   paths in `routing.rs`);
+//! - [`Topology`]: switches, GPUs and links (`topology.rs`, what it is made of in `parts.rs`, its file in `topology_file.rs`,
+//!   rules in `validate.rs`, paths in `routing.rs`);
 //! - [`fat_tree`], [`ring`], [`direct`], [`plan`]: work queues (`queues.rs`);
 //! - [`check_schedule`], [`root_crossings`]: what every schedule must hold (`check.rs`);
 //! - [`Program`]: the clock, transfers and kernels in virtual time (`clock.rs`; shared links in `network.rs`);
@@ -25,6 +25,7 @@ mod islands;
 mod network;
 mod ordering;
 mod packing;
+mod parts;
 mod pieces;
 mod product;
 mod queues;
@@ -33,6 +34,7 @@ mod replay;
 mod routing;
 mod synthesis;
 mod topology;
+mod topology_error;
 mod topology_file;
 #[cfg(test)]
 mod topology_tests;
@@ -45,14 +47,15 @@ pub use check::{ScheduleFault, check_schedule, root_crossings};
 pub use clock::{Circle, Moment, Program, Span, Work};
 pub use cost::{ScheduleCost, all_reduce_s, modelled_cost, pieces_cost, transfer_times};
 pub use packing::Demand;
+pub use parts::{DeviceModel, Duplex, Link, MAX_GPUS};
 pub use pieces::{Piece, PieceFault, Pieces};
 pub use product::{ProductKernels, add_product, product_s};
 pub use queues::{Plan, ScheduleError, ScheduleKind, candidates, direct, fat_tree, plan, ring};
 pub use recorded::{Kernel, Phase, RecordFault, RecordedProduct, RecordedStep, Traffic};
 pub use replay::{KernelTimes, ProductExchange, Replay, ReplaySpan, ReplayedStep, STAGES, replay};
 pub use routing::Hop;
-pub use topology::{DeviceModel, Duplex, Link, MAX_GPUS, Topology};
-pub use topology_file::TopologyError;
+pub use topology::Topology;
+pub use topology_error::TopologyError;
 pub use transfers::{Transfer, TransferPlan};
 
 /// One entry of a work queue: in its stage the queue's rank receives sub-vector `vector` from rank `source`.

@@ -2,7 +2,8 @@
 //! links max-min fairly (nobody can get more without taking from somebody who has less or the same). Latency is not in
 //! here: it delays the arrival of a flow, not its use of the links.
 
-use super::topology::{Duplex, Topology};
+use super::parts::Duplex;
+use super::topology::Topology;
 
 /// Rates within this factor of each other are one bottleneck; times within it are one moment.
 const SAME: f64 = 1.0 + 1e-12;

@@ -1,6 +1,6 @@
 //! Paths between GPUs, found once per topology. A path is fixed: transfers do not choose another one under load.
 
-use super::topology::Graph;
+use super::parts::Graph;
 
 /// One link of a path, and the direction in which it is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -7,53 +7,12 @@ use std::path::Path;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::topology::{DeviceModel, Duplex, Fault, Link, MAX_GPUS, Parts, Place, Topology};
+use super::parts::{DeviceModel, Duplex, Fault, Link, Parts, Place};
+use super::topology::Topology;
+use super::topology_error::TopologyError;
 
 /// Largest topology file that is read; the largest useful one is a few hundred lines.
 const MAX_FILE_BYTES: u64 = 1 << 20;
-
-/// Why there is no topology.
-#[derive(Debug, thiserror::Error)]
-pub enum TopologyError {
-    /// The file could not be read.
-    #[error("cannot read topology file {file}: {source}")]
-    Read {
-        /// File as the user named it.
-        file: String,
-        /// What the operating system said.
-        source: std::io::Error,
-    },
-    /// The file is no text, no TOML, or states no valid topology.
-    #[error("{file}{}: {message}", at_line(*line))]
-    Malformed {
-        /// File as the user named it.
-        file: String,
-        /// Line, counting from 1, if one line is to blame.
-        line: Option<usize>,
-        /// What is wrong and what would be right.
-        message: String,
-    },
-    /// A generated topology of impossible size was asked for.
-    #[error("a run can have 1 to {MAX_GPUS} workers, but {gpus} were asked for")]
-    GpuCount {
-        /// Number asked for.
-        gpus: usize,
-    },
-    /// More ranks than the machine has GPUs.
-    #[error("topology {name} has {has} GPUs, so it cannot hold {asked} workers: ask for 1 to {has}")]
-    TooFewGpus {
-        /// Name of the topology.
-        name: String,
-        /// GPUs that it has.
-        has: usize,
-        /// GPUs asked for.
-        asked: usize,
-    },
-}
-
-fn at_line(line: Option<usize>) -> String {
-    line.map(|line| format!(", line {line}")).unwrap_or_default()
-}
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]

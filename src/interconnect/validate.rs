@@ -3,9 +3,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::topology::{
-    DeviceModel, Fault, Graph, Link, MAX_GPUS, MAX_LINKS, MAX_NAME_CHARS, MAX_SWITCHES, Place, fault,
-};
+use super::parts::{DeviceModel, Fault, Graph, Link, MAX_GPUS, MAX_LINKS, MAX_NAME_CHARS, MAX_SWITCHES, Place, fault};
 
 pub(super) fn check_name(name: &str) -> Result<(), String> {
     if name.is_empty() || name.chars().count() > MAX_NAME_CHARS || name.chars().any(char::is_control) {

@@ -5,6 +5,7 @@
 mod atomic;
 pub mod checkpoint;
 mod directory;
+mod frame_mesh;
 mod frames;
 mod hash;
 mod machine;
@@ -23,11 +24,12 @@ mod trace_read;
 pub use atomic::{WriteError, check_writable, write_atomically};
 pub use checkpoint::Checkpoint;
 pub use directory::{DirectoryError, Existing, RunDirectory};
+pub use frame_mesh::{FrameMesh, ReadError};
 pub use frames::{FormatError, FrameError, FrameFormat, FrameWriter, parse_formats};
 pub use hash::scene_fingerprint;
 pub use machine::Machine;
 pub use manifest::{Input, ManifestError, RunManifest};
-pub use read::{FrameMesh, FrameSource, FramesError, ReadError};
+pub use read::{FrameSource, FramesError};
 pub use report::{
     FrameRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, Status, StepRecord,
 };

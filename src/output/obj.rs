@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use super::read::{FrameMesh, ReadError};
+use super::frame_mesh::{FrameMesh, ReadError};
 use crate::math::{Vec2, Vec3};
 use crate::mesh::Part;
 

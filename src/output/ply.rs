@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use super::read::{FrameMesh, ReadError};
+use super::frame_mesh::{FrameMesh, ReadError};
 use crate::math::Vec3;
 
 /// A face: one byte (3) and three 32-bit indices.

@@ -2,9 +2,9 @@
 //! 2020]. Everything here is measured. The elastic Index Table is filled in the first step only (docs/papers.md, D12), so
 //! what index fill costs in later steps is the table of that step's contacts.
 
-use super::CliError;
 use super::runs::{Runs, SceneBench};
 use super::table::Table;
+use crate::cli::CliError;
 use crate::output::StepRecord;
 
 pub fn run(bench: &SceneBench) -> Result<(), CliError> {

@@ -1,9 +1,9 @@
 //! `loomtree bench collision`: time, tests and their even split, zones, with real worker processes. P-Cloth's counterparts:
 //! Figs. 10 and 12 [Li et al. 2020].
 
-use super::CliError;
 use super::runs::{Runs, SceneBench, Size};
 use super::table::Table;
+use crate::cli::CliError;
 use crate::output::{QueryRecord, StepRecord};
 
 /// Runs the benchmark.

@@ -1,7 +1,8 @@
 //! `loomtree bench device`: the bandwidth that every memory-bound kernel is held against.
 
+use super::common::Common;
 use super::table::Table;
-use super::{CliError, Common};
+use crate::cli::CliError;
 use crate::gpu::bandwidth_gb_s;
 
 /// Arguments of `loomtree bench device`.

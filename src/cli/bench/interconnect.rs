@@ -3,8 +3,9 @@
 
 use std::path::PathBuf;
 
+use super::common::positive;
 use super::table::Table;
-use super::{CliError, positive};
+use crate::cli::CliError;
 use crate::interconnect::{Demand, DeviceModel, ProductKernels, ScheduleKind, Topology, TransferPlan, plan, product_s};
 
 /// Arguments of `loomtree bench interconnect`.

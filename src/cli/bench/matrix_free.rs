@@ -5,9 +5,10 @@
 
 use std::path::PathBuf;
 
+use super::common::{Common, machine, median, positive};
 use super::ranks::{ModelState, seconds_of};
 use super::table::Table;
-use super::{CliError, Common, machine, median, positive};
+use crate::cli::CliError;
 use crate::interconnect::{Kernel, Topology};
 use crate::model::GlobalModel;
 use crate::scene::Overrides;

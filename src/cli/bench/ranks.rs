@@ -3,7 +3,8 @@
 
 use std::time::Instant;
 
-use super::{CliError, Common};
+use super::common::{Common, median};
+use crate::cli::CliError;
 use crate::interconnect::QueueNode;
 use crate::model::{GlobalModel, RankModel, RankState};
 use crate::partition::RowPartition;
@@ -119,5 +120,5 @@ pub fn median_s(times: &[Vec<(Instant, Instant)>]) -> f64 {
             Some((end - start).as_secs_f64())
         })
         .collect();
-    super::median(&mut seconds)
+    median(&mut seconds)
 }

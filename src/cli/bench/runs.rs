@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::{CliError, Common, worker_counts};
+use super::common::{Common, median, worker_counts};
+use crate::cli::CliError;
 use crate::cli::predict::RecordedRun;
 use crate::cli::run::{ExchangeArg, PreconditionerArg, defaults};
 use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
@@ -107,7 +108,7 @@ impl Runs {
 
     /// Its median.
     pub fn median(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
-        super::median(&mut self.values(figure))
+        median(&mut self.values(figure))
     }
 
     /// Its mean.

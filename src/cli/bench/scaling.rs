@@ -5,9 +5,10 @@
 
 use std::path::PathBuf;
 
+use super::common::{machine, median};
 use super::runs::{Runs, SceneBench, ScenesBench, Size};
 use super::table::Table;
-use super::{CliError, machine};
+use crate::cli::CliError;
 use crate::interconnect::Topology;
 
 /// Arguments of `loomtree bench scaling`.
@@ -138,5 +139,5 @@ fn modelled_s(bench: &SceneBench, runs: &Runs, machine: &Topology) -> Result<f64
         return Ok(f64::NAN);
     }
     let topology = machine.with_first_gpus(runs.workers).map_err(CliError::bad_input)?;
-    Ok(super::median(&mut bench.predict(runs.workers, &topology)?))
+    Ok(median(&mut bench.predict(runs.workers, &topology)?))
 }

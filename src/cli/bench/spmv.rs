@@ -5,9 +5,10 @@
 
 use std::path::{Path, PathBuf};
 
+use super::common::{Common, machine, median, positive, worker_counts};
 use super::ranks::{ModelState, median_s, seconds_of};
 use super::table::Table;
-use super::{CliError, Common, machine, positive, worker_counts};
+use crate::cli::CliError;
 use crate::gpu::bandwidth_gb_s;
 use crate::interconnect::{
     DeviceModel, Kernel, KernelTimes, Phase, Plan, ProductExchange, QueueNode, RecordedProduct, RecordedStep, Replay,
@@ -149,7 +150,7 @@ impl SceneProducts<'_> {
         })?;
         let [(times, bytes, padding)] = &timed[..] else { return Err(CliError::failed("one rank has one result")) };
         let best = times.iter().map(seconds_of).fold(f64::INFINITY, f64::min);
-        let middle = super::median(&mut times.iter().map(seconds_of).collect::<Vec<_>>());
+        let middle = median(&mut times.iter().map(seconds_of).collect::<Vec<_>>());
         let rate = *bytes as f64 / middle / 1e9;
         let title = format!(
             "measured: one product on one rank, {} thread(s), padding {padding:.3}: {}",

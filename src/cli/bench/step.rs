@@ -1,9 +1,9 @@
 //! `loomtree bench step` and `bench memory`: whole steps with real worker processes. P-Cloth's counterparts: Figs. 11 and 14
 //! (shares of the stages, speed-up), Fig. 13 (memory) [Li et al. 2020].
 
-use super::CliError;
 use super::runs::{Runs, SceneBench, Size};
 use super::table::Table;
+use crate::cli::CliError;
 use crate::output::StepRecord;
 
 /// Time of whole steps, and the share of every stage.

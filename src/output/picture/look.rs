@@ -1,8 +1,8 @@
 //! What is the same in all pictures of a sequence: camera, lights and colours, for both ways of drawing.
 
-use super::Coloring;
 use super::camera::Camera;
 use super::content::OBSTACLE;
+use super::options::Coloring;
 use crate::gpu::{DrawLook, SWATCHES};
 use crate::math::Vec3;
 

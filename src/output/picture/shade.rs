@@ -1,11 +1,11 @@
 //! Colours of a picture on the processor: two-sided cloth under a key light, a fill light and a rim light, over a faint
 //! ground grid. Computed in linear light, 2x2 samples per pixel. Twin of `gpu/offscreen.wgsl`.
 
-use super::Coloring;
 use super::camera::Camera;
 use super::content::{Content, OBSTACLE};
 use super::image::{Image, srgb_from_linear};
 use super::look::{FRONTS, Look, SAMPLES, SKY_BOTTOM, SKY_TOP, VIRIDIS};
+use super::options::Coloring;
 use super::raster::{EMPTY, Visible};
 use crate::math::Vec3;
 

@@ -1,6 +1,6 @@
 //! Devices for tests, and what a test does on a machine without one. The unit tests of the library include this file too.
 
-use loomtree::gpu::{Executor, GpuExecutor, adapters};
+use loomtree::gpu::{Executor, adapters};
 
 /// A device for a test, or none (after a line on standard output) on a machine without adapters.
 ///
@@ -23,8 +23,8 @@ pub fn executor() -> Option<Executor> {
 /// large ones are.
 pub fn executor_binding(bytes: u64) -> Option<Executor> {
     executor()?;
-    match GpuExecutor::open(None, 0, bytes) {
-        Ok(gpu) => Some(Executor::Gpu(Box::new(gpu))),
+    match Executor::gpu_binding(None, 0, bytes) {
+        Ok(executor) => Some(executor),
         Err(error) => panic!("{error}"),
     }
 }
