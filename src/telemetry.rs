@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
 
-/// What a slice of a rank's time was spent on.
+/// Kind of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Activity {
@@ -17,10 +17,10 @@ pub enum Activity {
     Wait = 2,
 }
 
-/// Names of events. The number travels, the name is looked up when the trace is written.
+/// Names of events. Messages carry the number; the trace shows the text.
 macro_rules! event_names {
     ($($variant:ident = $text:literal),* $(,)?) => {
-        /// What an event was about.
+        /// Subject of an event.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u32)]
         pub enum EventName { $($variant),* }
@@ -66,7 +66,7 @@ event_names! {
 }
 
 impl EventName {
-    /// True for what all ranks tell all ranks outside of the solver. Such an exchange is a transfer from the own rank (handing
+    /// True for exchanges of all ranks with all ranks outside of the solver. Such an exchange is a transfer from the own rank (handing
     /// over), then per other rank a wait for it, if there is one, and a transfer from it; an all-gather is a wait for the own
     /// rank, whose bytes are the own values.
     pub fn is_share(self) -> bool {
@@ -79,9 +79,9 @@ impl EventName {
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub struct Event {
-    /// [`EventName`] as number.
+    /// An [`EventName`] as number.
     pub name: u32,
-    /// [`Activity`] as number.
+    /// An [`Activity`] as number.
     pub activity: u32,
     /// Step in which it happened.
     pub step: u32,
@@ -91,8 +91,8 @@ pub struct Event {
     pub source: u32,
     /// Sub-vector index, or the own rank.
     pub vector: u32,
-    /// When the host asked for it, nanoseconds since the recorder's epoch: the order of what a rank does. A device may
-    /// begin later.
+    /// Time at which the host asked for it, nanoseconds since the recorder's epoch. It orders the events of a rank; a device
+    /// may begin later.
     pub asked_ns: u64,
     /// Nanoseconds since the recorder's epoch.
     pub start_ns: u64,
@@ -104,12 +104,12 @@ pub struct Event {
     pub flops: u64,
 }
 
-/// The clock of a device that works behind the host's back.
+/// The clock of a device that runs kernels while the host goes on.
 pub trait DeviceClock {
-    /// Marks the place that the device's commands have come to. `None`: there is no such clock, but everything asked so
-    /// far has been done.
+    /// Puts a mark behind the device's commands so far. `None`: the device has no such clock, but everything asked so far has
+    /// been done.
     fn mark(&self) -> Option<u32>;
-    /// When the device came to each mark, by its number, on the axis of `host_ns`. Forgets all marks.
+    /// Times at which the device reached each mark, by number, on the axis of `host_ns`. Forgets all marks.
     fn read(&self, host_ns: &dyn Fn() -> u64) -> Vec<u64>;
 }
 
@@ -142,7 +142,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder that starts disabled. `clock`: of the device that runs the kernels, if they run behind the host's back.
+    /// A recorder that starts disabled. `clock`: that of the device that runs the kernels; none for native code.
     pub fn new(clock: Option<Box<dyn DeviceClock>>) -> Recorder {
         let unix = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
         Recorder {

@@ -15,11 +15,11 @@ use std::time::Instant;
 
 use serde::Serialize;
 
+use super::CliError;
 pub use super::ccd_csv::{CcdKind, CsvFault};
 use super::ccd_csv::{columns, in_file, lines, parse_flag, parse_time, read, shown, write_json};
 use super::ccd_frames::write_frames;
-use super::CliError;
-use crate::collision::elementary::{DecidedBy, StencilKind, ccd};
+use crate::collision::elementary::{CandidateKind, DecidedBy, ccd};
 use crate::math::Vec3;
 
 /// Rows of a query: four vertices at the start, then at the end of the step.
@@ -122,7 +122,7 @@ pub fn write_ccd(args: &CcdArgs, out: &mut impl Write) -> Result<(), CliError> {
     };
     let queries = parse_queries(&read(file)?).map_err(|fault| in_file(file, &fault))?;
     let (truth, truth_name) = truth_of(args, file, kind, &queries)?;
-    let kind = if kind == CcdKind::Vf { StencilKind::VertexFace } else { StencilKind::EdgeEdge };
+    let kind = if kind == CcdKind::Vf { CandidateKind::VertexFace } else { CandidateKind::EdgeEdge };
     let report = check(kind, &queries, truth.as_deref(), truth_name, args.minimum_separation);
     write_json(&report, out)?;
     let (missed, late) = (report.missed.unwrap_or(0), report.late.unwrap_or(0));
@@ -135,7 +135,7 @@ pub fn write_ccd(args: &CcdArgs, out: &mut impl Write) -> Result<(), CliError> {
 
 /// Tests all queries and compares with the truth; `truth` has one entry per query.
 pub fn check(
-    kind: StencilKind,
+    kind: CandidateKind,
     queries: &[Query],
     truth: Option<&[Truth]>,
     truth_name: &'static str,

@@ -1,4 +1,5 @@
-//! Which triangles are around a vertex: what decides whether a point near an edge or a vertex of a surface is closest there.
+//! Triangles around each vertex (one-ring). They decide whether a point near an edge or a vertex of a surface is closest
+//! there.
 
 use super::broad::CollisionMesh;
 
@@ -36,16 +37,16 @@ impl Around {
     }
 
     /// Vertices that share an edge with a vertex; most of them twice.
-    pub fn neighbours<'a>(&'a self, mesh: &'a CollisionMesh, vertex: u32) -> impl Iterator<Item = u32> + 'a {
+    pub fn neighbors<'a>(&'a self, mesh: &'a CollisionMesh, vertex: u32) -> impl Iterator<Item = u32> + 'a {
         self.faces(mesh, vertex).flatten().filter(move |&other| other != vertex)
     }
 
-    /// What is left of the triangles at an edge.
+    /// Third corners of the triangles at an edge.
     pub fn opposite<'a>(&'a self, mesh: &'a CollisionMesh, [a, b]: [u32; 2]) -> impl Iterator<Item = u32> + 'a {
         self.faces(mesh, a).filter(move |face| face.contains(&b)).flatten().filter(move |&v| v != a && v != b)
     }
 
-    /// Bytes held.
+    /// Bytes of both lists; every rank holds them.
     pub fn bytes(&self) -> u64 {
         4 * (self.first.len() + self.triangles.len()) as u64
     }

@@ -3,7 +3,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-/// What the four vertices of a [`Candidate`] are.
+/// The two ways to read the four vertices of a [`Candidate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u32)]
 pub enum CandidateKind {
@@ -20,24 +20,30 @@ pub enum CandidateKind {
 pub struct Candidate {
     /// Vertices as [`CandidateKind`] says.
     pub vertices: [u32; 4],
-    /// [`CandidateKind`] as number.
+    /// A [`CandidateKind`] as number, so that the candidate stays plain data.
     pub kind: u32,
 }
 
 impl Candidate {
-    /// A vertex and a face, corners in the order of the mesh.
+    /// The candidate of a vertex and a face, whose corners come in the order of the mesh.
     #[inline]
     pub fn vertex_face(vertex: u32, [a, b, c]: [u32; 3]) -> Candidate {
         Candidate { vertices: [vertex, a, b, c], kind: CandidateKind::VertexFace as u32 }
     }
 
-    /// Two edges in any order; the result is the same for every order.
+    /// The candidate of two edges; the same for every order of the edges and of their ends.
     #[inline]
     pub fn edge_edge(one: [u32; 2], other: [u32; 2]) -> Candidate {
         let sorted = |[a, b]: [u32; 2]| if a < b { [a, b] } else { [b, a] };
         let (one, other) = (sorted(one), sorted(other));
         let ([a0, a1], [b0, b1]) = if one < other { (one, other) } else { (other, one) };
         Candidate { vertices: [a0, a1, b0, b1], kind: CandidateKind::EdgeEdge as u32 }
+    }
+
+    /// How to read the vertices.
+    #[inline]
+    pub fn kind(&self) -> CandidateKind {
+        if self.is_vertex_face() { CandidateKind::VertexFace } else { CandidateKind::EdgeEdge }
     }
 
     /// True for a vertex and a face, false for two edges.
@@ -51,7 +57,7 @@ impl Candidate {
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Impact {
-    /// The pair.
+    /// The pair that touches.
     pub candidate: Candidate,
     /// A lower bound of the first time of contact, in [0, 1] over the step; the pair is apart before it.
     pub toi: f32,

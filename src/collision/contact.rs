@@ -13,7 +13,7 @@
 use super::Candidate;
 use super::around::Around;
 use super::broad::CollisionMesh;
-use super::elementary::{Proximity, StencilKind, proximity};
+use super::elementary::{CandidateKind, Proximity, proximity};
 use crate::forces::NO_VERTEX;
 use crate::math::Vec3;
 
@@ -78,7 +78,7 @@ impl Surfaces<'_> {
         if !candidate.is_vertex_face() {
             let (u, v) = (x[1] - x[0], x[3] - x[2]);
             let crossing = u.cross(v).length_squared() > PARALLEL * u.length_squared() * v.length_squared();
-            let found = if crossing { proximity(StencilKind::EdgeEdge, x, f32::MAX) } else { None };
+            let found = if crossing { proximity(CandidateKind::EdgeEdge, x, f32::MAX) } else { None };
             let [a, b, c, d] = candidate.vertices;
             let found = found.filter(|found| {
                 found.feature.is_interior()
@@ -89,7 +89,7 @@ impl Surfaces<'_> {
             });
             return found.map(|found| whole(candidate, &found));
         }
-        let found = proximity(StencilKind::VertexFace, x, f32::MAX)?;
+        let found = proximity(CandidateKind::VertexFace, x, f32::MAX)?;
         let [vertex, corners @ ..] = candidate.vertices;
         let mut near = (0..3).filter(|k| found.feature.vertices >> (k + 1) & 1 != 0).map(|k| corners[k]);
         match (near.next(), near.next(), near.next()) {
@@ -175,7 +175,7 @@ impl Surfaces<'_> {
     /// Whether a point `offset` away from a vertex has no point of the surface around the vertex that is closer.
     fn is_end(&self, vertex: u32, offset: Vec3, cosine: f32, extent: f32) -> bool {
         let x = self.at(vertex);
-        self.around.neighbours(self.mesh, vertex).all(|other| level(offset, self.at(other) - x, cosine, extent))
+        self.around.neighbors(self.mesh, vertex).all(|other| level(offset, self.at(other) - x, cosine, extent))
     }
 
     /// Sum of the unit normals of faces.

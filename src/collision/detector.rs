@@ -7,14 +7,14 @@
 use super::around::Around;
 use super::broad::{Broad, BroadError, BroadStats, Choice, CollisionMesh, Filter, Query, Search, Split};
 use super::contact::Surfaces;
-use super::narrow::{ContactSink, Found, ImpactSink};
+use super::narrow::{ContactSink, Findings, ImpactSink};
 use super::rules::{ContactParams, DetectorError, Rules, WIDER};
 use super::search::{RunsOn, Searches};
 use super::{Candidate, Impact};
 use crate::forces::ContactElement;
 use crate::math::Vec3;
 
-/// What a query did on this rank. Counts repeat exactly; times do not.
+/// Counts, times and memory of one query on this rank. Counts repeat exactly; times do not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectionStats {
     /// The broad phase: tests, entries, candidates, batches, memory, time. Its time of tests holds the narrow phase.
@@ -23,10 +23,10 @@ pub struct DetectionStats {
     pub tested: u64,
     /// Contacts or impacts in the list, each once.
     pub found: u64,
-    /// Smallest distance of a contact found, also between features that cannot move, metres; infinite without contacts
+    /// Smallest distance of a contact found, also between features that cannot move, meters; infinite without contacts
     /// and for impacts.
     pub smallest_gap_m: f32,
-    /// Time of the narrow phase, added over threads.
+    /// Time of the narrow phase, nanoseconds, added over threads.
     pub narrow_ns: u64,
     /// Largest number of bytes held at once by this rank's share: the broad phase's and the list found.
     pub bytes: u64,
@@ -52,17 +52,17 @@ impl Detector {
         Ok(Detector { searches: Searches::new(Broad::new(mesh)), around, rules, memory_limit_bytes: None })
     }
 
-    /// Bounds the tables of later queries: what does not fit is searched in batches. None, the default, is no bound.
+    /// Bounds the tables of later queries, bytes; a search that does not fit is done in batches. None, the default: no bound.
     pub fn limit_memory(&mut self, bytes: Option<u64>) {
         self.memory_limit_bytes = bytes;
     }
 
-    /// The mesh.
+    /// Cloth and obstacles; the same for every query.
     pub fn mesh(&self) -> &CollisionMesh {
         self.searches.native.mesh()
     }
 
-    /// The parameters.
+    /// Parameters of the next query: those of [`Detector::new`] or of the last [`Detector::set_params`].
     pub fn params(&self) -> &ContactParams {
         &self.rules.params
     }
@@ -76,16 +76,16 @@ impl Detector {
         Ok(())
     }
 
-    /// The contact that a stencil of the mesh leads to at positions `x`, if there is one: what [`Detector::contacts`] does
+    /// The contact that a candidate of the mesh leads to at positions `x`, if there is one: what [`Detector::contacts`] does
     /// with every candidate.
-    pub fn contact(&self, x: &[f32], stencil: &Candidate) -> Option<ContactElement> {
+    pub fn contact(&self, x: &[f32], candidate: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.searches.native.mesh(), around: &self.around, x };
         let pair =
-            surfaces.closest(stencil, self.rules.reach_m(stencil)).filter(|pair| self.rules.is_near(pair, 0.0))?;
+            surfaces.closest(candidate, self.rules.reach_m(candidate)).filter(|pair| self.rules.is_near(pair, 0.0))?;
         self.rules.element(&pair)
     }
 
-    /// The contacts at positions `x` (x, y, z of every vertex, metres: cloth, then obstacles) that fall to this rank, sorted,
+    /// The contacts at positions `x` (x, y, z of every vertex, meters: cloth, then obstacles) that fall to this rank, sorted,
     /// each once; see [`merge_contacts`] for those of all ranks. Clears `out` first. All ranks must run on executors of one
     /// kind; what they find together has the same bits on every kind, as native code decides in the end.
     ///
@@ -103,8 +103,8 @@ impl Detector {
 
     /// As [`Detector::contacts`], with those pairs, too, that are farther apart at `x` and come closer than their thickness
     /// on the straight way to `ahead`, as their closest points at `x` see it: fast cloth then meets a repulsion before it
-    /// meets cloth. Of those that only come closer, kinds of executors may find a few others: a direction that keeps a pair
-    /// apart may be found by one and not by the other.
+    /// meets cloth. Two kinds of executors may differ in a few of the pairs that only come closer, because one may find a
+    /// separating direction that the other misses.
     ///
     /// # Errors
     /// As [`Broad::candidates`].
@@ -124,15 +124,15 @@ impl Detector {
         let search = Search {
             query: Query { x_t0: x, x_t1: ahead, radius_m: wide(rules.widest_m) },
             choice: Choice { touched: None, piece_radius_m: Some(wide(rules.widest_within_piece_m)), cull: true },
-            filter: Filter::ByStencil {
+            filter: Filter::ByPair {
                 reach_m: wide(rules.params.thickness_m),
                 within_piece_m: &rules.reach_within_piece_m,
             },
             memory_limit_bytes: *memory_limit_bytes,
         };
         let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
-        let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Found::new() };
-        let mut all = Found { items: std::mem::take(out), ..Found::new() };
+        let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Findings::new() };
+        let mut all = Findings { items: std::mem::take(out), ..Findings::new() };
         let finish = &mut |sink: ContactSink| all.append(sink.found);
         let stats = searches.search(on.into(), &search, split, &start, finish)?;
         let stats = self.stats(stats, &all);
@@ -165,8 +165,8 @@ impl Detector {
             filter: Filter::Separation { separation_m },
             memory_limit_bytes: self.memory_limit_bytes,
         };
-        let start = || ImpactSink { x_t0, x_t1, separation_m, touched, found: Found::new() };
-        let mut all = Found { items: std::mem::take(out), ..Found::new() };
+        let start = || ImpactSink { x_t0, x_t1, separation_m, touched, found: Findings::new() };
+        let mut all = Findings { items: std::mem::take(out), ..Findings::new() };
         let finish = &mut |sink: ImpactSink| all.append(sink.found);
         let stats = self.searches.search(on.into(), &search, split, &start, finish)?;
         let stats = self.stats(stats, &all);
@@ -175,7 +175,7 @@ impl Detector {
         Ok(DetectionStats { found: out.len() as u64, ..stats })
     }
 
-    fn stats<T>(&self, broad: BroadStats, all: &Found<T>) -> DetectionStats {
+    fn stats<T>(&self, broad: BroadStats, all: &Findings<T>) -> DetectionStats {
         DetectionStats {
             broad,
             tested: all.tested,
@@ -213,8 +213,8 @@ pub fn merge_impacts(lists: &[&[Impact]]) -> Vec<Impact> {
     all
 }
 
-/// Per vertex the smallest altitude, metres, of the `triangles` around it in their rest shapes (three corners each, material
-/// coordinates in metres with any third component); infinite for a vertex in no triangle.
+/// Per vertex the smallest altitude, meters, of the `triangles` around it in their rest shapes (three corners each, material
+/// coordinates in meters with any third component); infinite for a vertex in no triangle.
 pub fn smallest_altitudes(vertices: usize, triangles: &[[u32; 3]], rest: impl Fn(usize) -> [Vec3; 3]) -> Vec<f32> {
     let mut smallest = vec![f32::INFINITY; vertices];
     for (triangle, corners) in triangles.iter().enumerate() {

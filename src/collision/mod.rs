@@ -9,7 +9,7 @@ mod contact;
 mod detector;
 pub mod elementary;
 mod narrow;
-// NaN must be refused: conditions are negated where that needs it.
+// Conditions are negated where NaN must fail them.
 #[allow(clippy::neg_cmp_op_on_partial_ord)]
 mod rules;
 mod search;

@@ -6,7 +6,7 @@ use glam::Vec4;
 use super::broad::{Sink, nanoseconds};
 use super::contact::{Pair, Surfaces};
 use super::elementary::lanes::{Lanes, undecided, undecided_at_rest};
-use super::elementary::{StencilKind, ccd};
+use super::elementary::{CandidateKind, ccd};
 use super::rules::Rules;
 use super::{Candidate, Impact};
 use crate::forces::ContactElement;
@@ -14,8 +14,8 @@ use crate::math::Vec3;
 use bytemuck::Zeroable;
 use std::time::Instant;
 
-/// What the threads found and did.
-pub(super) struct Found<T> {
+/// Results and counts of the narrow phase, of one thread or added up.
+pub(super) struct Findings<T> {
     pub items: Vec<T>,
     /// Stencils that the elementary tests looked at.
     pub tested: u64,
@@ -24,13 +24,13 @@ pub(super) struct Found<T> {
     pub ns: u64,
 }
 
-impl<T> Found<T> {
-    pub fn new() -> Found<T> {
-        Found { items: Vec::new(), tested: 0, smallest_gap_m: f32::INFINITY, ns: 0 }
+impl<T> Findings<T> {
+    pub fn new() -> Findings<T> {
+        Findings { items: Vec::new(), tested: 0, smallest_gap_m: f32::INFINITY, ns: 0 }
     }
 
     /// Adds what another thread found.
-    pub fn append(&mut self, mut other: Found<T>) {
+    pub fn append(&mut self, mut other: Findings<T>) {
         if self.items.is_empty() {
             std::mem::swap(&mut self.items, &mut other.items);
         }
@@ -41,16 +41,17 @@ impl<T> Found<T> {
     }
 }
 
-/// Calls `test(kind, group, count)` with groups of four candidates of one kind; of the last ones only `count` are new.
+/// Calls `test(kind, group, count)` with groups of four candidates of one kind. Only the first `count` of a group are new;
+/// the rest repeats the first one.
 #[inline(always)]
-fn in_fours(
+fn for_each_group(
     found: &[Candidate],
     wanted: impl Fn(&Candidate) -> bool,
-    mut test: impl FnMut(StencilKind, &[Candidate; 4], usize),
+    mut test: impl FnMut(CandidateKind, &[Candidate; 4], usize),
 ) {
     let mut groups = [[Candidate::zeroed(); 4]; 2];
     let mut counts = [0; 2];
-    let kinds = [StencilKind::VertexFace, StencilKind::EdgeEdge];
+    let kinds = [CandidateKind::VertexFace, CandidateKind::EdgeEdge];
     for candidate in found.iter().filter(|candidate| wanted(candidate)) {
         let kind = usize::from(!candidate.is_vertex_face());
         groups[kind][counts[kind]] = *candidate;
@@ -71,7 +72,7 @@ fn in_fours(
     }
 }
 
-/// Positions of the vertices of four stencils.
+/// Positions of the vertices of four pairs.
 #[inline(always)]
 fn gather(x: &[f32], group: &[Candidate; 4]) -> [Lanes; 4] {
     std::array::from_fn(|i| {
@@ -85,13 +86,13 @@ fn gather(x: &[f32], group: &[Candidate; 4]) -> [Lanes; 4] {
     })
 }
 
-/// The set bits of a mask of four, below `count`.
+/// Numbers below `count` of the bits that are set in a mask of four.
 #[inline(always)]
 fn left(mask: u32, count: usize) -> impl Iterator<Item = usize> {
     (0..count).filter(move |&i| mask >> i & 1 != 0)
 }
 
-/// More than the parts of a stencil can come closer on the way to `ahead`, metres.
+/// An upper bound of how much closer the parts of a pair can come on the way to `ahead`, meters.
 fn closing_bound(candidate: &Candidate, x: &[f32], ahead: &[f32]) -> f32 {
     let at = |x: &[f32], v: u32| Vec3::from_slice(&x[3 * v as usize..]);
     let [a, b, c, d] = candidate.vertices.map(|v| at(ahead, v) - at(x, v));
@@ -101,20 +102,20 @@ fn closing_bound(candidate: &Candidate, x: &[f32], ahead: &[f32]) -> f32 {
     1.001 * pairs.iter().map(|(one, other)| (*one - *other).length()).fold(0.0, f32::max)
 }
 
-/// Finds contacts.
+/// Turns candidates into contact elements, on one thread.
 pub(super) struct ContactSink<'a> {
     pub surfaces: &'a Surfaces<'a>,
     /// Positions that the step is heading for, if they differ.
     pub ahead: Option<&'a [f32]>,
     pub rules: &'a Rules,
-    pub found: Found<ContactElement>,
+    pub found: Findings<ContactElement>,
 }
 
 impl Sink for ContactSink<'_> {
     fn take(&mut self, found: &[Candidate]) {
         let started = Instant::now();
         let (surfaces, ahead, rules, own) = (self.surfaces, self.ahead, self.rules, &mut self.found);
-        in_fours(
+        for_each_group(
             found,
             |_| true,
             |kind, group, count| {
@@ -139,13 +140,13 @@ impl Sink for ContactSink<'_> {
     }
 }
 
-/// Finds impacts.
+/// Turns candidates into impacts, on one thread.
 pub(super) struct ImpactSink<'a> {
     pub x_t0: &'a [f32],
     pub x_t1: &'a [f32],
     pub separation_m: f32,
     pub touched: Option<&'a [bool]>,
-    pub found: Found<Impact>,
+    pub found: Findings<Impact>,
 }
 
 impl Sink for ImpactSink<'_> {
@@ -155,7 +156,7 @@ impl Sink for ImpactSink<'_> {
         let touched = self.touched;
         let wanted = |c: &Candidate| touched.is_none_or(|touched| c.vertices.iter().any(|&v| touched[v as usize]));
         let at = |x: &[f32], vertex: u32| Vec3::from_slice(&x[3 * vertex as usize..]);
-        in_fours(found, wanted, |kind, group, count| {
+        for_each_group(found, wanted, |kind, group, count| {
             let (start, end) = (gather(x_t0, group), gather(x_t1, group));
             for i in left(undecided(kind, &start, &end, Vec4::splat(separation_m)), count) {
                 own.tested += 1;

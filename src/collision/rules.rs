@@ -8,16 +8,16 @@ use super::broad::CollisionMesh;
 use super::contact::Pair;
 use crate::forces::{ContactElement, NO_VERTEX};
 
-/// Widening of the thickness where stencils are only preselected.
+/// Factor on the thickness where pairs are only preselected, so that rounding does not lose a contact.
 pub(super) const WIDER: f32 = 1.001;
 
-/// What makes two features a contact, and what the contact is like.
+/// Parameters that decide which pairs of features are contacts, and the forces of these contacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ContactParams {
-    /// Distance below which features repel each other, metres. Features of one piece of cloth repel each other below half
+    /// Distance below which features repel each other, meters. Features of one piece of cloth repel each other below half
     /// the smallest altitude around their vertices, if that is less: a fine mesh at rest does not repel itself.
     pub thickness_m: f32,
-    /// Distance that counts as an impact, metres; 0 asks for touching.
+    /// Distance that counts as an impact, meters; 0 asks for touching.
     pub separation_m: f32,
     /// Stiffness of a contact over effective mass / step^2; no unit.
     pub stiffness_ratio: f32,
@@ -28,41 +28,41 @@ pub struct ContactParams {
     pub friction: Vec<f32>,
     /// Per vertex: 1/mass, 1/kg; 0 for vertices whose motion is imposed (pins, obstacles).
     pub inverse_masses_per_kg: Vec<f32>,
-    /// Per vertex: smallest altitude at rest of the triangles around it, metres: see [`smallest_altitudes`]. Not looked at
+    /// Per vertex: smallest altitude at rest of the triangles around it, meters: see [`smallest_altitudes`]. Not looked at
     /// for obstacles.
     pub smallest_altitudes_m: Vec<f32>,
 }
 
-/// Why parameters do not fit the mesh.
+/// Why parameters cannot be used with a mesh.
 #[derive(Debug, Error, PartialEq)]
 pub enum DetectorError {
-    /// Not one value per vertex.
+    /// A list does not have one value per vertex.
     #[error("{what} has {values} values, but the mesh has {vertices} vertices")]
     Count {
-        /// The list.
+        /// The list, as the subject of a sentence.
         what: &'static str,
-        /// Values given.
+        /// Its length.
         values: usize,
         /// Vertices of the mesh.
         vertices: usize,
     },
-    /// Negative or no number.
+    /// A quantity is negative or NaN.
     #[error("{what} is or holds {value}; it must be a number, 0 or more")]
     Value {
-        /// The quantity.
+        /// The quantity, as the subject of a sentence.
         what: &'static str,
-        /// What was given.
+        /// Its value.
         value: f32,
     },
-    /// A step without length.
+    /// The step is not longer than 0.
     #[error("the step is {step_s} s long; it must be longer than 0")]
     Step {
-        /// What was given.
+        /// Length of the step, seconds.
         step_s: f32,
     },
 }
 
-/// What the narrow phase must know about pairs.
+/// Decides which pairs of features are contacts; holds what that takes per vertex.
 pub(super) struct Rules {
     pub params: ContactParams,
     cloth_vertices: usize,
@@ -108,7 +108,7 @@ impl Rules {
             + 12 * self.within_piece_m.len() as u64
     }
 
-    /// A distance that no contact of a stencil exceeds; somewhat more than exact, for rounded tests to decide.
+    /// A distance that no contact of a candidate exceeds, [`WIDER`] so that rounded tests miss none.
     #[inline(always)]
     pub fn reach_m(&self, candidate: &Candidate) -> f32 {
         let [a, b, c, d] = candidate.vertices.map(|v| v as usize);
@@ -132,7 +132,7 @@ impl Rules {
         vertices().fold(self.params.thickness_m, |least, v| least.min(self.within_piece_m[v]))
     }
 
-    /// Whether a pair is closer than its thickness, or will be once it has come closer by `approach_m`.
+    /// True if a pair is closer than its thickness, or will be once it has come closer by `approach_m`.
     pub fn is_near(&self, pair: &Pair, approach_m: f32) -> bool {
         pair.distance_m - approach_m.max(0.0) < self.thickness_m(pair)
     }
@@ -145,7 +145,7 @@ impl Rules {
                 mobility += weight * weight * self.params.inverse_masses_per_kg[vertex as usize];
             }
         }
-        // Written so that what is no number makes no contact.
+        // The negation makes NaN no contact.
         if !(mobility > 0.0) {
             return None;
         }
@@ -171,7 +171,7 @@ impl Rules {
     }
 }
 
-/// Checks lists and numbers.
+/// Checks lengths and signs.
 fn check(mesh: &CollisionMesh, params: &ContactParams) -> Result<(), DetectorError> {
     let lists = [
         ("the list of friction coefficients", &params.friction),

@@ -1,4 +1,4 @@
-//! Where a query is searched: natively, or on a device with the rest of the narrow phase on host threads.
+//! Chooses where a query is searched: in native code, or on a device with the rest of the narrow phase on host threads.
 
 use std::sync::{Arc, Mutex};
 
@@ -9,21 +9,21 @@ use crate::gpu::{CpuExecutor, Executor};
 /// Candidates per unit of work of the host's threads, and at most handed over at once.
 const GRAIN: usize = 1024;
 
-/// What runs a query.
+/// The threads and the device that run a query.
 #[derive(Clone, Copy)]
 pub struct RunsOn<'a> {
     /// Threads of native code.
     pub host: &'a CpuExecutor,
-    /// Runs the broad phase and the first part of the narrow phase; none: native code does. Always the same executor for one
-    /// detector: its arrays stay there.
+    /// Runs the broad phase and the first part of the narrow phase. None: native code runs them. A detector must always be
+    /// given the same executor, because its arrays stay there.
     pub kernels: Option<&'a Executor>,
 }
 
 impl<'a> RunsOn<'a> {
-    /// A device and the host's threads, or threads alone: beside a native executor the native search is faster than the
-    /// twins of kernels.
+    /// A device and the host's threads, or threads alone for a native executor, because the native search is faster than the
+    /// twins of the kernels.
     pub fn new(executor: &'a Executor, host: &'a CpuExecutor) -> RunsOn<'a> {
-        RunsOn { host, kernels: Some(executor).filter(|executor| matches!(executor, Executor::Gpu(_))) }
+        RunsOn { host, kernels: Some(executor).filter(|executor| executor.native().is_none()) }
     }
 }
 
@@ -36,7 +36,7 @@ impl<'a> From<&'a CpuExecutor> for RunsOn<'a> {
 /// Both ways to search one mesh.
 pub(super) struct Searches {
     pub native: Broad,
-    /// Made by the first query that wants it.
+    /// Made by the first query that runs on a device.
     device: Option<DeviceBroad>,
 }
 

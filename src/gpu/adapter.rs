@@ -2,7 +2,7 @@
 
 use super::error::GpuError;
 
-/// What kind of hardware an adapter is.
+/// Kind of hardware behind an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum AdapterKind {
     /// A card with its own memory.
@@ -28,7 +28,7 @@ pub struct AdapterSummary {
     pub backend: String,
     /// Driver and its version.
     pub driver: String,
-    /// Kind of hardware.
+    /// True if the adapter is hardware, and of which kind.
     pub kind: AdapterKind,
     /// Largest array, in bytes.
     pub max_buffer_bytes: u64,

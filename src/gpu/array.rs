@@ -9,7 +9,7 @@ use super::fault::locked;
 /// Least bytes of a buffer. No struct of a kernel is larger, so an empty array can be bound as an array of any of them.
 pub(super) const LEAST_BYTES: u64 = 256;
 
-/// Bind groups by kernel and windows. Those of an array go with it.
+/// Bind groups by kernel and windows. An array removes its own when it is dropped.
 #[derive(Default)]
 pub(super) struct BindGroups(pub(super) Mutex<HashMap<BindKey, wgpu::BindGroup>>);
 

@@ -1,5 +1,5 @@
-//! Memory bandwidth of an executor, measured: the yardstick for kernels that are bound by memory. A measurement of this
-//! machine at this moment; other processes show in it.
+//! Measures the memory bandwidth of an executor, to compare memory-bound kernels with. The result holds for this machine at
+//! this moment; other processes lower it.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -27,7 +27,7 @@ gpu_struct! {
 pub struct Bandwidth {
     /// Copying one array to another; bytes read and bytes written both count.
     pub copy_gb_s: f64,
-    /// Reading one array.
+    /// Reading one array and writing nothing.
     pub read_gb_s: f64,
 }
 

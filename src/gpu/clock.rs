@@ -1,7 +1,7 @@
-//! When the device did what it was asked for: time stamps among its commands, told on the host's time axis.
+//! Time stamps among the commands of a device, converted to the host's time axis.
 //!
-//! The host only asks for kernels; how long they take shows in the device's own clock. A device without one is waited
-//! for instead, so that the host's clock tells.
+//! The host only asks for kernels; the device's own clock measures them. A device without time stamps is waited for instead,
+//! so that the host's clock measures them.
 
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::commands::{Commands, ReadPart};
 use crate::telemetry::DeviceClock;
 
-/// What a device must offer for time stamps between passes.
+/// Features of a device that time stamps between passes need.
 pub(super) const FEATURES: wgpu::Features =
     wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS);
 
@@ -75,7 +75,7 @@ impl DeviceClock for StampClock {
 
     fn read(&self, host_ns: &dyn Fn() -> u64) -> Vec<u64> {
         let Some(tick_ns) = self.tick_ns else { return Vec::new() };
-        // One more stamp at a time that the host knows too.
+        // One more stamp, at a time that the host knows too, ties both clocks together.
         self.commands.finish();
         self.mark();
         let before = host_ns();

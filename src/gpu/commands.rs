@@ -1,7 +1,7 @@
-//! Commands on their way to a device: collected until somebody waits, in the order they were asked for.
+//! Commands for a device: collected in the order of the calls until somebody waits.
 //!
-//! Parameters and small writes ride in one arena buffer that each submission uploads ahead of its own commands, so the
-//! arena is free again as soon as the commands are handed over.
+//! Parameters and small writes lie in one arena buffer that each submission uploads before its own commands, so the arena is
+//! free again as soon as the commands are submitted.
 
 use std::sync::{Arc, Mutex};
 
@@ -9,7 +9,7 @@ use super::fault::{Fault, locked};
 
 /// Bytes of parameters and small writes that one submission can carry.
 const ARENA_BYTES: usize = 256 << 10;
-/// Writes up to this size travel in the arena, larger ones by themselves.
+/// Writes up to this size go through the arena, larger ones through the queue.
 const SMALL_WRITE_BYTES: usize = 32 << 10;
 /// Bytes read or written at once; bounds what the driver allocates for it.
 const PIECE_BYTES: usize = 32 << 20;
@@ -24,13 +24,13 @@ pub(super) struct Commands {
     pending: Mutex<Pending>,
 }
 
-/// What was not handed to the device yet.
+/// Commands that are not submitted yet.
 #[derive(Default)]
 struct Pending {
     // The pass is recorded into the encoder and must end before it: fields drop in this order.
     pass: Option<wgpu::ComputePass<'static>>,
     encoder: Option<wgpu::CommandEncoder>,
-    /// What the arena holds when these commands run.
+    /// Contents of the arena when these commands run.
     arena: Vec<u8>,
     staging: Option<wgpu::Buffer>,
 }
@@ -103,7 +103,7 @@ impl Commands {
         self.encoder(&mut pending).copy_buffer_to_buffer(from, from_offset, to, to_offset, bytes);
     }
 
-    /// Zeroes `bytes` bytes.
+    /// Sets `bytes` bytes from `offset` on to 0.
     pub(super) fn clear(&self, buffer: &wgpu::Buffer, offset: u64, bytes: u64) {
         if self.fault.raised() || bytes == 0 {
             return;
@@ -119,8 +119,8 @@ impl Commands {
         }
     }
 
-    /// Writes `bytes`: a few ride in the arena; for many the commands so far are submitted first, because the queue's own
-    /// writes overtake commands that are not.
+    /// Writes `bytes`: a few through the arena. For many, the commands so far are submitted first, because the queue's own
+    /// writes overtake commands that are not submitted.
     pub(super) fn write(&self, buffer: &wgpu::Buffer, offset: u64, bytes: &[u8]) {
         if self.fault.raised() || bytes.is_empty() {
             return;

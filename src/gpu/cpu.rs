@@ -23,7 +23,7 @@ impl CpuExecutor {
         CpuExecutor { threads: if pool.is_some() { threads } else { 1 }, pool }
     }
 
-    /// Number of threads.
+    /// Threads that work on a call, at least 1.
     pub fn threads(&self) -> usize {
         self.threads
     }
@@ -36,7 +36,7 @@ impl CpuExecutor {
             }
             return;
         };
-        // A few ranges per thread even out what the items cost.
+        // A few ranges per thread balance items of uneven cost.
         let grains = items.div_ceil(grain.max(1));
         let parts = (self.threads * 4).min(grains).max(1);
         pool.scope(|scope| {

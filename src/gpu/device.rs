@@ -1,8 +1,8 @@
 //! The wgpu executor: one device, its compiled kernels and bind groups.
 //!
-//! Everything asked of an executor happens in the order it was asked, whichever thread asked; nothing need start before
-//! [`GpuExecutor::flush`] or a read. After a fault (lost device, out of memory, a kernel that the driver refuses) nothing
-//! is executed any more and reads give zeros; [`super::Executor::take_fault`] tells.
+//! Commands run in the order of the calls, whichever thread makes them; none need start before [`GpuExecutor::flush`] or a
+//! read. After a fault (lost device, out of memory, a kernel that the driver refuses) nothing is executed any more and reads
+//! give zeros; [`super::Executor::take_fault`] returns the fault.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -113,7 +113,7 @@ impl GpuExecutor {
         self.fault.raise(reason);
     }
 
-    /// What went wrong, if anything did.
+    /// The first fault, if there was one.
     pub(super) fn fault(&self) -> Option<GpuError> {
         self.fault.text().map(GpuError::Fault)
     }
@@ -236,7 +236,7 @@ impl GpuExecutor {
         };
         let key = (kernel.id, bindings.iter().map(|b| (b.array.id, b.offset, b.size)).collect());
         let mut groups = locked(&self.bind_groups.0);
-        // Arrays whose length changes from step to step leave groups behind that nobody asks for again.
+        // Arrays whose length changes from step to step leave groups behind that are never used again.
         if groups.len() >= BIND_GROUPS_MAX {
             groups.clear();
         }

@@ -1,4 +1,4 @@
-//! Why a device cannot be used.
+//! Errors of devices, each one sentence for the user.
 
 /// Why a device cannot be used, or can no longer be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -9,7 +9,7 @@ pub enum GpuError {
     /// The number asked for is too large.
     #[error("adapter {index} does not exist: this machine has {count}, counted from 0")]
     NoSuchAdapter {
-        /// Number asked for.
+        /// Number of the adapter that was asked for, from 0.
         index: usize,
         /// Adapters of this machine.
         count: usize,
@@ -19,7 +19,7 @@ pub enum GpuError {
     Request {
         /// Adapter and its interface.
         adapter: String,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
     /// The adapter computes something else than WGSL says.
@@ -27,10 +27,10 @@ pub enum GpuError {
     SelfTest {
         /// Adapter and its interface.
         adapter: String,
-        /// What it got wrong.
+        /// The wrong result.
         reason: String,
     },
-    /// Something went wrong while running; the executor does nothing any more.
+    /// A fault while running; the executor does nothing any more.
     #[error("the gpu executor stopped: {0}")]
     Fault(String),
 }

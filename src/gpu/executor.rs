@@ -1,5 +1,5 @@
-//! The choice between native code and a device, and what both can do. What only a kernel's wrapper may ask of them is not
-//! here.
+//! The choice between native code and a device, and the requests that both understand. Running a kernel is not among them:
+//! its wrapper does that.
 
 use super::adapter::any_hardware;
 use super::cpu::CpuExecutor;
@@ -7,7 +7,7 @@ use super::device::GpuExecutor;
 use super::error::GpuError;
 use crate::telemetry::DeviceClock;
 
-/// What runs kernels.
+/// Runs kernels: native twins on threads, or shaders on a device.
 pub enum Executor {
     /// Native code on the threads of this process.
     Cpu(CpuExecutor),
@@ -40,7 +40,7 @@ impl Executor {
         if adapter.is_some() || any_hardware() { Executor::gpu(adapter, rank) } else { Ok(Executor::cpu(threads)) }
     }
 
-    /// Name for reports.
+    /// `cpu` or `gpu`, as reports and options name it.
     pub fn name(&self) -> &'static str {
         match self {
             Executor::Cpu(_) => "cpu",
@@ -48,7 +48,7 @@ impl Executor {
         }
     }
 
-    /// Name with threads or adapter, for people.
+    /// Name with the number of threads or the adapter, for people.
     pub fn device_name(&self) -> String {
         match self {
             Executor::Cpu(cpu) => format!("cpu, {} thread{}", cpu.threads(), if cpu.threads() == 1 { "" } else { "s" }),
@@ -56,7 +56,23 @@ impl Executor {
         }
     }
 
-    /// Starts what was asked so far, without waiting for it.
+    /// The native executor, for host code that runs on its threads; none for a device.
+    pub fn native(&self) -> Option<&CpuExecutor> {
+        match self {
+            Executor::Cpu(cpu) => Some(cpu),
+            Executor::Gpu(_) => None,
+        }
+    }
+
+    /// Items of `item_bytes` bytes that one binding of a kernel can show; none if there is no bound.
+    pub fn window_items(&self, item_bytes: usize) -> Option<usize> {
+        match self {
+            Executor::Cpu(_) => None,
+            Executor::Gpu(gpu) => Some(gpu.window_items(item_bytes)),
+        }
+    }
+
+    /// Hands everything asked so far to the device, without waiting for it.
     pub fn flush(&self) {
         if let Executor::Gpu(gpu) = self {
             gpu.flush();
@@ -70,7 +86,8 @@ impl Executor {
         }
     }
 
-    /// The clock of what runs behind the host's back; none where kernels are done when asked for.
+    /// The clock of a device that runs kernels while the host goes on; none for native code, whose kernels are done when the
+    /// call returns.
     pub fn clock(&self) -> Option<Box<dyn DeviceClock>> {
         match self {
             Executor::Cpu(_) => None,
@@ -78,8 +95,8 @@ impl Executor {
         }
     }
 
-    /// What went wrong on the device, if anything did. Ask after reads whose values count: a faulted device reads as
-    /// zeros. The executor stays unusable, so every later call gives the same error.
+    /// The first fault of the device, if it had one. Ask after reads whose values count, because a faulted device reads as
+    /// zeros. The executor stays unusable: every later call gives the same error.
     pub fn take_fault(&self) -> Option<GpuError> {
         match self {
             Executor::Cpu(_) => None,

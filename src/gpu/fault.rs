@@ -1,9 +1,9 @@
-//! The first thing that goes wrong on a device, kept until somebody asks.
+//! The first fault of a device, kept until it is asked for.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// What went wrong, as half a sentence; the first report counts.
+/// The first fault, as half a sentence; later ones are ignored.
 #[derive(Default)]
 pub(super) struct Fault {
     raised: AtomicBool,

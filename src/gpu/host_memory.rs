@@ -9,7 +9,7 @@ const LARGE: usize = 8 << 20;
 /// Size of a huge page on the systems that take the hint, bytes.
 const HUGE_PAGE: usize = 2 << 20;
 
-/// `len` zeros.
+/// A vector of `len` zeros.
 pub(super) fn zeroed<T: Pod>(len: usize) -> Vec<T> {
     // Fresh zeros come untouched from the system, so the hint is in time.
     let mut values: Vec<T> = bytemuck::zeroed_vec(len);

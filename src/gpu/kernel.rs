@@ -85,18 +85,18 @@ pub struct ArraySlot {
 pub struct UniformSlot {
     /// Binding number in group 0.
     pub binding: u32,
-    /// Bytes.
+    /// Size of the struct, bytes.
     pub size: u64,
 }
 
-/// What a kernel's text says about it.
+/// Bindings and workgroup size of a kernel, read from its text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reflection {
     /// Arrays by ascending binding number.
     pub arrays: Vec<ArraySlot>,
     /// Parameters, if there are any.
     pub uniform: Option<UniformSlot>,
-    /// Invocations per workgroup.
+    /// Invocations per workgroup, from the shader's `@workgroup_size`.
     pub workgroup: u32,
 }
 

@@ -4,12 +4,12 @@
 use bytemuck::Pod;
 use wgpu::naga;
 
-/// Where the fields of a struct lie, in bytes.
+/// Size of a struct and the offsets of its fields, bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StructLayout {
     /// Name of the struct, the same in Rust and WGSL.
     pub name: &'static str,
-    /// Size, padding included.
+    /// Size in bytes, padding included.
     pub size: usize,
     /// Name and offset of every field, in order.
     pub fields: &'static [(&'static str, usize)],

@@ -19,25 +19,25 @@ const SAMPLE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 const PIXEL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
 
-/// Pairs of a front's and a back's colour that a picture can have.
+/// Pairs of a front's and a back's color that a picture can have.
 pub const SWATCHES: usize = 9;
 
 /// A corner of triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct DrawVertex {
-    /// World position, metres, finite.
+    /// World position, meters, finite.
     pub position: [f32; 3],
     /// Direction that the front faces; any length, zero = up.
     pub normal: [f32; 3],
-    /// Which colours, below [`SWATCHES`]; the same for all corners of a triangle.
+    /// Index of the color, below [`SWATCHES`]; the same for all corners of a triangle.
     pub swatch: u32,
 }
 
 gpu_struct! {
-    /// Camera, light and colours; the same for all pictures of a sequence. Vectors have a fourth component that is unused.
+    /// Camera, light and colors; the same for all pictures of a sequence. Vectors have a fourth component that is unused.
     pub struct DrawLook {
-        /// Where the camera stands, metres.
+        /// Position of the camera, meters.
         pub eye: [f32; 4],
         /// Unit vector to the right.
         pub right: [f32; 4],
@@ -51,23 +51,23 @@ gpu_struct! {
         pub key_light: [f32; 4],
         /// Unit vector towards the weak light.
         pub fill_light: [f32; 4],
-        /// Linear colour of the background's top.
+        /// Linear color of the background's top.
         pub sky_top: [f32; 4],
-        /// Linear colour of the background's bottom.
+        /// Linear color of the background's bottom.
         pub sky_bottom: [f32; 4],
         /// Half the picture's width and height at distance 1; samples per row and rows of samples (two a pixel).
         pub half_and_samples: [f32; 4],
-        /// Lowest and highest height of the sequence, height of the ground, distance of its grid lines; metres.
+        /// Lowest and highest height of the sequence, height of the ground, distance of its grid lines; meters.
         pub heights: [f32; 4],
-        /// Depth where surfaces begin, metres; the rest is unused.
+        /// Depth where surfaces begin, meters; the rest is unused.
         pub near: [f32; 4],
-        /// What colours mean (0 swatch, 1 height, 2 normal), and the first swatch that always shows its own.
+        /// Meaning of colors (0 swatch, 1 height, 2 normal), and the first swatch that always shows its own color.
         pub coloring: [u32; 4],
-        /// Linear colours of fronts.
+        /// Linear colors of fronts.
         pub fronts: [[f32; 4]; SWATCHES],
-        /// Linear colours of backs.
+        /// Linear colors of backs.
         pub backs: [[f32; 4]; SWATCHES],
-        /// Linear colours of heights, from low to high.
+        /// Linear colors of heights, from low to high.
         pub scale: [[f32; 4]; 5],
     }
 }

@@ -18,11 +18,11 @@ struct DrawLook {
     heights: vec4<f32>,
     // x: depth where surfaces begin; y, z, w: unused.
     near: vec4<f32>,
-    // x: 0 = swatches, 1 = height, 2 = normal; y: first swatch that always shows its own colour.
+    // x: 0 = swatches, 1 = height, 2 = normal; y: first swatch that always shows its own color.
     coloring: vec4<u32>,
     fronts: array<vec4<f32>, 9>,
     backs: array<vec4<f32>, 9>,
-    // Colours of heights, from low to high.
+    // Colors of heights, from low to high.
     scale: array<vec4<f32>, 5>,
 }
 

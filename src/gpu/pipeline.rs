@@ -15,7 +15,7 @@ pub(super) struct Kernel {
     pub(super) arrays: Vec<ArraySlot>,
     pub(super) uniform: Option<UniformSlot>,
     pub(super) params: &'static StructLayout,
-    /// Invocations per workgroup.
+    /// Invocations per workgroup, to convert invocations to workgroups.
     pub(super) workgroup: u32,
 }
 
@@ -24,7 +24,7 @@ impl Kernel {
     /// a fault of the device instead.
     ///
     /// # Errors
-    /// The text is no kernel, or needs more than the adapter has.
+    /// The text is not a valid kernel, or needs more than the adapter has.
     pub(super) fn new(
         device: &wgpu::Device,
         limits: &wgpu::Limits,

@@ -16,7 +16,7 @@ gpu_struct! {
     struct SelfTestParams { turns: u32, zero: f32 }
 }
 
-/// What the start-up test found out about a device that passed it.
+/// Properties of a device that passed the start-up test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SelfTest {
     /// Loops of 70,000 turns run to their end too; false on drivers that end them silently at 65,535.

@@ -75,7 +75,7 @@ impl<T: Pod> DeviceVec<T> {
         self.write_range(executor, 0, values);
     }
 
-    /// Number of items.
+    /// Number of items in use.
     pub fn len(&self) -> usize {
         match &self.storage {
             Storage::Cpu(values) => values.len(),
@@ -233,7 +233,7 @@ pub struct ReadBatch<'a> {
 }
 
 impl<'a> ReadBatch<'a> {
-    /// No reads yet.
+    /// A batch without reads.
     pub fn new() -> ReadBatch<'a> {
         ReadBatch::default()
     }

@@ -1,12 +1,12 @@
-//! Constraints: which way the two parts of a pair must stay apart, read off their motion just before the impact.
+//! Constraints: the direction in which the two parts of a pair must stay apart, from their motion just before the impact.
 
-use crate::collision::elementary::{StencilKind, closest_offset};
+use crate::collision::elementary::{CandidateKind, closest_offset};
 use crate::collision::{Candidate, Impact};
 use crate::math::DVec3;
 
-/// Parts of the time of impact at which the side is looked for, latest first.
+/// Fractions of the time of impact at which the side is looked for, latest first.
 const LOOK_BACK: [f64; 6] = [1.0, 1.0 - 1.0 / 1024.0, 1.0 - 1.0 / 64.0, 0.875, 0.5, 0.0];
-/// Distance, in sizes of the stencil and of its coordinates, above which rounding does not turn its direction.
+/// Relative to the size of the pair and to its coordinates: the distance above which rounding does not turn the offset.
 const SURE: [f64; 2] = [1e-9, 1e-14];
 
 /// `normal . sum(weights[i] * x[i])` must not be less than the margin.
@@ -19,23 +19,20 @@ pub(super) struct Constraint {
     pub weights: [f64; 4],
 }
 
-pub(super) fn stencil_kind(candidate: &Candidate) -> StencilKind {
-    if candidate.is_vertex_face() { StencilKind::VertexFace } else { StencilKind::EdgeEdge }
-}
-
-/// Margin of a pair that hits again and again, in margins.
+/// Largest distance that a constraint asks for, in margins.
 const MARGINS_MOST: usize = 10;
 /// Error of a constraint that counts as not met, in margins.
 const UNMET: f64 = 0.5;
 
-/// The distance in margins that the constraint of a pair asks for which came after `before` others of it: its normals were
-/// not good enough so far. Other pairs keep theirs, since in a pile every wider gap is taken from the layers around it.
+/// The distance, in margins, that a pair's constraint number `before` (from 0) asks for. It grows with every further impact
+/// of the pair, because the normals so far were not good enough. Other pairs keep their distance, because in a pile every
+/// wider gap is taken from the layers around it.
 pub(super) fn margins(before: usize) -> f64 {
     (1 + before).min(MARGINS_MOST) as f64
 }
 
-/// Whether positions `x` meet all constraints of a pair, in their order: one more could help only then. Those for which
-/// `moves` is false do not count.
+/// True if positions `x` meet all constraints of a pair; only then can one more help. The constraints come in the order of
+/// their impacts. Those for which `moves` is false do not count.
 pub(super) fn all_met<'a>(
     of_pair: impl IntoIterator<Item = &'a Constraint>,
     x: [DVec3; 4],
@@ -57,7 +54,7 @@ impl Constraint {
     /// Up to the time of impact the parts are apart, so the offset of their closest points there points to the side they
     /// came from, however they turned since the start. It is taken as late as it exceeds rounding.
     pub fn of_impact(impact: &Impact, x_t0: [DVec3; 4], x_t1: [DVec3; 4]) -> Constraint {
-        let (candidate, kind) = (impact.candidate, stencil_kind(&impact.candidate));
+        let (candidate, kind) = (impact.candidate, impact.candidate.kind());
         let toi = f64::from(impact.toi).clamp(0.0, 1.0);
         for part in LOOK_BACK {
             let x: [DVec3; 4] = std::array::from_fn(|i| x_t0[i] + (x_t1[i] - x_t0[i]) * (part * toi));
@@ -72,12 +69,12 @@ impl Constraint {
         Constraint::of_touching(candidate, kind, x_t0, x_t1)
     }
 
-    /// For parts that touch at the start: there is no side, so they are only kept from going on as they go.
-    fn of_touching(candidate: Candidate, kind: StencilKind, x_t0: [DVec3; 4], x_t1: [DVec3; 4]) -> Constraint {
+    /// The constraint of parts that touch at the start: they have no side, so it only stops their approach.
+    fn of_touching(candidate: Candidate, kind: CandidateKind, x_t0: [DVec3; 4], x_t1: [DVec3; 4]) -> Constraint {
         let (weights, offset) = closest_offset(kind, x_t0);
         let plane = match kind {
-            StencilKind::VertexFace => (x_t0[2] - x_t0[1]).cross(x_t0[3] - x_t0[1]),
-            StencilKind::EdgeEdge => (x_t0[1] - x_t0[0]).cross(x_t0[3] - x_t0[2]),
+            CandidateKind::VertexFace => (x_t0[2] - x_t0[1]).cross(x_t0[3] - x_t0[1]),
+            CandidateKind::EdgeEdge => (x_t0[1] - x_t0[0]).cross(x_t0[3] - x_t0[2]),
         };
         let approach: DVec3 = (0..4).map(|i| (x_t1[i] - x_t0[i]) * weights[i]).sum();
         let side = if offset.dot(plane) == 0.0 { -approach.dot(plane) } else { offset.dot(plane) };
@@ -94,7 +91,7 @@ mod tests {
     use crate::math::Vec3;
 
     fn constraint(candidate: Candidate, x_t0: [[f32; 3]; 4], x_t1: [[f32; 3]; 4]) -> Constraint {
-        let kind = stencil_kind(&candidate);
+        let kind = candidate.kind();
         let toi = ccd(kind, x_t0.map(Vec3::from), x_t1.map(Vec3::from), 0.0).toi.expect("the pair hits");
         let wide = |x: [[f32; 3]; 4]| x.map(|p| Vec3::from(p).as_dvec3());
         Constraint::of_impact(&Impact { candidate, toi }, wide(x_t0), wide(x_t1))

@@ -7,8 +7,8 @@
 //! [`ImpactZones::solve`] for its own; all results together go to [`apply`] on every rank; the pairs of moved vertices are
 //! tested again. Rounds end when no impact is left. Nothing here communicates or depends on the number of ranks.
 //!
-//! It always ends: a zone that keeps failing falls back in stages to standing still at the start positions, which are free
-//! of penetration. Only imposed vertices (pins, obstacles) that move into it can then still hit: [`Impossible`].
+//! The rounds always end: a zone that keeps failing falls back in stages to standing still at the start positions, which are
+//! free of penetration. Only imposed vertices (pins, obstacles) that move into it can then still hit: [`Impossible`].
 
 mod constraint;
 mod counts;
@@ -23,7 +23,7 @@ mod zones;
 
 pub use counts::{FailSafes, ZoneCounts};
 pub use distribute::distribute;
-pub use problem::{Batch, Row, ZoneSpan};
+pub use problem::{Row, ZoneBatch, ZoneSpan};
 pub use respond::{Moved, Solved, apply};
 pub use zones::{ImpactZones, Stage, Zone};
 
@@ -31,10 +31,10 @@ use thiserror::Error;
 
 use crate::math::DVec3;
 
-/// How zones are solved.
+/// Margin and limits of the solves of zones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ZoneSettings {
-    /// Distance that a resolved pair keeps at the end of the step along the normal of its impact, metres; as many times
+    /// Distance that a resolved pair keeps at the end of the step along the normal of its impact, meters; as many times
     /// that as the pair has hit.
     pub margin_m: f64,
     /// Attempts by descent before the fail-safe begins.
@@ -54,9 +54,9 @@ impl ZoneSettings {
 /// One step of all vertices, obstacles included: x, y, z of each.
 #[derive(Clone, Copy, Debug)]
 pub struct StepPositions<'a> {
-    /// Start positions, metres, free of penetration.
+    /// Start positions, meters, free of penetration.
     pub x_t0: &'a [f32],
-    /// End positions as they stand, metres.
+    /// End positions as they stand, meters.
     pub x_t1: &'a [f32],
     /// Inverse masses, 1/kg: one per vertex, 0 for pins and obstacles.
     pub inverse_masses: &'a [f32],

@@ -11,74 +11,74 @@ pub const IMMOVABLE: u32 = u32::MAX;
 /// A constraint `normal . sum(weights[i] * d[vertices[i]]) >= target` on displacements d.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// Unit vector.
+    /// Unit vector from the second part of the pair to the first.
     pub normal: [f64; 3],
-    /// What is missing to the margin without displacements, metres; negative if it is kept.
+    /// Distance that the pair lacks to its margin without displacements, meters; negative if the margin is kept.
     pub target: f64,
     /// Weights of the vertices; 0 for those that cannot move.
     pub weights: [f64; 4],
     /// Vertices of the batch; [`IMMOVABLE`] for those that cannot move.
     pub vertices: [u32; 4],
-    /// How much a unit of the row's multiplier changes its own gap, 1/(unit of mass); more where vertices have hardly any
-    /// weight in it, which so are not thrown far in one go.
+    /// Change of the row's own gap per unit of its multiplier, 1/(unit of mass). It is set larger for rows whose vertices have
+    /// hardly any weight, so that one update does not throw them far.
     pub yielding: f64,
-    /// Multiplier to begin with, in units of its own, 0 or more.
+    /// Initial multiplier, 0 or more.
     pub start: f64,
 }
 
-/// What a row yields at least, of what it would with weights of 1.
+/// Lower bound of a row's `yielding`, relative to a row with weights of 1.
 const LEAST_YIELDING: f64 = 1e-6;
 
-/// Where a zone's parts lie in the batch's arrays.
+/// Places of a zone's parts in the batch's arrays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ZoneSpan {
-    /// First vertex.
+    /// Place of the zone's first vertex in the batch.
     pub first_vertex: u32,
-    /// Number of vertices.
+    /// Movable vertices of the zone.
     pub vertices: u32,
-    /// First row.
+    /// Place of the zone's first row in the batch.
     pub first_row: u32,
-    /// Number of rows.
+    /// Constraints of the zone that move anything.
     pub rows: u32,
-    /// First entry in the batch's list of colours.
-    pub first_colour: u32,
-    /// Number of colours; the list has an entry for each and one more.
-    pub colours: u32,
+    /// First entry in the batch's list of colors.
+    pub first_color: u32,
+    /// Number of colors; the list has an entry for each and one more.
+    pub colors: u32,
 }
 
 impl ZoneSpan {
-    /// Its vertices in the batch.
+    /// Places of its vertices in the batch.
     pub fn vertex_range(&self) -> Range<usize> {
         self.first_vertex as usize..(self.first_vertex + self.vertices) as usize
     }
 
-    /// Its rows in the batch.
+    /// Places of its rows in the batch.
     pub fn row_range(&self) -> Range<usize> {
         self.first_row as usize..(self.first_row + self.rows) as usize
     }
 }
 
-/// Zones to be solved, each on its own: nothing of one depends on which others are in the batch.
+/// Zones to be solved. The result of a zone does not depend on the others in the batch.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Batch {
-    /// Zones, in order.
+pub struct ZoneBatch {
+    /// Per zone, in the order of [`ZoneBatch::push`]: its parts of the other lists.
     pub zones: Vec<ZoneSpan>,
-    /// Per zone: error of a constraint that ends its descent, metres.
+    /// Per zone: error of a constraint that ends its descent, meters.
     pub tolerances: Vec<f64>,
     /// Per vertex, in units of the largest one of the zone.
     pub inverse_masses: Vec<f64>,
-    /// Constraints, per zone by colour: those of one colour have no movable vertex in common.
+    /// Constraints, per zone by color: those of one color have no movable vertex in common.
     pub rows: Vec<Row>,
     /// Per row: its number among the rows that its zone was given and that move anything.
     pub given: Vec<u32>,
-    /// Per zone and colour the first of its rows, and per zone the end of its rows.
-    pub colours: Vec<u32>,
+    /// Per zone and color the first of its rows, and per zone the end of its rows.
+    pub colors: Vec<u32>,
 }
 
-impl Batch {
-    /// Nothing to solve.
-    pub fn new() -> Batch {
-        Batch::default()
+impl ZoneBatch {
+    /// A batch without zones.
+    pub fn new() -> ZoneBatch {
+        ZoneBatch::default()
     }
 
     /// Adds a zone. `inverse_masses` are those of its vertices, all above 0; rows count vertices from 0 within the zone,
@@ -88,7 +88,7 @@ impl Batch {
         let largest = inverse_masses.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         self.inverse_masses.extend(inverse_masses.iter().map(|m| m / largest));
         let mut rows: Vec<Row> = rows.into_iter().filter(Row::moves).collect();
-        let (order, ends) = by_colour(inverse_masses.len(), &rows);
+        let (order, ends) = by_color(inverse_masses.len(), &rows);
         for row in &mut rows {
             row.yielding = 0.0;
             let mut least = 0.0f64;
@@ -108,13 +108,13 @@ impl Batch {
             vertices: inverse_masses.len() as u32,
             first_row,
             rows: rows.len() as u32,
-            first_colour: self.colours.len() as u32,
-            colours: ends.len() as u32,
+            first_color: self.colors.len() as u32,
+            colors: ends.len() as u32,
         });
         self.rows.extend(order.iter().map(|&i| rows[i as usize]));
         self.given.extend(order);
-        self.colours.push(first_row);
-        self.colours.extend(ends.iter().map(|end| first_row + end));
+        self.colors.push(first_row);
+        self.colors.extend(ends.iter().map(|end| first_row + end));
         self.tolerances.push(tolerance_m);
     }
 
@@ -147,13 +147,13 @@ impl Batch {
     }
 }
 
-/// The smallest colour, row by row, that none of the row's vertices has yet: rows by colour, each colour ascending, and the
-/// ends of the colours.
-fn by_colour(vertices: usize, rows: &[Row]) -> (Vec<u32>, Vec<u32>) {
-    // Colours of every vertex, 64 to a word.
+/// The smallest color, row by row, that none of the row's vertices has yet: rows by color, each color ascending, and the
+/// ends of the colors.
+fn by_color(vertices: usize, rows: &[Row]) -> (Vec<u32>, Vec<u32>) {
+    // Colors of every vertex, 64 to a word.
     let mut taken: Vec<Vec<u64>> = vec![Vec::new(); vertices];
     let mut ends: Vec<u32> = Vec::new();
-    let mut colours = Vec::with_capacity(rows.len());
+    let mut colors = Vec::with_capacity(rows.len());
     for row in rows {
         let own = || row.vertices.into_iter().filter(|&v| v != IMMOVABLE).map(|v| v as usize);
         let of_word = |taken: &[Vec<u64>], word: usize| {
@@ -169,12 +169,12 @@ fn by_colour(vertices: usize, rows: &[Row]) -> (Vec<u32>, Vec<u32>) {
             taken[v].resize(words, 0);
             taken[v][word] |= 1 << used.trailing_ones();
         }
-        let colour = 64 * word + used.trailing_ones() as usize;
-        if colour == ends.len() {
+        let color = 64 * word + used.trailing_ones() as usize;
+        if color == ends.len() {
             ends.push(0);
         }
-        ends[colour] += 1;
-        colours.push(colour);
+        ends[color] += 1;
+        colors.push(color);
     }
     let mut next: Vec<u32> = Vec::with_capacity(ends.len());
     let mut end = 0;
@@ -184,9 +184,9 @@ fn by_colour(vertices: usize, rows: &[Row]) -> (Vec<u32>, Vec<u32>) {
         *count = end;
     }
     let mut order = vec![0; rows.len()];
-    for (i, colour) in colours.into_iter().enumerate() {
-        order[next[colour] as usize] = i as u32;
-        next[colour] += 1;
+    for (i, color) in colors.into_iter().enumerate() {
+        order[next[color] as usize] = i as u32;
+        next[color] += 1;
     }
     (order, ends)
 }
@@ -211,7 +211,7 @@ impl Row {
         }
     }
 
-    /// Whether any displacement changes it.
+    /// True if any displacement changes it.
     pub(super) fn moves(&self) -> bool {
         self.vertices.iter().zip(self.weights).any(|(&v, w)| v != IMMOVABLE && w != 0.0)
     }
@@ -236,14 +236,14 @@ mod tests {
 
     #[test]
     fn zones_lie_one_behind_the_other() {
-        let mut batch = Batch::new();
+        let mut batch = ZoneBatch::new();
         batch.push(&[2.0, 1.0], [row([0, 1, NO, NO]), row([1, 0, NO, NO])], 1e-6);
         batch.push(&[4.0], [row([NO; 4]), row([NO, NO, 0, NO])], 1e-6);
         assert_eq!(batch.inverse_masses, [1.0, 0.5, 1.0]);
-        let first = ZoneSpan { first_vertex: 0, vertices: 2, first_row: 0, rows: 2, first_colour: 0, colours: 2 };
-        let second = ZoneSpan { first_vertex: 2, vertices: 1, first_row: 2, rows: 1, first_colour: 3, colours: 1 };
+        let first = ZoneSpan { first_vertex: 0, vertices: 2, first_row: 0, rows: 2, first_color: 0, colors: 2 };
+        let second = ZoneSpan { first_vertex: 2, vertices: 1, first_row: 2, rows: 1, first_color: 3, colors: 1 };
         assert_eq!(batch.zones, [first, second]);
-        assert_eq!(batch.colours, [0, 1, 2, 2, 3]);
+        assert_eq!(batch.colors, [0, 1, 2, 2, 3]);
         assert_eq!(batch.rows[2].weights, [0.0, 0.0, -0.25, 0.0]);
         let yielding: Vec<f64> = batch.rows.iter().map(|r| r.yielding).collect();
         assert_eq!(yielding, [1.0 + 0.25 * 0.5, 0.5 + 0.25, 0.0625]);
@@ -255,14 +255,14 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_a_colour_share_no_vertex() {
-        let mut batch = Batch::new();
-        // Two that could go together, one that touches both, and so many of one vertex that a word of colours is too small.
+    fn rows_of_a_color_share_no_vertex() {
+        let mut batch = ZoneBatch::new();
+        // Two that could go together, one that touches both, and so many of one vertex that a word of colors is too small.
         let mut rows = vec![row([0, 1, NO, NO]), row([1, 2, NO, NO]), row([2, 3, NO, NO])];
         rows.extend(std::iter::repeat_n(row([4, NO, NO, NO]), 70));
         batch.push(&[1.0; 5], rows, 1e-6);
-        assert_eq!(batch.zones[0].colours, 70);
-        assert_eq!(batch.colours[..4], [0, 3, 5, 6]);
+        assert_eq!(batch.zones[0].colors, 70);
+        assert_eq!(batch.colors[..4], [0, 3, 5, 6]);
         assert_eq!(batch.given[..5], [0, 2, 3, 1, 4]);
         assert_eq!(batch.rows[3].vertices, [1, 2, NO, NO]);
         let numbers: Vec<f64> = batch.given.iter().map(|&i| f64::from(i)).collect();

@@ -2,9 +2,9 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use super::constraint::{Constraint, all_met, margins, stencil_kind};
+use super::constraint::{Constraint, all_met, margins};
 use super::distribute::distribute;
-use super::problem::{Batch, IMMOVABLE, Row};
+use super::problem::{IMMOVABLE, Row, ZoneBatch};
 use super::rigid::{self, MovingPoint, RigidMotion};
 use super::solve::{ZoneResult, solve};
 use super::zones::{ImpactZones, Stage, Zone};
@@ -22,17 +22,17 @@ const GRAIN: usize = 256;
 /// Error of a constraint that ends a descent, in margins: what is left of the margin is free of penetration.
 const TOLERANCE: f64 = 0.1;
 
-/// A vertex and its new end position: what ranks exchange.
+/// A vertex and its new end position. Ranks exchange these.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Moved {
-    /// Vertex.
+    /// Vertex in the global order.
     pub vertex: u32,
-    /// End position, metres.
+    /// Position at the end of the step, meters.
     pub position: [f32; 3],
 }
 
-/// What solving some zones gave.
+/// Result of solving some zones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Solved {
     /// New end positions of all their vertices, zone by zone.
@@ -43,14 +43,14 @@ pub struct Solved {
     pub unconverged: u64,
 }
 
-/// Sets new end positions.
+/// Writes new end positions into `x_t1` (x, y, z of every vertex).
 pub fn apply(moved: &[Moved], x_t1: &mut [f32]) {
     for one in moved {
         x_t1[3 * one.vertex as usize..][..3].copy_from_slice(&one.position);
     }
 }
 
-/// A zone in descent.
+/// A zone whose constraints are being solved by descent.
 struct Descent<'a> {
     zone: &'a Zone,
     /// Of the zone, and those found between passes, with their multipliers; by pair, and in the order they were found.
@@ -95,7 +95,7 @@ impl ImpactZones {
             if left.is_empty() {
                 break;
             }
-            let mut batch = Batch::new();
+            let mut batch = ZoneBatch::new();
             left.iter().for_each(|&i| descents[i].push_to(&mut batch, step, self.settings.margin_m));
             for (&i, result) in left.iter().zip(solve(executor, &batch, self.settings.iterations)) {
                 solved.iterations += u64::from(result.iterations);
@@ -115,7 +115,7 @@ impl ImpactZones {
 }
 
 impl Descent<'_> {
-    /// Its constraints, pair by pair.
+    /// The constraints, grouped by pair.
     fn of_pairs(&self) -> impl Iterator<Item = &[(Constraint, f64)]> {
         self.constraints.chunk_by(|(a, _), (b, _)| a.candidate == b.candidate)
     }
@@ -138,7 +138,7 @@ impl Descent<'_> {
         self.of_pairs().flat_map(of_pair).collect()
     }
 
-    fn push_to(&self, batch: &mut Batch, step: &StepPositions, margin_m: f64) {
+    fn push_to(&self, batch: &mut ZoneBatch, step: &StepPositions, margin_m: f64) {
         let masses = self.zone.vertices.iter().map(|&v| f64::from(step.inverse_masses[v as usize]));
         batch.push(&masses.collect::<Vec<f64>>(), self.rows(step, margin_m), TOLERANCE * margin_m);
     }
@@ -167,7 +167,7 @@ impl Descent<'_> {
         }
     }
 
-    /// Start and end positions of a pair as they stand.
+    /// Start positions of a pair and its present end positions.
     fn motion(&self, candidate: &Candidate, step: &StepPositions) -> [[DVec3; 4]; 2] {
         let x_t1 = candidate.vertices.map(|v| match self.zone.place(v) {
             Some(place) => at(self.positions[place].as_slice(), 0),
@@ -185,7 +185,7 @@ impl Descent<'_> {
             for (pair, time) in pairs[range].iter().zip(times) {
                 let candidate = &pair[0].0.candidate;
                 let [x_t0, x_t1] = self.motion(candidate, step).map(|x| x.map(|p| p.as_vec3()));
-                *time = ccd(stencil_kind(candidate), x_t0, x_t1, 0.0).toi;
+                *time = ccd(candidate.kind(), x_t0, x_t1, 0.0).toi;
             }
         });
         let mut more = Vec::new();
@@ -203,7 +203,7 @@ impl Descent<'_> {
     }
 }
 
-/// Whether a zone can do anything about a constraint.
+/// True if a vertex of the zone has weight in the constraint.
 fn moves(zone: &Zone, constraint: &Constraint) -> bool {
     let mut parts = constraint.candidate.vertices.iter().zip(constraint.weights);
     parts.any(|(&v, w)| w != 0.0 && zone.place(v).is_some())
@@ -223,7 +223,7 @@ fn momentum_preserving(zone: &Zone, step: &StepPositions) -> RigidMotion {
 fn moved_as(zone: &Zone, step: &StepPositions, base: &RigidMotion, share: f64, moved: &mut Vec<Moved>) {
     moved.extend(zone.vertices.iter().enumerate().map(|(place, &vertex)| {
         let follows: Vec3 = {
-            let x = base.of(step.start(vertex));
+            let x = base.apply(step.start(vertex));
             (x + (zone.wanted_at(place) - x) * share).as_vec3()
         };
         Moved { vertex, position: follows.to_array() }

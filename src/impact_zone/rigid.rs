@@ -1,5 +1,5 @@
-//! Rigid motions that fit given displacements. Between two poses the step's straight paths make an affine map of the start
-//! at every time (an invertible one below half a turn), so vertices that share one rigid motion never meet on the way.
+//! Rigid motions that fit given displacements. Vertices that share one rigid motion never meet on the way, because at every
+//! time their straight paths are an affine map of the start positions, which is invertible below half a turn.
 
 use crate::math::{DMat3, DVec3};
 
@@ -17,10 +17,10 @@ pub(super) struct RigidMotion {
 }
 
 impl RigidMotion {
-    /// Nothing moves.
+    /// The motion that leaves every point where it is.
     pub const STILL: RigidMotion = RigidMotion { rotation: DMat3::IDENTITY, from: DVec3::ZERO, to: DVec3::ZERO };
 
-    pub fn of(&self, x: DVec3) -> DVec3 {
+    pub fn apply(&self, x: DVec3) -> DVec3 {
         if self.is_still() { x } else { self.rotation * (x - self.from) + self.to }
     }
 
@@ -47,7 +47,7 @@ pub(super) fn shared(points: &[MovingPoint], tolerance_m: f64) -> Option<RigidMo
     let translation = RigidMotion { to: shift, ..RigidMotion::STILL };
     [translation, corrected(points, CORRECTIONS)]
         .into_iter()
-        .find(|motion| points.iter().all(|(start, end, _)| (motion.of(*start) - *end).length() <= tolerance_m))
+        .find(|motion| points.iter().all(|(start, end, _)| (motion.apply(*start) - *end).length() <= tolerance_m))
 }
 
 /// Least-squares fit by repeated small turns.
@@ -97,7 +97,7 @@ mod tests {
         let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 1.2);
         let points = moved(|x| turn * x + DVec3::new(5.0, 0.0, -1.0));
         let motion = shared(&points, 1e-9).expect("one body");
-        assert!((motion.of(DVec3::Y) - (turn * DVec3::Y + DVec3::new(5.0, 0.0, -1.0))).length() < 1e-9);
+        assert!((motion.apply(DVec3::Y) - (turn * DVec3::Y + DVec3::new(5.0, 0.0, -1.0))).length() < 1e-9);
         assert_eq!(shared(&moved(|x| x * 1.1), 1e-3), None);
         assert!(shared(&moved(|x| x), 0.0).expect("standing still").is_still());
         // Two points, one point: any motion that takes them along.
@@ -109,13 +109,13 @@ mod tests {
         let points = moved(|x| x * 1.05 + DVec3::new(0.01 * x.y, -0.02 * x.x, 0.1));
         let motion = momentum_preserving(&points);
         let momentum = |end: &dyn Fn(&MovingPoint) -> DVec3| points.iter().map(|p| (end(p) - p.0) * p.2).sum::<DVec3>();
-        let (before, after) = (momentum(&|p| p.1), momentum(&|p| motion.of(p.0)));
+        let (before, after) = (momentum(&|p| p.1), momentum(&|p| motion.apply(p.0)));
         assert!((before - after).length() < 1e-12, "{before} {after}");
         let center = motion.from;
         let angular = |end: &dyn Fn(&MovingPoint) -> DVec3| {
             points.iter().map(|p| (p.0 - center).cross(end(p) - p.0) * p.2).sum::<DVec3>()
         };
-        let (before, after) = (angular(&|p| p.1), angular(&|p| motion.of(p.0)));
+        let (before, after) = (angular(&|p| p.1), angular(&|p| motion.apply(p.0)));
         assert!((before - after).length() < 0.01 * before.length(), "{before} {after}");
     }
 }

@@ -4,14 +4,14 @@
 //! y' = max(0, y + (target - A d) / yielding) that closes its gap (projected Gauss-Seidel: the multiplier update of the
 //! augmented Lagrangian method, row by row) and moves its vertices along. Most rows of a zone never act, so a sweep over all
 //! rows is followed by some over those that do, with Nesterov's extrapolation, dropped where it points uphill. Rows of one
-//! colour share no vertex: a workgroup per zone does them at once, with a barrier after each colour. Nothing is added by
+//! color share no vertex: a workgroup per zone does them at once, with a barrier after each color. Nothing is added by
 //! atomics. What is returned is a sum of internal forces whenever it stops, so linear momentum is kept.
 //!
 //! Promises nothing about rows that contradict each other: it stops at the limit on iterations.
 
 use std::sync::Mutex;
 
-use super::problem::{Batch, Row, ZoneSpan};
+use super::problem::{Row, ZoneBatch, ZoneSpan};
 use super::solve_cpu;
 use crate::gpu::{DeviceVec, Executor, GpuExecutor, GpuStruct, KernelSource, ReadBatch, gpu_struct};
 
@@ -36,7 +36,7 @@ gpu_struct! {
     struct SolveParams { zones: u32, iterations: u32 }
 }
 gpu_struct! {
-    struct DeviceZone { first_vertex: u32, vertices: u32, first_row: u32, rows: u32, first_colour: u32, colours: u32, tolerance: f32 }
+    struct DeviceZone { first_vertex: u32, vertices: u32, first_row: u32, rows: u32, first_color: u32, colors: u32, tolerance: f32 }
 }
 gpu_struct! {
     struct DeviceRow { normal: [f32; 3], value: f32, weights: [f32; 4], vertices: [u32; 4], yielding: f32, pad: [f32; 3] }
@@ -51,22 +51,22 @@ gpu_struct! {
     struct DeviceStatus { momentum: f32, inner: u32, iterations: u32, converged: u32 }
 }
 
-/// What a zone's solve gave.
+/// Result of a zone's solve.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ZoneResult {
-    /// Displacement of every vertex, metres.
+    /// Displacement of every vertex, meters.
     pub displacements: Vec<[f64; 3]>,
     /// Multiplier of every row of the zone that moves anything, in the order they were given, to go on from.
     pub multipliers: Vec<f64>,
-    /// Sweeps made.
+    /// Number of sweeps made.
     pub iterations: u32,
-    /// True if a sweep over all rows ended it that changed no gap by more than the tolerance.
+    /// True if the last sweep over all rows changed no gap by more than the tolerance.
     pub converged: bool,
 }
 
 /// Solves all zones of `batch`, each in at most `iterations` sweeps. On a device in f32; its result is for
 /// [`Executor::take_fault`] to confirm.
-pub fn solve(executor: &Executor, batch: &Batch, iterations: u32) -> Vec<ZoneResult> {
+pub fn solve(executor: &Executor, batch: &ZoneBatch, iterations: u32) -> Vec<ZoneResult> {
     match executor {
         Executor::Cpu(cpu) => {
             let results = Mutex::new(vec![ZoneResult::default(); batch.zones.len()]);
@@ -85,10 +85,10 @@ pub fn solve(executor: &Executor, batch: &Batch, iterations: u32) -> Vec<ZoneRes
 }
 
 /// Loop turns of an invocation per sweep at most.
-fn turns_per_sweep(batch: &Batch, zone: &ZoneSpan) -> u64 {
-    let colours = &batch.colours[zone.first_colour as usize..=(zone.first_colour + zone.colours) as usize];
-    let of_colour = |w: &[u32]| 1 + u64::from(w[1] - w[0]).div_ceil(LANES);
-    let sweep: u64 = colours.windows(2).map(of_colour).sum();
+fn turns_per_sweep(batch: &ZoneBatch, zone: &ZoneSpan) -> u64 {
+    let colors = &batch.colors[zone.first_color as usize..=(zone.first_color + zone.colors) as usize];
+    let of_color = |w: &[u32]| 1 + u64::from(w[1] - w[0]).div_ceil(LANES);
+    let sweep: u64 = colors.windows(2).map(of_color).sum();
     // One turn for the sweep, one per halving of the workgroup in the reduction.
     sweep
         + u64::from(zone.rows).div_ceil(LANES)
@@ -97,7 +97,7 @@ fn turns_per_sweep(batch: &Batch, zone: &ZoneSpan) -> u64 {
         + u64::from(LANES.ilog2())
 }
 
-fn on_device(executor: &Executor, gpu: &GpuExecutor, batch: &Batch, iterations: u32) -> Vec<ZoneResult> {
+fn on_device(executor: &Executor, gpu: &GpuExecutor, batch: &ZoneBatch, iterations: u32) -> Vec<ZoneResult> {
     if batch.zones.is_empty() {
         return Vec::new();
     }
@@ -108,13 +108,13 @@ fn on_device(executor: &Executor, gpu: &GpuExecutor, batch: &Batch, iterations: 
     let per_dispatch = TURNS / most;
     let mut zones: Vec<DeviceZone> = batch.zones.iter().zip(&batch.tolerances).map(device_zone).collect();
     for zone in (0..zones.len()).filter(|&zone| too_large(zone)) {
-        zones[zone] = DeviceZone { vertices: 0, rows: 0, colours: 0, ..zones[zone] };
+        zones[zone] = DeviceZone { vertices: 0, rows: 0, colors: 0, ..zones[zone] };
     }
     let zones = DeviceVec::upload(executor, &zones);
     let inverse_masses =
         DeviceVec::upload(executor, &batch.inverse_masses.iter().map(|&m| m as f32).collect::<Vec<_>>());
     let rows = DeviceVec::upload(executor, &batch.rows.iter().map(device_row).collect::<Vec<_>>());
-    let colours = DeviceVec::upload(executor, &batch.colours);
+    let colors = DeviceVec::upload(executor, &batch.colors);
     let mut last: Vec<Multipliers> = batch.rows.iter().map(begin).collect();
     let mut multipliers = DeviceVec::upload(executor, &last);
     let mut displacements = DeviceVec::upload(executor, &displacements_at_start(batch));
@@ -127,7 +127,7 @@ fn on_device(executor: &Executor, gpu: &GpuExecutor, batch: &Batch, iterations: 
             zones.binding(),
             inverse_masses.binding(),
             rows.binding(),
-            colours.binding(),
+            colors.binding(),
             multipliers.binding_mut(),
             displacements.binding_mut(),
             status.binding_mut(),
@@ -162,7 +162,7 @@ fn begin(row: &Row) -> Multipliers {
 }
 
 /// Displacements of all zones' vertices that belong to the rows' first multipliers.
-fn displacements_at_start(batch: &Batch) -> Vec<Displacements> {
+fn displacements_at_start(batch: &ZoneBatch) -> Vec<Displacements> {
     let of_zone = |zone: &ZoneSpan| {
         let start: Vec<f64> = batch.rows[zone.row_range()].iter().map(|row| row.start).collect();
         batch.displacements(zone, &start)
@@ -177,8 +177,8 @@ fn device_zone((zone, &tolerance): (&ZoneSpan, &f64)) -> DeviceZone {
         vertices: zone.vertices,
         first_row: zone.first_row,
         rows: zone.rows,
-        first_colour: zone.first_colour,
-        colours: zone.colours,
+        first_color: zone.first_color,
+        colors: zone.colors,
         tolerance: tolerance as f32,
     }
 }

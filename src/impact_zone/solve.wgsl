@@ -12,9 +12,9 @@ struct DeviceZone {
     vertices: u32,
     first_row: u32,
     rows: u32,
-    // Entries of `colours`: the first row of each colour, and the end of the last one.
-    first_colour: u32,
-    colours: u32,
+    // Entries of `colors`: the first row of each color, and the end of the last one.
+    first_color: u32,
+    colors: u32,
     // Change of a gap that ends the descent.
     tolerance: f32,
 }
@@ -53,7 +53,7 @@ struct DeviceStatus {
 @group(0) @binding(0) var<storage, read> zones: array<DeviceZone>;
 @group(0) @binding(1) var<storage, read> inverse_masses: array<f32>;
 @group(0) @binding(2) var<storage, read> rows: array<DeviceRow>;
-@group(0) @binding(3) var<storage, read> colours: array<u32>;
+@group(0) @binding(3) var<storage, read> colors: array<u32>;
 @group(0) @binding(4) var<storage, read_write> multipliers: array<Multipliers>;
 @group(0) @binding(5) var<storage, read_write> displacements: array<Displacements>;
 @group(0) @binding(6) var<storage, read_write> status: array<DeviceStatus>;
@@ -126,9 +126,9 @@ fn solve(
         let over_all = state.inner == 0u;
         var change = 0.0;
         var uphill = 0.0;
-        for (var c = 0u; c < zone.colours; c++) {
-            let end = colours[zone.first_colour + c + 1u];
-            for (var r = colours[zone.first_colour + c] + local; r < end; r += LANES) {
+        for (var c = 0u; c < zone.colors; c++) {
+            let end = colors[zone.first_color + c + 1u];
+            for (var r = colors[zone.first_color + c] + local; r < end; r += LANES) {
                 if (over_all || multipliers[r].working != 0u) {
                     let changed = close_gap(r);
                     change = max(change, changed.x);

@@ -1,9 +1,9 @@
 //! CPU twin of `solve.wgsl`, in f64.
 
-use super::problem::{Batch, Row};
+use super::problem::{Row, ZoneBatch};
 use super::solve::{MOST_INNER, ZoneResult};
 
-/// Multipliers and displacements on the way.
+/// Multipliers and displacements between two sweeps.
 struct Descent<'a> {
     rows: &'a [Row],
     inverse_masses: Vec<f64>,
@@ -11,15 +11,15 @@ struct Descent<'a> {
     /// Multipliers: as they stand, and after the sweep before.
     now: Vec<f64>,
     held: Vec<f64>,
-    /// Displacements that belong to them; one more for all that cannot move.
+    /// Displacements of these multipliers; the last one stands for all vertices that cannot move.
     displaced: Vec<[f64; 3]>,
     displaced_held: Vec<[f64; 3]>,
 }
 
-/// What a sweep changed.
+/// Largest changes of a sweep.
 #[derive(Default)]
 struct Changes {
-    /// Of the gap of a row at most, metres.
+    /// Of the gap of a row at most, meters.
     largest: f64,
     /// Above 0 where the extrapolation pointed uphill.
     turn: f64,
@@ -27,7 +27,7 @@ struct Changes {
 
 /// Sweeps over the rows of a zone until a sweep over all of them changes no gap by more than the tolerance, or `iterations`
 /// times.
-pub fn solve(batch: &Batch, zone: usize, iterations: u32) -> ZoneResult {
+pub fn solve(batch: &ZoneBatch, zone: usize, iterations: u32) -> ZoneResult {
     let (tolerance, zone) = (batch.tolerances[zone], &batch.zones[zone]);
     let mut descent = Descent::new(batch, zone);
     let all: Vec<u32> = (0..zone.rows).collect();
@@ -60,7 +60,7 @@ pub fn solve(batch: &Batch, zone: usize, iterations: u32) -> ZoneResult {
 }
 
 impl<'a> Descent<'a> {
-    fn new(batch: &'a Batch, zone: &super::ZoneSpan) -> Descent<'a> {
+    fn new(batch: &'a ZoneBatch, zone: &super::ZoneSpan) -> Descent<'a> {
         let rows = &batch.rows[zone.row_range()];
         let now: Vec<f64> = rows.iter().map(|row| row.start).collect();
         let mut displaced = batch.displacements(zone, &now);
@@ -78,8 +78,8 @@ impl<'a> Descent<'a> {
         }
     }
 
-    /// Each row of `which` in turn takes the multiplier that closes its gap with the others as they are. Rows lie by colour,
-    /// so this is what the shader does a colour at a time.
+    /// Each row of `which` in turn takes the multiplier that closes its gap with the others as they are. Rows lie by color,
+    /// so this is what the shader does a color at a time.
     fn sweep(&mut self, which: &[u32]) -> Changes {
         let mut changes = Changes::default();
         let fixed = self.inverse_masses.len() - 1;

@@ -25,14 +25,14 @@ const GROWN: u32 = 1;
 const FALLBACKS: u32 = 4;
 /// Descents that the rest of a divided zone gets: the first one does not know yet where the other part goes.
 const AFTER_DIVISION: u32 = 3;
-/// How often standing vertices may be given another body to follow.
+/// Largest number of times that standing vertices are given another body to follow.
 const MOST_REBASES: u32 = 8;
 /// Shares of the wanted motion in the stages of the fail-safe, for zones that hit imposed vertices and for others, which
 /// try to move as a rigid body first.
 const SHARES: [f64; 4] = [0.5, 0.25, 0.125, 0.0];
 const SHARES_AFTER_RIGID: [f64; 3] = [0.5, 0.25, 0.0];
 
-/// How a zone is to be resolved in this round.
+/// The way in which a zone is resolved in a round.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stage {
     /// Smallest change that keeps all constraints; the number counts failed attempts.
@@ -55,12 +55,12 @@ pub struct Zone {
     pub(super) constraints: Vec<Constraint>,
     effort: u32,
     rebases: u32,
-    /// Whether a part of it went on to the fail-safe before.
+    /// True if a part of it went on to the fail-safe before.
     divided: bool,
 }
 
 impl Zone {
-    /// Movable vertices, ascending.
+    /// Movable vertices of the zone, ascending.
     pub fn vertices(&self) -> &[u32] {
         &self.vertices
     }
@@ -70,7 +70,7 @@ impl Zone {
         self.constraints.len()
     }
 
-    /// Place of a vertex in the zone.
+    /// Place of a vertex among [`Zone::vertices`]; none if it is not one of them.
     pub(super) fn place(&self, vertex: u32) -> Option<usize> {
         self.vertices.binary_search(&vertex).ok()
     }
@@ -108,7 +108,7 @@ pub struct ImpactZones {
 struct Parts {
     vertices: Vec<(u32, [f32; 3])>,
     constraints: Vec<Constraint>,
-    /// Of this round.
+    /// Constraints of the impacts of this round.
     fresh: Vec<Constraint>,
     effort: u32,
     rebases: u32,
@@ -120,7 +120,7 @@ struct Parts {
 }
 
 impl ImpactZones {
-    /// No impacts yet.
+    /// The zones of a step before its first impacts.
     pub fn new(settings: ZoneSettings) -> ImpactZones {
         ImpactZones {
             settings,
@@ -142,7 +142,7 @@ impl ImpactZones {
         &self.active
     }
 
-    /// What happened so far; without iterations and halvings, which the caller counts.
+    /// Counts so far, without iterations and halvings, which the caller counts.
     pub fn counts(&self) -> ZoneCounts {
         ZoneCounts {
             zones: self.zones.len() as u64,
@@ -229,7 +229,7 @@ impl ImpactZones {
         Ok((sets, fresh, homes))
     }
 
-    /// Makes zones of parts.
+    /// Makes the zones of this round from the parts that belong together.
     fn rebuild(
         &mut self,
         step: &StepPositions,
@@ -341,7 +341,7 @@ impl ImpactZones {
         zone.effort / FAILED >= self.settings.attempts + FALLBACKS - 1
     }
 
-    /// How a zone is to be resolved.
+    /// The way in which a zone is resolved, by its effort so far.
     pub fn stage(&self, zone: &Zone) -> Stage {
         let tries = zone.effort / FAILED;
         let Some(fallback) = tries.checked_sub(self.settings.attempts) else { return Stage::Descent(tries) };

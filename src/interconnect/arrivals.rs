@@ -25,7 +25,7 @@ impl Line {
     }
 }
 
-/// One receipt.
+/// One sub-vector or set of halo rows that a rank receives.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Receipt {
     /// Rank that hands it over.
@@ -34,15 +34,15 @@ pub struct Receipt {
     pub owner: usize,
     /// Receipts of one lane follow one another.
     pub lane: usize,
-    /// It begins.
+    /// When the transfer begins.
     pub start: Line,
-    /// Its source holds it: from the start if the source owns it.
+    /// When its source holds it; from the start if the source owns it.
     pub held: Line,
-    /// It has arrived.
+    /// When it has arrived.
     pub done: Line,
 }
 
-/// What the links of a topology mean for one rank.
+/// Arrival times at one rank over the links of a topology.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RankLinks {
     /// Receipts when whole sub-vectors travel.
@@ -81,7 +81,7 @@ fn receipts(plan: &TransferPlan, topology: &Topology) -> Vec<Vec<Receipt>> {
     let mut empty = plan.clone();
     empty.queues.iter_mut().flatten().for_each(|transfer| transfer.bytes *= NOTHING);
     let (empty_s, full_s) = (transfer_times(&empty, topology), transfer_times(plan, topology));
-    let line = |rank: usize, i: usize, moment: fn(&super::Span) -> f64| Line {
+    let line = |rank: usize, i: usize, moment: fn(&super::TaskTimes) -> f64| Line {
         empty_s: moment(&empty_s[rank][i]),
         full_s: moment(&full_s[rank][i]),
     };

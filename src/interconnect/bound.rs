@@ -1,6 +1,6 @@
-//! What no schedule can beat: every GPU must take in what it lacks over its own links, and over every cut of the machine
-//! must go what one side has and the other side needs. The worst cut is found by maximum flows, so the bound is the best of
-//! its kind; forwarding, chunking and splitting over links are all allowed for.
+//! Lower bounds on the time of an exchange. Every GPU must receive what it lacks over its own links, and every cut of the
+//! machine must carry what one side has and the other side needs. Maximum flows find the worst cut, so the bound is the best
+//! of its kind. It allows for forwarding, chunking and splitting over links.
 
 use super::flow::FlowGraph;
 use super::network::Channels;
@@ -8,7 +8,7 @@ use super::packing::Demand;
 use super::parts::Duplex;
 use super::topology::Topology;
 
-/// Lower bounds on the time until every GPU holds every sub-vector, seconds. All modelled from the topology file.
+/// Lower bounds on the time until every GPU holds every sub-vector, seconds. All modeled from the topology file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LowerBound {
     /// Longest time that any one GPU needs to take in what it lacks over its own links.
@@ -30,7 +30,7 @@ impl LowerBound {
     }
 }
 
-/// Relative accuracy of flows.
+/// Relative accuracy of maximum flows.
 const CLOSE: f64 = 1e-9;
 
 /// The bound for sub-vectors of `sub_vector_bytes` bytes that every GPU of `topology` must get from all others.
@@ -146,7 +146,7 @@ fn smallest_cut(topology: &Topology, gpu: usize, seconds: f64, sub_vector_bytes:
     (0..nodes).map(|node| !reached[node]).collect()
 }
 
-/// The bytes that come last must come from somewhere: no GPU is complete before the latency of its nearest neighbour.
+/// The bytes that come last must come from somewhere: no GPU is complete before the latency of its nearest neighbor.
 fn shortest_latency_s(topology: &Topology) -> f64 {
     let (channels, gpus) = (Channels::of(topology), topology.gpus());
     let nearest = |to: usize| {

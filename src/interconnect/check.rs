@@ -1,4 +1,4 @@
-//! What every schedule must hold, checked by walking through its stages; and how often it uses the root of a tree.
+//! Checks the rules of schedules by walking through the stages, and counts the crossings of the root of a tree.
 
 use super::Schedule;
 use super::topology::Topology;
@@ -6,44 +6,44 @@ use super::topology::Topology;
 /// The first rule that a schedule breaks. Stages count from 1.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ScheduleFault {
-    /// One queue per rank.
+    /// The schedule does not have one queue per rank.
     #[error("a schedule for {gpus} GPUs needs {gpus} queues and has {queues}")]
     QueueCount {
-        /// Ranks.
+        /// Number of ranks.
         gpus: usize,
-        /// Queues found.
+        /// Number of queues in the schedule.
         queues: usize,
     },
-    /// One node per other rank.
+    /// A queue does not have one node per other rank.
     #[error("the queue of rank {rank} needs {expected} stages and has {stages}")]
     StageCount {
-        /// Whose queue.
+        /// Rank whose queue it is.
         rank: usize,
-        /// Ranks less one.
+        /// Number of ranks less one.
         expected: usize,
-        /// Nodes found.
+        /// Number of nodes in the queue.
         stages: usize,
     },
     /// A node names a rank that does not exist.
     #[error("in stage {stage} rank {rank} receives v{vector} from rank {source_rank}, but there are only {gpus} ranks")]
     NoSuchRank {
-        /// Stage, from 1.
+        /// Stage of the node, counted from 1.
         stage: usize,
-        /// Receiver.
+        /// Rank that receives.
         rank: usize,
-        /// Sender.
+        /// Rank that sends.
         source_rank: usize,
-        /// Sub-vector.
+        /// Index of the sub-vector.
         vector: usize,
-        /// Ranks there are.
+        /// Number of ranks.
         gpus: usize,
     },
     /// A rank sends to two others at once.
     #[error("in stage {stage} rank {source_rank} sends twice")]
     SendsTwice {
-        /// Stage, from 1.
+        /// Stage of the node, counted from 1.
         stage: usize,
-        /// Sender.
+        /// Rank that sends.
         source_rank: usize,
     },
     /// The sender has not received what it should hand on.
@@ -51,23 +51,23 @@ pub enum ScheduleFault {
         "in stage {stage} rank {rank} should receive v{vector} from rank {source_rank}, which does not hold it yet"
     )]
     NotHeld {
-        /// Stage, from 1.
+        /// Stage of the node, counted from 1.
         stage: usize,
-        /// Receiver.
+        /// Rank that receives.
         rank: usize,
-        /// Sender.
+        /// Rank that sends.
         source_rank: usize,
-        /// Sub-vector.
+        /// Index of the sub-vector.
         vector: usize,
     },
     /// The receiver owns the sub-vector or received it before.
     #[error("in stage {stage} rank {rank} receives v{vector}, which it already holds")]
     ReceivedTwice {
-        /// Stage, from 1.
+        /// Stage of the node, counted from 1.
         stage: usize,
-        /// Receiver.
+        /// Rank that receives.
         rank: usize,
-        /// Sub-vector.
+        /// Index of the sub-vector.
         vector: usize,
     },
 }
@@ -107,12 +107,12 @@ pub fn check_schedule(schedule: &Schedule) -> Result<(), ScheduleFault> {
             }
         }
     }
-    // n-1 different sub-vectors besides the own one are all there are.
+    // n-1 different sub-vectors besides the own one are all of them.
     Ok(())
 }
 
 /// The sub-vectors that cross the root switch in each stage (`[stage][crossing]`, in order of the receiving rank).
-/// None if the topology is no tree with a switch at its root, or has other ranks than the schedule.
+/// None if the topology is not a tree with a switch at its root, or does not have the schedule's number of ranks.
 pub fn root_crossings(schedule: &Schedule, topology: &Topology) -> Option<Vec<Vec<usize>>> {
     let root = topology.root().filter(|_| topology.is_tree() && schedule.gpus == topology.gpus())?;
     let crosses = |source: usize, rank: usize| {

@@ -3,9 +3,8 @@
 //!
 //! A transfer waits for what it depends on, occupies every link of its path until its bytes are through ("released"; links
 //! are shared max-min fairly, `network.rs`), and has arrived one latency of the path later ("done"). A latency therefore
-//! delays whoever waits for the bytes, but does not keep a link busy: the next transfer of a queue follows on the heels of
-//! the one before. A kernel lasts as long as its caller says. Which kernels and transfers exclude one another is stated by
-//! dependencies alone.
+//! delays the tasks that wait for the bytes, but does not keep a link busy: the next transfer of a queue follows at once.
+//! The caller states how long a kernel lasts. Dependencies alone state which kernels and transfers exclude one another.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -13,45 +12,45 @@ use std::collections::BinaryHeap;
 use super::network::{Channels, Network};
 use super::topology::Topology;
 
-/// What a task does.
+/// The work of a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Work {
     /// Bytes from one GPU's memory to another's.
     Transfer {
-        /// Sender.
+        /// GPU that sends.
         from: usize,
-        /// Receiver.
+        /// GPU that receives.
         to: usize,
-        /// Bytes.
+        /// Size of the transfer, bytes.
         bytes: f64,
     },
     /// Time that passes on a device or on the wire: a kernel, an all-reduce, or nothing at all (0).
     Seconds(f64),
 }
 
-/// What a task waits for in another one.
+/// The point in the run of a task that another task waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Moment {
-    /// Its links are free again.
+pub enum Milestone {
+    /// The task's links are free again.
     Released,
-    /// Its result is there.
+    /// The task's result has arrived.
     Done,
 }
 
-/// When a task ran, seconds.
+/// Times of a task, seconds of virtual time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Span {
-    /// It began.
+pub struct TaskTimes {
+    /// Start of the work.
     pub start_s: f64,
-    /// Its links were free again.
+    /// When its links were free again.
     pub released_s: f64,
-    /// Its result was there.
+    /// When its result had arrived.
     pub done_s: f64,
 }
 
-impl Span {
-    /// Of a task that did not run.
-    pub const NEVER: Span = Span { start_s: f64::INFINITY, released_s: f64::INFINITY, done_s: f64::INFINITY };
+impl TaskTimes {
+    /// Times of a task that did not run.
+    pub const NEVER: TaskTimes = TaskTimes { start_s: f64::INFINITY, released_s: f64::INFINITY, done_s: f64::INFINITY };
 }
 
 /// Tasks in the order in which they were added, and who waits for whom.
@@ -59,7 +58,7 @@ impl Span {
 pub struct Program {
     work: Vec<Work>,
     /// (task that is waited for, what of it, task that waits).
-    edges: Vec<(u32, Moment, u32)>,
+    edges: Vec<(u32, Milestone, u32)>,
 }
 
 /// Tasks that wait for each other in a circle never run.
@@ -68,40 +67,40 @@ pub struct Program {
 pub struct Circle {
     /// Tasks that never ran.
     pub stuck: usize,
-    /// All tasks.
+    /// Tasks of the program.
     pub tasks: usize,
 }
 
 impl Program {
-    /// Adds a task that starts at time 0 unless told to wait; returns its number.
+    /// Adds a task that starts at time 0, unless it is made to wait; returns its number.
     pub fn add(&mut self, work: Work) -> usize {
         self.work.push(work);
         self.work.len() - 1
     }
 
     /// Makes `task` wait for `moment` of `other`; both exist already.
-    pub fn after(&mut self, task: usize, other: usize, moment: Moment) {
+    pub fn after(&mut self, task: usize, other: usize, moment: Milestone) {
         self.edges.push((other as u32, moment, task as u32));
     }
 
     /// Adds a task that waits until all of `others` are done.
     pub fn add_after(&mut self, work: Work, others: &[usize]) -> usize {
         let task = self.add(work);
-        others.iter().for_each(|&other| self.after(task, other, Moment::Done));
+        others.iter().for_each(|&other| self.after(task, other, Milestone::Done));
         task
     }
 
-    /// Number of tasks.
+    /// Number of tasks in the program.
     pub fn len(&self) -> usize {
         self.work.len()
     }
 
-    /// True without tasks.
+    /// True if the program has no tasks.
     pub fn is_empty(&self) -> bool {
         self.work.is_empty()
     }
 
-    /// What a task does.
+    /// The work of task number `task`.
     pub fn work(&self, task: usize) -> Work {
         self.work[task]
     }
@@ -110,29 +109,29 @@ impl Program {
     ///
     /// # Panics
     /// If a transfer names a GPU that the topology does not have.
-    pub fn run(&self, topology: &Topology) -> Result<Vec<Span>, Circle> {
+    pub fn run(&self, topology: &Topology) -> Result<Vec<TaskTimes>, Circle> {
         self.run_on(&Channels::of(topology))
     }
 
-    pub(super) fn run_on(&self, channels: &Channels) -> Result<Vec<Span>, Circle> {
+    pub(super) fn run_on(&self, channels: &Channels) -> Result<Vec<TaskTimes>, Circle> {
         Run::new(self, channels).finish()
     }
 }
 
 /// A moment in virtual time, ordered; ties go to the task that was added first.
 #[derive(Clone, Copy, PartialEq)]
-struct Event(f64, u32);
+struct Completion(f64, u32);
 
-impl Eq for Event {}
+impl Eq for Completion {}
 
-impl PartialOrd for Event {
-    fn partial_cmp(&self, other: &Event) -> Option<std::cmp::Ordering> {
+impl PartialOrd for Completion {
+    fn partial_cmp(&self, other: &Completion) -> Option<std::cmp::Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl Ord for Event {
-    fn cmp(&self, other: &Event) -> std::cmp::Ordering {
+impl Ord for Completion {
+    fn cmp(&self, other: &Completion) -> std::cmp::Ordering {
         self.0.total_cmp(&other.0).then(self.1.cmp(&other.1))
     }
 }
@@ -143,11 +142,11 @@ struct Run<'a> {
     network: Network<'a>,
     /// Those that wait for task i: `waiting[starts[i]..starts[i + 1]]`.
     starts: Vec<u32>,
-    waiting: Vec<(Moment, u32)>,
+    waiting: Vec<(Milestone, u32)>,
     /// Moments that a task still waits for.
     missing: Vec<u32>,
-    spans: Vec<Span>,
-    done: BinaryHeap<Reverse<Event>>,
+    spans: Vec<TaskTimes>,
+    done: BinaryHeap<Reverse<Completion>>,
     finished: usize,
     ready: Vec<u32>,
 }
@@ -164,7 +163,7 @@ impl<'a> Run<'a> {
             starts[i + 1] += starts[i];
         }
         let mut next = starts.clone();
-        let mut waiting = vec![(Moment::Done, 0); program.edges.len()];
+        let mut waiting = vec![(Milestone::Done, 0); program.edges.len()];
         for (other, moment, task) in &program.edges {
             let slot = &mut next[*other as usize];
             waiting[*slot as usize] = (*moment, *task);
@@ -177,14 +176,14 @@ impl<'a> Run<'a> {
             starts,
             waiting,
             missing,
-            spans: vec![Span::NEVER; tasks],
+            spans: vec![TaskTimes::NEVER; tasks],
             done: BinaryHeap::new(),
             finished: 0,
             ready: Vec::new(),
         }
     }
 
-    fn finish(mut self) -> Result<Vec<Span>, Circle> {
+    fn finish(mut self) -> Result<Vec<TaskTimes>, Circle> {
         let tasks = self.work.len();
         self.ready = (0..tasks as u32).filter(|task| self.missing[*task as usize] == 0).collect();
         let (mut now_s, mut ended) = (0.0, Vec::new());
@@ -200,7 +199,7 @@ impl<'a> Run<'a> {
             for &task in &ended {
                 self.release(task, now_s);
             }
-            while let Some(&Reverse(Event(done_s, task))) = self.done.peek() {
+            while let Some(&Reverse(Completion(done_s, task))) = self.done.peek() {
                 if done_s > now_s {
                     break;
                 }
@@ -225,7 +224,7 @@ impl<'a> Run<'a> {
                 Work::Seconds(seconds) => {
                     self.spans[index].released_s = now_s + seconds;
                     self.spans[index].done_s = now_s + seconds;
-                    self.done.push(Reverse(Event(now_s + seconds, task)));
+                    self.done.push(Reverse(Completion(now_s + seconds, task)));
                 }
             }
         }
@@ -235,19 +234,19 @@ impl<'a> Run<'a> {
         let Work::Transfer { from, to, .. } = self.work[task] else { return };
         let done_s = now_s + self.channels.latency_s(from, to);
         (self.spans[task].released_s, self.spans[task].done_s) = (now_s, done_s);
-        self.done.push(Reverse(Event(done_s, task as u32)));
-        self.tell(task, Moment::Released);
+        self.done.push(Reverse(Completion(done_s, task as u32)));
+        self.tell(task, Milestone::Released);
     }
 
     fn complete(&mut self, task: usize) {
         self.finished += 1;
         if matches!(self.work[task], Work::Seconds(_)) {
-            self.tell(task, Moment::Released);
+            self.tell(task, Milestone::Released);
         }
-        self.tell(task, Moment::Done);
+        self.tell(task, Milestone::Done);
     }
 
-    fn tell(&mut self, task: usize, moment: Moment) {
+    fn tell(&mut self, task: usize, moment: Milestone) {
         for i in self.starts[task] as usize..self.starts[task + 1] as usize {
             let (wanted, waiter) = self.waiting[i];
             if wanted == moment {
@@ -272,13 +271,13 @@ mod tests {
         let mut program = Program::default();
         let first = program.add(Work::Transfer { from: 0, to: 1, bytes: 3e9 });
         let second = program.add(Work::Transfer { from: 0, to: 1, bytes: 1e9 });
-        program.after(second, first, Moment::Released);
+        program.after(second, first, Milestone::Released);
         let kernel = program.add_after(Work::Seconds(0.5), &[second]);
         let spans = program.run(&pair).unwrap();
         // Two links of one second each.
-        assert_eq!(spans[first], Span { start_s: 0.0, released_s: 3.0, done_s: 5.0 });
-        assert_eq!(spans[second], Span { start_s: 3.0, released_s: 4.0, done_s: 6.0 });
-        assert_eq!(spans[kernel], Span { start_s: 6.0, released_s: 6.5, done_s: 6.5 });
+        assert_eq!(spans[first], TaskTimes { start_s: 0.0, released_s: 3.0, done_s: 5.0 });
+        assert_eq!(spans[second], TaskTimes { start_s: 3.0, released_s: 4.0, done_s: 6.0 });
+        assert_eq!(spans[kernel], TaskTimes { start_s: 6.0, released_s: 6.5, done_s: 6.5 });
     }
 
     #[test]
@@ -286,8 +285,8 @@ mod tests {
         let mut program = Program::default();
         let (a, b) = (program.add(Work::Seconds(1.0)), program.add(Work::Seconds(1.0)));
         program.add(Work::Seconds(1.0));
-        program.after(a, b, Moment::Done);
-        program.after(b, a, Moment::Done);
+        program.after(a, b, Milestone::Done);
+        program.after(b, a, Milestone::Done);
         let alone = Topology::default_for(1).unwrap();
         assert_eq!(program.run(&alone), Err(Circle { stuck: 2, tasks: 3 }));
     }

@@ -1,4 +1,4 @@
-//! Modelled time of a schedule on a topology, by the clock (`clock.rs`). A model, not a measurement: no protocol overhead
+//! Modeled time of a schedule on a topology, by the clock (`clock.rs`). A model, not a measurement: no protocol overhead
 //! and no compute.
 //!
 //! Every rank receives in the order of its queue: a transfer starts when the one before it in the queue has arrived and its
@@ -7,13 +7,13 @@
 //! are free, so that latencies overlap.
 
 use super::Schedule;
-use super::clock::{Program, Span};
+use super::clock::{Program, TaskTimes};
 use super::network::Channels;
 use super::pieces::Pieces;
 use super::topology::Topology;
 use super::transfers::TransferPlan;
 
-/// Modelled times of a schedule, seconds.
+/// Modeled times of a schedule, seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScheduleCost {
     /// How much later than every rank's stage s - 1 every rank's stage s is complete; the first counts from the start.
@@ -22,11 +22,11 @@ pub struct ScheduleCost {
     pub total_s: f64,
 }
 
-/// Modelled cost of `schedule` on `topology` if every sub-vector has `sub_vector_bytes` bytes.
+/// Modeled cost of `schedule` on `topology` if every sub-vector has `sub_vector_bytes` bytes.
 ///
 /// Nodes that name ranks that the topology does not have cost nothing, and a schedule whose ranks wait for each other in a
 /// circle costs infinity; [`super::check_schedule`] finds both.
-pub fn modelled_cost(schedule: &Schedule, topology: &Topology, sub_vector_bytes: f64) -> ScheduleCost {
+pub fn modeled_cost(schedule: &Schedule, topology: &Topology, sub_vector_bytes: f64) -> ScheduleCost {
     let mut plan = TransferPlan::of_schedule(schedule, sub_vector_bytes);
     plan.queues.truncate(topology.gpus());
     plan.queues.iter_mut().for_each(|queue| queue.retain(|transfer| transfer.source < topology.gpus()));
@@ -36,7 +36,7 @@ pub fn modelled_cost(schedule: &Schedule, topology: &Topology, sub_vector_bytes:
     ScheduleCost::of_stages((0..stages).map(|stage| of_stage(stage).fold(0.0, f64::max)).collect())
 }
 
-/// Modelled cost of moving every sub-vector in pieces.
+/// Modeled cost of moving every sub-vector in pieces.
 pub fn pieces_cost(pieces: &Pieces, topology: &Topology, sub_vector_bytes: f64) -> ScheduleCost {
     let gpus = topology.gpus();
     let spans = transfer_times(&TransferPlan::of_pieces(pieces, sub_vector_bytes), topology);
@@ -55,7 +55,7 @@ pub fn pieces_cost(pieces: &Pieces, topology: &Topology, sub_vector_bytes: f64) 
 /// Bytes that a rank contributes to a reduction: at most 54 numbers (`solver/reduction.rs`).
 pub(super) const REDUCTION_BYTES: f64 = 54.0 * 8.0;
 
-/// Modelled time of an all-reduce from the moment at which the last rank has reached it: the longest path's latency, and the
+/// Modeled time of an all-reduce from the moment at which the last rank has reached it: the longest path's latency, and the
 /// numbers of all ranks over the narrowest link. Nothing for a single rank.
 pub fn all_reduce_s(topology: &Topology) -> f64 {
     all_reduce_on(&Channels::of(topology), topology.gpus())
@@ -72,10 +72,10 @@ pub(super) fn all_reduce_on(channels: &Channels, ranks: usize) -> f64 {
 }
 
 /// When every transfer of every rank is under way, in the order of its queue; never if transfers wait in a circle.
-pub fn transfer_times(plan: &TransferPlan, topology: &Topology) -> Vec<Vec<Span>> {
+pub fn transfer_times(plan: &TransferPlan, topology: &Topology) -> Vec<Vec<TaskTimes>> {
     let mut program = Program::default();
     let tasks = plan.add_to(&mut program, None);
-    let spans = program.run(topology).unwrap_or_else(|_| vec![Span::NEVER; program.len()]);
+    let spans = program.run(topology).unwrap_or_else(|_| vec![TaskTimes::NEVER; program.len()]);
     tasks.iter().map(|queue| queue.iter().map(|&task| spans[task]).collect()).collect()
 }
 
@@ -85,7 +85,7 @@ impl ScheduleCost {
         let mut before_s = 0.0f64;
         let step = |at_s: &f64| {
             let later_s = at_s.max(before_s);
-            // Infinity less infinity is no time.
+            // Infinity less infinity is NaN.
             let took_s = if later_s == before_s { 0.0 } else { later_s - before_s };
             before_s = later_s;
             took_s

@@ -1,13 +1,13 @@
-//! Interconnect: topology file -> switch tree, work queues, schedules, modelled times. Pure: no devices, no processes.
+//! Interconnect: topology file -> switch tree, work queues, schedules, modeled times. Pure: no devices, no processes.
 //!
-//! Rank r of a run sits on GPU r of the topology. Every time computed here is modelled from the topology file; nothing
+//! Rank r of a run sits on GPU r of the topology. Every time computed here is modeled from the topology file; nothing
 //! in this folder measures anything. Each concept has one file:
 //! - [`Topology`]: switches, GPUs and links (`topology.rs`, what it is made of in `parts.rs`, its file in `topology_file.rs`,
 //!   rules in `validate.rs`, paths in `routing.rs`);
 //! - [`fat_tree`], [`ring`], [`direct`], [`plan`]: work queues (`queues.rs`);
 //! - [`check_schedule`], [`root_crossings`]: what every schedule must hold (`check.rs`);
 //! - [`Program`]: the clock, transfers and kernels in virtual time (`clock.rs`; shared links in `network.rs`);
-//! - [`TransferPlan`]: what one exchange moves (`transfers.rs`); [`modelled_cost`]: how long that takes (`cost.rs`);
+//! - [`TransferPlan`]: what one exchange moves (`transfers.rs`); [`modeled_cost`]: how long that takes (`cost.rs`);
 //! - [`lower_bound`]: what no schedule beats (`bound.rs`, maximum flows in `flow.rs`);
 //! - [`Pieces`] and schedule `best`: `synthesis.rs` tries chunked rings, rings over islands (`islands.rs`) and packed trees
 //!   (`packing.rs`), put in order by `ordering.rs`;
@@ -44,8 +44,8 @@ mod validate;
 pub use arrivals::{Line, RankLinks, Receipt};
 pub use bound::{LowerBound, demand_bound_s, lower_bound};
 pub use check::{ScheduleFault, check_schedule, root_crossings};
-pub use clock::{Circle, Moment, Program, Span, Work};
-pub use cost::{ScheduleCost, all_reduce_s, modelled_cost, pieces_cost, transfer_times};
+pub use clock::{Circle, Milestone, Program, TaskTimes, Work};
+pub use cost::{ScheduleCost, all_reduce_s, modeled_cost, pieces_cost, transfer_times};
 pub use packing::Demand;
 pub use parts::{DeviceModel, Duplex, Link, MAX_GPUS};
 pub use pieces::{Piece, PieceFault, Pieces};
@@ -70,7 +70,7 @@ pub struct QueueNode {
 /// The work queues of all ranks: `queues[rank][stage]` [Li et al. 2020, Sec. 3.1.2].
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Schedule {
-    /// Number of ranks.
+    /// Number of ranks, one per GPU.
     pub gpus: usize,
     /// One queue per rank, each with one node per stage (`gpus - 1` of them).
     pub queues: Vec<Vec<QueueNode>>,

@@ -13,7 +13,7 @@ const SAME: f64 = 1.0 + 1e-12;
 #[derive(Clone, Debug)]
 pub(super) struct Channels {
     gpus: usize,
-    /// Bytes per second.
+    /// Capacity of each channel, bytes per second.
     pub capacity: Vec<f64>,
     /// `paths[from * gpus + to]`.
     paths: Vec<Vec<u32>>,
@@ -60,7 +60,7 @@ struct Flow {
     end_s: f64,
 }
 
-/// Flows under way.
+/// Flows that share the channels at the present time.
 pub(super) struct Network<'a> {
     channels: &'a Channels,
     flows: Vec<Flow>,

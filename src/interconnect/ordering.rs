@@ -15,7 +15,7 @@ pub(super) struct Move {
     pub lane: usize,
 }
 
-/// What goes first when several pieces could.
+/// Rule that chooses among pieces that could be sent next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Preference {
     /// Free links, then long chains.
@@ -44,7 +44,7 @@ struct Lane {
     sources: Vec<(usize, u32, u32)>,
     /// Not yet held by their sources.
     later: Vec<Waiting>,
-    /// Could start.
+    /// Transfers that could start now.
     now: Vec<Waiting>,
 }
 

@@ -9,7 +9,7 @@ use super::network::Channels;
 pub struct Demand {
     /// Rank that has it.
     pub owner: usize,
-    /// Its size.
+    /// Size, bytes.
     pub bytes: f64,
     /// Ranks that need it, ascending, without the owner.
     pub readers: Vec<usize>,

@@ -7,7 +7,7 @@ pub(super) const MAX_SWITCHES: usize = 256;
 pub(super) const MAX_LINKS: usize = 1024;
 pub(super) const MAX_NAME_CHARS: usize = 64;
 
-/// Whether the two directions of a link share its bandwidth.
+/// True if the two directions of a link share its bandwidth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Duplex {
@@ -26,7 +26,7 @@ pub struct Link {
     pub bandwidth_gb_s: f64,
     /// Time that a transfer needs for this link on top of its bytes, microseconds.
     pub latency_us: f64,
-    /// Whether the directions share the bandwidth.
+    /// True if the directions share the bandwidth.
     pub duplex: Duplex,
 }
 
@@ -34,7 +34,7 @@ pub struct Link {
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DeviceModel {
-    /// Product name.
+    /// Name of the product, as its maker writes it.
     pub name: String,
     /// Device memory, 10^9 bytes.
     pub memory_gb: f64,
@@ -42,7 +42,7 @@ pub struct DeviceModel {
     pub bandwidth_gb_s: f64,
     /// Single-precision rate, 10^9 operations/s.
     pub gflops: f64,
-    /// What starting a kernel costs besides its work, microseconds.
+    /// Time to start a kernel, besides its work, microseconds.
     #[serde(default = "DeviceModel::usual_launch_us")]
     pub launch_us: f64,
 }
@@ -53,7 +53,7 @@ impl DeviceModel {
         3.0
     }
 
-    /// Modelled time of a kernel that moves `bytes` and computes `flops`: the slower of the two, after its launch.
+    /// Modeled time of a kernel that moves `bytes` and computes `flops`: the slower of the two, after its launch.
     pub fn kernel_s(&self, bytes: f64, flops: f64) -> f64 {
         self.launch_us * 1e-6 + (bytes / (self.bandwidth_gb_s * 1e9)).max(flops / (self.gflops * 1e9))
     }
@@ -72,7 +72,7 @@ pub(super) struct Parts {
     pub gpus_forward: bool,
 }
 
-/// What part of a topology is wrong; a file reader turns it into a line.
+/// The faulty part of a topology; the file reader turns it into a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
     Whole,
@@ -82,7 +82,7 @@ pub(super) enum Place {
     Link(usize),
 }
 
-/// Why [`Parts`] are no topology.
+/// Why [`Parts`] do not make a topology.
 #[derive(Debug)]
 pub(super) struct Fault {
     pub place: Place,
@@ -93,7 +93,7 @@ pub(super) fn fault<T>(place: Place, message: String) -> Result<T, Fault> {
     Err(Fault { place, message })
 }
 
-/// What routing needs to know.
+/// Input of routing.
 pub(super) struct Graph<'a> {
     pub nodes: usize,
     pub gpus: usize,

@@ -8,7 +8,7 @@ pub struct Piece {
     pub source: usize,
     /// Sub-vector that it is a part of.
     pub vector: usize,
-    /// Which part.
+    /// Number of the part, from 0.
     pub chunk: usize,
     /// Pieces of one lane arrive one after the other, lanes beside each other.
     pub lane: usize,
@@ -19,7 +19,7 @@ pub struct Piece {
 pub struct Pieces {
     /// Equal chunks per sub-vector.
     pub chunks: usize,
-    /// `queues[rank]`.
+    /// Pieces that each rank receives, `queues[rank]`, in order.
     pub queues: Vec<Vec<Piece>>,
 }
 
@@ -29,25 +29,25 @@ pub enum PieceFault {
     /// A number out of range.
     #[error("rank {rank} receives a piece that names a rank or chunk that there is not: {piece:?}")]
     NoSuch {
-        /// Receiver.
+        /// Rank that receives.
         rank: usize,
-        /// The piece.
+        /// The piece that it lists.
         piece: Piece,
     },
     /// The receiver owns the piece or receives it twice.
     #[error("rank {rank} receives chunk {chunk} of v{vector} although it has it already")]
     Twice {
-        /// Receiver.
+        /// Rank that receives.
         rank: usize,
-        /// Sub-vector.
+        /// Index of the sub-vector.
         vector: usize,
-        /// Part of it.
+        /// Number of the part of the sub-vector.
         chunk: usize,
     },
     /// Some pieces do not arrive.
     #[error("rank {rank} receives {found} pieces of the {expected} that it needs")]
     Missing {
-        /// Receiver.
+        /// Rank that receives.
         rank: usize,
         /// Pieces in its queue.
         found: usize,
@@ -57,7 +57,7 @@ pub enum PieceFault {
     /// No order of transfers lets every source hold what it hands on.
     #[error("{stuck} pieces wait for each other in a circle")]
     Circle {
-        /// How many.
+        /// Number of pieces that never arrive.
         stuck: usize,
     },
 }

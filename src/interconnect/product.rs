@@ -1,4 +1,4 @@
-//! Modelled time of one matrix-vector product on n ranks: the timelines of [Li et al. 2020, Fig. 3], and the same for halo
+//! Modeled time of one matrix-vector product on n ranks: the timelines of [Li et al. 2020, Fig. 3], and the same for halo
 //! rows. Kernels of a rank follow one another on its device; transfers run beside them.
 //!
 //! With T_j the time of the j-th receipt and C_j that of its block, all-gather first gives Eq. 6, S = sum T + sum C, and
@@ -38,14 +38,14 @@ pub fn add_product(
         let end = match kernels {
             ProductKernels::Whole(seconds) => {
                 let all = program.add_after(Work::Seconds(seconds[rank]), &receipts[rank]);
-                program.after(all, ready, super::Moment::Done);
+                program.after(all, ready, super::Milestone::Done);
                 all
             }
             ProductKernels::Halo(seconds) => {
                 let (local_s, remote_s) = seconds[rank];
                 let local = program.add_after(Work::Seconds(local_s), &[ready]);
                 let remote = program.add_after(Work::Seconds(remote_s), &receipts[rank]);
-                program.after(remote, local, super::Moment::Done);
+                program.after(remote, local, super::Milestone::Done);
                 remote
             }
             ProductKernels::Blocks(seconds) => {
@@ -54,7 +54,7 @@ pub fn add_product(
                     let block = program.add_after(Work::Seconds(seconds[rank][vector]), &[end]);
                     for (transfer, &task) in transfers.queues[rank].iter().zip(&receipts[rank]) {
                         if transfer.owner == vector {
-                            program.after(block, task, super::Moment::Done);
+                            program.after(block, task, super::Milestone::Done);
                         }
                     }
                     end = block;
@@ -67,7 +67,7 @@ pub fn add_product(
     last
 }
 
-/// Modelled time of one product, from the moment at which all ranks have their sub-vector to the end of the slowest.
+/// Modeled time of one product, from the moment at which all ranks have their sub-vector to the end of the slowest.
 pub fn product_s(
     topology: &Topology,
     transfers: &TransferPlan,

@@ -1,7 +1,7 @@
 //! Work queues: which rank receives which sub-vector from whom in which stage. Every schedule here passes
-//! [`super::check_schedule`]; which one is cheapest is a matter of the modelled cost (`cost.rs`).
+//! [`super::check_schedule`]; which one is cheapest is a matter of the modeled cost (`cost.rs`).
 
-use super::cost::{ScheduleCost, modelled_cost};
+use super::cost::{ScheduleCost, modeled_cost};
 use super::pieces::Pieces;
 use super::synthesis::synthesize;
 use super::topology::Topology;
@@ -47,13 +47,13 @@ impl std::fmt::Display for ScheduleKind {
     }
 }
 
-/// Why there are no work queues.
+/// Why work queues cannot be made.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ScheduleError {
     /// The paper's recursion halves the ranks until one is left.
     #[error("schedule fat-tree needs a power of two of GPUs and there are {gpus}: use ring, direct, best or auto")]
     NotPowerOfTwo {
-        /// GPUs there are.
+        /// Number of GPUs of the topology.
         gpus: usize,
     },
 }
@@ -134,7 +134,7 @@ pub struct Plan {
     pub schedule: Schedule,
     /// Of [`ScheduleKind::Best`]: how the sub-vectors travel in pieces.
     pub pieces: Option<Pieces>,
-    /// Modelled, not measured; of the pieces if there are any.
+    /// Modeled, not measured; of the pieces if there are any.
     pub cost: ScheduleCost,
 }
 
@@ -195,6 +195,6 @@ fn cheapest(plans: Vec<Plan>) -> Plan {
 
 fn priced(kind: ScheduleKind, schedule: Schedule, topology: &Topology, sub_vector_bytes: f64) -> Plan {
     let schedule = in_order(schedule, &topology.leaf_order());
-    let cost = modelled_cost(&schedule, topology, sub_vector_bytes);
+    let cost = modeled_cost(&schedule, topology, sub_vector_bytes);
     Plan { kind, schedule, pieces: None, cost }
 }

@@ -12,9 +12,9 @@ use crate::telemetry::{Activity, Event, EventName};
 pub struct Kernel {
     /// Bytes read and written.
     pub bytes: f64,
-    /// Floating point operations.
+    /// Number of floating point operations.
     pub flops: f64,
-    /// How long it took where it was recorded, seconds.
+    /// Measured time where it was recorded, seconds.
     pub measured_s: f64,
 }
 
@@ -27,7 +27,7 @@ impl Kernel {
         }
     }
 
-    /// Both together.
+    /// Sum of two kernels.
     pub fn plus(self, other: Kernel) -> Kernel {
         Kernel {
             bytes: self.bytes + other.bytes,
@@ -42,12 +42,12 @@ impl Kernel {
     }
 }
 
-/// What a rank sends and receives in an exchange, bytes.
+/// Bytes that ranks send and receive in an exchange.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Traffic {
-    /// `[rank]`.
+    /// Bytes that each rank publishes, `[rank]`.
     pub published: Vec<f64>,
-    /// `[owner][reader]`.
+    /// Bytes that each reader needs of each owner, `[owner][reader]`.
     pub received: Vec<Vec<f64>>,
 }
 
@@ -77,14 +77,14 @@ impl Traffic {
 pub enum RecordedProduct {
     /// `[rank]`: rows without halo, rows with it.
     Halo(Vec<(Kernel, Kernel)>),
-    /// `[rank][vector]`.
+    /// Kernels by blocks A_ij, `[rank][vector]`.
     Full(Vec<Vec<Kernel>>),
 }
 
-/// What all ranks do next.
+/// One part of a step that all ranks go through.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Phase {
-    /// `[rank]`.
+    /// Kernels of one name, `[rank]`.
     Kernels(EventName, Vec<Kernel>),
     /// Halo rows of positions and velocities, or whatever travels outside products.
     Exchange(Traffic),
@@ -92,7 +92,7 @@ pub enum Phase {
     Product(Traffic, RecordedProduct),
     /// Everybody waits for everybody.
     AllReduce,
-    /// Everybody tells everybody something, outside of products: bytes of every rank.
+    /// Every rank sends data to every other rank, outside of products: bytes of every rank.
     Share(Vec<f64>),
     /// Everybody waits for everybody, outside of the solver.
     ShareCounts,
@@ -103,7 +103,7 @@ pub enum Phase {
 pub struct RecordedStep {
     /// Number of the step.
     pub step: u32,
-    /// In order.
+    /// Phases of the step in order.
     pub phases: Vec<Phase>,
 }
 
@@ -113,23 +113,23 @@ pub enum RecordFault {
     /// The ranks did not do the same things in the same order.
     #[error("step {step}: ranks 0 and {rank} recorded different things ({phase}. in order); the trace is incomplete")]
     Unlike {
-        /// Step.
+        /// Number of the step.
         step: u32,
         /// The rank that differs from rank 0.
         rank: usize,
-        /// Which phase, from 1.
+        /// Number of the phase, from 1.
         phase: usize,
     },
     /// A rank that does not exist.
     #[error("step {step}: rank {rank} received from rank {vector}, but there are only {ranks} ranks")]
     NoSuchRank {
-        /// Step.
+        /// Number of the step.
         step: u32,
-        /// Receiver.
+        /// Rank that receives.
         rank: usize,
-        /// What it names.
+        /// The sub-vector that the event names.
         vector: usize,
-        /// Ranks there are.
+        /// Number of ranks.
         ranks: usize,
     },
 }

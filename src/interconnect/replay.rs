@@ -1,15 +1,15 @@
 //! Recorded steps on another machine: every kernel lasts as long as the machine's device needs for its bytes and flops,
 //! every transfer goes over the machine's links in the order of a schedule, and what waits for what is what the worker
-//! does. Everything that comes out is modelled.
+//! does. Everything that comes out is modeled.
 //!
 //! As in the worker: a rank packs the rows that others read (a kernel), receipts run in the order of the work queue beside
 //! its kernels; `halo` multiplies rows without halo, then, when all receipts are in, the others; `full` multiplies block
 //! after block in the order of the queue; a reduction ends for all when the last rank has reached it and its numbers have
-//! travelled the longest path. A step begins on all ranks together, because the coordinator waits for each.
+//! traveled the longest path. A step begins on all ranks together, because the coordinator waits for each.
 
 use std::rc::Rc;
 
-use super::clock::{Circle, Moment, Program, Span, Work};
+use super::clock::{Circle, Milestone, Program, TaskTimes, Work};
 use super::cost::{REDUCTION_BYTES, all_reduce_on};
 use super::network::Channels;
 use super::product::{ProductKernels, add_product};
@@ -26,10 +26,10 @@ pub const STAGES: [&str; 6] = ["exchange", "elements", "fill", "solve", "advance
 const ROW_BYTES: f64 = 12.0;
 /// Where no block was recorded: three 3x3 blocks (36 B and a column of 4 B each) per halo row, as in a regular mesh.
 const BLOCK_BYTES_PER_HALO_ROW: f64 = 3.0 * 40.0;
-/// Their flops.
+/// Floating point operations of these blocks.
 const BLOCK_FLOPS_PER_HALO_ROW: f64 = 3.0 * 18.0;
 
-/// What products exchange in the model.
+/// Way in which products exchange vectors in the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProductExchange {
     /// Rows that are read.
@@ -40,12 +40,12 @@ pub enum ProductExchange {
     GatherFirst,
 }
 
-/// How long kernels last.
+/// Source of kernel times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KernelTimes {
-    /// What the topology's device needs for bytes and flops.
+    /// The topology's device model, from bytes and flops.
     Device,
-    /// What was measured where the run was recorded.
+    /// The times measured where the run was recorded.
     Recorded,
 }
 
@@ -56,7 +56,7 @@ pub struct Replay<'a> {
     pub topology: &'a Topology,
     /// Work queues of whole sub-vectors.
     pub plan: &'a Plan,
-    /// What products exchange.
+    /// What a matrix-vector product exchanges.
     pub exchange: ProductExchange,
     /// Where kernel times come from.
     pub kernels: KernelTimes,
@@ -69,28 +69,28 @@ pub struct Replay<'a> {
 pub struct ReplaySpan {
     /// Rank that computes or receives.
     pub rank: usize,
-    /// What.
+    /// Subject of the task.
     pub name: EventName,
     /// (sender, owner) of a transfer.
     pub from: Option<(usize, usize)>,
     /// Lane of a transfer.
     pub lane: usize,
-    /// When.
-    pub span: Span,
-    /// Bytes.
+    /// Times of the task, seconds from the start of the step.
+    pub span: TaskTimes,
+    /// Bytes moved by a kernel or a transfer.
     pub bytes: f64,
 }
 
-/// A step on the machine. All times are modelled.
+/// A step on the machine. All times are modeled.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReplayedStep {
     /// Number of the step.
     pub step: u32,
-    /// Length, seconds.
+    /// Length of the step, seconds.
     pub total_s: f64,
-    /// Per [`STAGES`].
+    /// Time of each of the [`STAGES`], seconds.
     pub stage_s: [f64; STAGES.len()],
-    /// Per rank: kernels.
+    /// Per rank: time of its kernels, seconds.
     pub busy_s: Vec<f64>,
     /// Per link and direction (half-duplex links use the first): time that its bytes need at full speed.
     pub link_s: Vec<[f64; 2]>,
@@ -203,7 +203,7 @@ impl<'a> Builder<'a> {
         self.tag_receipts(plan, &receipts);
         for (rank, receipts) in receipts.iter().enumerate() {
             let end = self.program.add_after(Work::Seconds(0.0), receipts);
-            self.program.after(end, published[rank], Moment::Done);
+            self.program.after(end, published[rank], Milestone::Done);
             self.last[rank] = end;
         }
     }
@@ -418,7 +418,7 @@ fn blocks_of(recorded: &RecordedProduct, halo: &Traffic, all: &[Kernel]) -> Vec<
     (0..ranks).map(row).collect()
 }
 
-/// Index into [`STAGES`].
+/// The place of a phase in [`STAGES`].
 fn stage_of(phase: &Phase) -> usize {
     match phase {
         Phase::Exchange(_) => 0,

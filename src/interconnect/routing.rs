@@ -5,7 +5,7 @@ use super::parts::Graph;
 /// One link of a path, and the direction in which it is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Hop {
-    /// Index into `Topology::links`.
+    /// Index of the link in `Topology::links`.
     pub link: usize,
     /// True from the link's first end to its second.
     pub forward: bool,
@@ -26,11 +26,11 @@ impl Routes {
         let mut widths: Vec<f64> = graph.links.iter().map(|link| link.bandwidth_gb_s).collect();
         widths.sort_by(|a, b| b.total_cmp(a));
         widths.dedup();
-        let mut neighbours = vec![Vec::new(); graph.nodes];
+        let mut neighbors = vec![Vec::new(); graph.nodes];
         for (index, link) in graph.links.iter().enumerate() {
             let [a, b] = link.ends;
-            neighbours[a].push((b, Hop { link: index, forward: true }));
-            neighbours[b].push((a, Hop { link: index, forward: false }));
+            neighbors[a].push((b, Hop { link: index, forward: true }));
+            neighbors[b].push((a, Hop { link: index, forward: false }));
         }
         let mut paths = vec![Vec::new(); graph.gpus * graph.gpus];
         for from in 0..graph.gpus {
@@ -41,10 +41,10 @@ impl Routes {
                 if missing == 0 {
                     break;
                 }
-                let arrival = breadth_first(graph, &neighbours, from, width, through_gpus);
+                let arrival = breadth_first(graph, &neighbors, from, width, through_gpus);
                 for to in 0..graph.gpus {
                     let path = &mut paths[from * graph.gpus + to];
-                    let linked = || neighbours[from].iter().any(|(next, _)| *next == to);
+                    let linked = || neighbors[from].iter().any(|(next, _)| *next == to);
                     let may_go = through_gpus || !graph.gpus_forward || linked();
                     if to != from && path.is_empty() && arrival[to].is_some() && may_go {
                         *path = trace_back(&arrival, from, to);
@@ -69,7 +69,7 @@ impl Routes {
 /// For every node reached from `from` over links of at least `width`: the node before it and the link between.
 fn breadth_first(
     graph: &Graph,
-    neighbours: &[Vec<(usize, Hop)>],
+    neighbors: &[Vec<(usize, Hop)>],
     from: usize,
     width: f64,
     through_gpus: bool,
@@ -81,7 +81,7 @@ fn breadth_first(
         if node != from && node < graph.gpus && !through_gpus {
             continue;
         }
-        for &(next, hop) in &neighbours[node] {
+        for &(next, hop) in &neighbors[node] {
             let wide_enough = graph.links[hop.link].bandwidth_gb_s >= width;
             if wide_enough && next != from && arrival[next].is_none() {
                 arrival[next] = Some((node, hop));

@@ -23,7 +23,7 @@ const EFFORT: usize = 7_000_000;
 
 /// The cheapest found way to move sub-vectors of `sub_vector_bytes` bytes in pieces; `known`: schedules to improve on.
 pub(super) fn synthesize(topology: &Topology, known: &[&Schedule], sub_vector_bytes: f64) -> (Pieces, ScheduleCost) {
-    let mut search = Search::new(topology, sub_vector_bytes);
+    let mut search = Synthesis::new(topology, sub_vector_bytes);
     for chunks in [1, 2, 4, 8, 16] {
         for schedule in known {
             search.try_known(schedule, chunks);
@@ -58,7 +58,7 @@ fn search_target_s(topology: &Topology, sub_vector_bytes: f64) -> f64 {
     lower_bound(topology, sub_vector_bytes).cut_s
 }
 
-struct Search<'a> {
+struct Synthesis<'a> {
     topology: &'a Topology,
     channels: Channels,
     sub_vector_bytes: f64,
@@ -67,15 +67,15 @@ struct Search<'a> {
     best: (Pieces, ScheduleCost),
 }
 
-impl<'a> Search<'a> {
-    fn new(topology: &'a Topology, sub_vector_bytes: f64) -> Search<'a> {
+impl<'a> Synthesis<'a> {
+    fn new(topology: &'a Topology, sub_vector_bytes: f64) -> Synthesis<'a> {
         let nothing = Pieces { chunks: 1, queues: vec![Vec::new(); topology.gpus()] };
         let never = ScheduleCost { stage_s: Vec::new(), total_s: f64::INFINITY };
         let best = match topology.gpus() {
             1 => (nothing, ScheduleCost { stage_s: Vec::new(), total_s: 0.0 }),
             _ => (nothing, never),
         };
-        Search {
+        Synthesis {
             topology,
             channels: Channels::of(topology),
             sub_vector_bytes,
@@ -114,7 +114,7 @@ impl<'a> Search<'a> {
         for last in lasts {
             // Cheaper than list scheduling by far.
             if last == 0 || self.may_try(chunks.div_ceil(4), 1) {
-                self.offer(near_last(&pieces, &self.channels, last));
+                self.offer(last_from_owners(&pieces, &self.channels, last));
             }
         }
     }
@@ -144,7 +144,7 @@ fn in_chunks(schedule: &Schedule, chunks: usize) -> Pieces {
 
 /// The same with the last `count` pieces of a rank taken from their owners where these are nearer: in a ring over a tree
 /// the owner is the sibling, so that the last bytes of all ranks arrive with a short latency and cross no upper link.
-fn near_last(pieces: &Pieces, channels: &Channels, count: usize) -> Pieces {
+fn last_from_owners(pieces: &Pieces, channels: &Channels, count: usize) -> Pieces {
     let mut pieces = pieces.clone();
     for (rank, queue) in pieces.queues.iter_mut().enumerate() {
         for last in queue.iter_mut().rev().take(count) {

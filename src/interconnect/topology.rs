@@ -117,7 +117,7 @@ impl Topology {
         Ok(Topology { name, device, gpu_names, switch_names: switches, links, gpus_forward, routes })
     }
 
-    /// Number of GPUs.
+    /// GPUs of the machine; the largest possible number of ranks.
     pub fn gpus(&self) -> usize {
         self.gpu_names.len()
     }
@@ -127,7 +127,7 @@ impl Topology {
         &self.name
     }
 
-    /// The GPU at every leaf.
+    /// The model of the GPU that sits at every leaf.
     pub fn device(&self) -> &DeviceModel {
         &self.device
     }
@@ -142,7 +142,7 @@ impl Topology {
         self.gpu_names.len() + self.switch_names.len()
     }
 
-    /// All links.
+    /// All links, in file order.
     pub fn links(&self) -> &[Link] {
         &self.links
     }
@@ -175,15 +175,15 @@ impl Topology {
         self.links.len() + 1 == self.gpus() + self.switch_names.len()
     }
 
-    /// GPUs in depth-first order from the root (GPU 0 without switches), links in file order: in a tree, neighbours in
+    /// GPUs in depth-first order from the root (GPU 0 without switches), links in file order: in a tree, neighbors in
     /// this order share the lowest switches, and going round once uses every link once in each direction.
     pub fn leaf_order(&self) -> Vec<usize> {
         let nodes = self.gpus() + self.switch_names.len();
-        let mut neighbours = vec![Vec::new(); nodes];
+        let mut neighbors = vec![Vec::new(); nodes];
         for link in &self.links {
             let [a, b] = link.ends;
-            neighbours[a].push(b);
-            neighbours[b].push(a);
+            neighbors[a].push(b);
+            neighbors[b].push(a);
         }
         let mut seen = vec![false; nodes];
         let mut stack = vec![self.root().unwrap_or(0)];
@@ -195,7 +195,7 @@ impl Topology {
             if node < self.gpus() {
                 order.push(node);
             }
-            stack.extend(neighbours[node].iter().rev().filter(|next| !seen[**next]));
+            stack.extend(neighbors[node].iter().rev().filter(|next| !seen[**next]));
         }
         order
     }

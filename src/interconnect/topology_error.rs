@@ -1,8 +1,8 @@
-//! Why there is no topology: one sentence that names the file and the line, or the number asked for.
+//! Errors of topologies: one sentence that names the file and the line, or the number asked for.
 
 use super::parts::MAX_GPUS;
 
-/// Why there is no topology.
+/// Why a topology cannot be read or made.
 #[derive(Debug, thiserror::Error)]
 pub enum TopologyError {
     /// The file could not be read.
@@ -10,10 +10,10 @@ pub enum TopologyError {
     Read {
         /// File as the user named it.
         file: String,
-        /// What the operating system said.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// The file is no text, no TOML, or states no valid topology.
+    /// The file is not text, not TOML, or not a valid topology.
     #[error("{file}{}: {message}", at_line(*line))]
     Malformed {
         /// File as the user named it.
@@ -26,7 +26,7 @@ pub enum TopologyError {
     /// A generated topology of impossible size was asked for.
     #[error("a run can have 1 to {MAX_GPUS} workers, but {gpus} were asked for")]
     GpuCount {
-        /// Number asked for.
+        /// Number of GPUs asked for.
         gpus: usize,
     },
     /// More ranks than the machine has GPUs.
@@ -36,7 +36,7 @@ pub enum TopologyError {
         name: String,
         /// GPUs that it has.
         has: usize,
-        /// GPUs asked for.
+        /// Number of workers asked for.
         asked: usize,
     },
 }

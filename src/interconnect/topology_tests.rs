@@ -126,9 +126,9 @@ fn malformed_topologies_get_one_sentence() {
         (", duplex = \"full\"", "", at(line_of("[\"switch0\", \"gpu0\"]")), "missing field `duplex`"),
         (
             ", duplex = \"full\"",
-            ", duplex = \"full\", colour = 1",
+            ", duplex = \"full\", color = 1",
             at(line_of("[\"switch0\", \"gpu0\"]")),
-            "unknown field `colour`",
+            "unknown field `color`",
         ),
         (
             "[\"switch0\", \"gpu1\"]",

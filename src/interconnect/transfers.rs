@@ -2,7 +2,7 @@
 //! part of a program for the clock.
 
 use super::Schedule;
-use super::clock::{Moment, Program, Work};
+use super::clock::{Milestone, Program, Work};
 use super::network::Channels;
 use super::ordering::{Move, Preference, order};
 use super::packing::{Demand, Tree, pack};
@@ -20,7 +20,7 @@ pub struct Transfer {
     pub item: usize,
     /// Transfers of one lane of a rank follow one another.
     pub lane: usize,
-    /// Bytes.
+    /// Size, bytes.
     pub bytes: f64,
 }
 
@@ -87,7 +87,7 @@ impl TransferPlan {
     }
 
     /// The cheapest found way to bring every demand to its readers: contention-aware, readers hand on to each other, large
-    /// demands go in chunks (items are numbered demand by demand). Returns it with its modelled time.
+    /// demands go in chunks (items are numbered demand by demand). Returns it with its modeled time.
     pub fn best_for(topology: &Topology, demands: &[Demand]) -> (TransferPlan, f64) {
         let channels = Channels::of(topology);
         let target_s = super::bound::demand_bound_s(topology, demands).max(1e-12);
@@ -113,7 +113,7 @@ impl TransferPlan {
         best
     }
 
-    /// Modelled time of the exchange alone; infinity if transfers wait for each other in a circle.
+    /// Modeled time of the exchange alone; infinity if transfers wait for each other in a circle.
     pub fn seconds(&self, topology: &Topology) -> f64 {
         self.seconds_on(&Channels::of(topology))
     }
@@ -147,7 +147,7 @@ impl TransferPlan {
         let items = self.queues.iter().flatten().map(|transfer| transfer.item + 1).max().unwrap_or(0);
         let mut holds: Vec<u32> = vec![u32::MAX; gpus * items];
         let mut tasks = Vec::with_capacity(gpus);
-        let moment = if self.ahead { Moment::Released } else { Moment::Done };
+        let moment = if self.ahead { Milestone::Released } else { Milestone::Done };
         for (rank, queue) in self.queues.iter().enumerate() {
             let mut before: Vec<Option<usize>> = Vec::new();
             let mut own = Vec::with_capacity(queue.len());
@@ -158,7 +158,7 @@ impl TransferPlan {
                 }
                 match before[transfer.lane].replace(task) {
                     Some(before) => program.after(task, before, moment),
-                    None => published.into_iter().for_each(|all| program.after(task, all[rank], Moment::Done)),
+                    None => published.into_iter().for_each(|all| program.after(task, all[rank], Milestone::Done)),
                 }
                 holds[rank * items + transfer.item] = task as u32;
                 own.push(task);
@@ -169,9 +169,9 @@ impl TransferPlan {
             for (transfer, &task) in queue.iter().zip(tasks) {
                 let held = holds[transfer.source * items + transfer.item];
                 if held != u32::MAX {
-                    program.after(task, held as usize, Moment::Done);
+                    program.after(task, held as usize, Milestone::Done);
                 } else if let Some(published) = published {
-                    program.after(task, published[transfer.source], Moment::Done);
+                    program.after(task, published[transfer.source], Milestone::Done);
                 }
             }
         }

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use super::RowPartition;
 
-/// What one rank reads from one other rank.
+/// The rows that one rank reads from one other rank.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct HaloSource {
     /// Positions in the source's message, ascending.
@@ -28,7 +28,7 @@ impl HaloSource {
         [(&self.message_rows, self.local_start), (&self.extra_rows, self.extra_start)]
     }
 
-    /// Rows read.
+    /// Number of rows read from this source.
     pub fn rows(&self) -> usize {
         self.message_rows.len() + self.extra_rows.len()
     }
@@ -37,11 +37,11 @@ impl HaloSource {
 /// Halo of one rank.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct HaloPlan {
-    /// Own rank.
+    /// The rank that the plan is for.
     pub rank: usize,
-    /// Own rows in local numbering.
+    /// Local indices of the own rows.
     pub own: Range<usize>,
-    /// Own rows + halo rows.
+    /// Number of own and halo rows together.
     pub local_rows: usize,
     /// Global index of every local row: ascending, then (ascending for themselves) the rows that contacts add.
     pub global_from_local: Vec<u32>,
@@ -157,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn three_ranks_of_a_chain_read_their_neighbours() {
+    fn three_ranks_of_a_chain_read_their_neighbors() {
         // Rows 0..6, two per rank; a tridiagonal matrix reads one row on either side.
         let partition = RowPartition::new(6, 3);
         let plans = halo_plans(&partition, &[vec![2], vec![1, 4], vec![3]]);

@@ -1,4 +1,4 @@
-//! Who owns which rows: chunks of rows, row blocks of ranks, and the halo each rank reads from the others.
+//! Ownership of rows: chunks of rows, row blocks of ranks, and the halo that each rank reads from the others.
 //!
 //! The chunks depend on the number of rows only, never on the number of ranks: dot products are summed per chunk and
 //! then over a fixed tree, so that they have the same bits for every rank count (`solver::reduction`).
@@ -39,12 +39,12 @@ impl RowPartition {
         RowPartition { rows, chunk_rows, ranks }
     }
 
-    /// Number of rows.
+    /// Rows of the whole system.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Number of ranks.
+    /// Ranks that share the rows.
     pub fn ranks(&self) -> usize {
         self.ranks
     }
@@ -54,18 +54,18 @@ impl RowPartition {
         self.chunk_rows
     }
 
-    /// Number of chunks.
+    /// Chunks of the whole system; the last one may be short.
     pub fn chunks(&self) -> usize {
         self.rows.div_ceil(self.chunk_rows)
     }
 
-    /// Chunks of rank `rank`.
+    /// The contiguous range of chunks that rank `rank` owns.
     pub fn chunks_of(&self, rank: usize) -> Range<usize> {
         let chunks = self.chunks();
         (chunks * rank / self.ranks)..(chunks * (rank + 1) / self.ranks)
     }
 
-    /// Rows of rank `rank`.
+    /// The contiguous range of rows that rank `rank` owns: its row block.
     pub fn rows_of(&self, rank: usize) -> Range<usize> {
         let chunks = self.chunks_of(rank);
         (chunks.start * self.chunk_rows)..(chunks.end * self.chunk_rows).min(self.rows)
@@ -76,7 +76,7 @@ impl RowPartition {
         (0..self.ranks).map(|r| self.rows_of(r).len()).max().unwrap_or(0)
     }
 
-    /// Rank that owns `row`.
+    /// The rank whose row block holds `row`.
     pub fn owner(&self, row: usize) -> usize {
         let chunk = row / self.chunk_rows;
         // Inverse of the rounding in `chunks_of`, at most one off.

@@ -1,9 +1,9 @@
 //! Named cases of the elementary tests, each swept around touching: a gap of a few ulps is a miss, touching and a few
 //! ulps beyond are hits. Static tests of closest points and proximity beside them.
 
-use loomtree::collision::elementary::StencilKind::{EdgeEdge, VertexFace};
+use loomtree::collision::elementary::CandidateKind::{EdgeEdge, VertexFace};
 use loomtree::collision::elementary::{
-    DecidedBy, Filtered, StencilKind, ccd, ccd_fallback, ccd_filter, closest_points, proximity,
+    CandidateKind, DecidedBy, Filtered, ccd, ccd_fallback, ccd_filter, closest_points, proximity,
 };
 use loomtree::math::Vec3;
 use support::seeded::Seeded;
@@ -17,7 +17,7 @@ fn points(x: [[f32; 3]; 4]) -> [Vec3; 4] {
 }
 
 /// Stencils that are the same question, and the same with time reversed last.
-fn same_questions(kind: StencilKind) -> Vec<[usize; 4]> {
+fn same_questions(kind: CandidateKind) -> Vec<[usize; 4]> {
     match kind {
         VertexFace => vec![[0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 2, 1], [0, 2, 1, 3]],
         EdgeEdge => vec![[0, 1, 2, 3], [1, 0, 2, 3], [0, 1, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]],
@@ -25,7 +25,7 @@ fn same_questions(kind: StencilKind) -> Vec<[usize; 4]> {
 }
 
 /// The answer, checked against all orders of the vertices, powers of two of the size, and time reversed.
-fn toi(kind: StencilKind, x_t0: [[f32; 3]; 4], x_t1: [[f32; 3]; 4]) -> Option<f32> {
+fn toi(kind: CandidateKind, x_t0: [[f32; 3]; 4], x_t1: [[f32; 3]; 4]) -> Option<f32> {
     let (a, b) = (points(x_t0), points(x_t1));
     let first = ccd(kind, a, b, 0.0).toi;
     for order in same_questions(kind) {

@@ -5,7 +5,7 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use loomtree::collision::elementary::StencilKind::{self, EdgeEdge, VertexFace};
+use loomtree::collision::elementary::CandidateKind::{self, EdgeEdge, VertexFace};
 use loomtree::collision::elementary::{DecidedBy, ccd};
 use loomtree::math::Vec3;
 use support::exact::{Grid, first_contact};
@@ -81,7 +81,7 @@ impl Tally {
     }
 
     /// Asks both; a miss, or a time later than the first contact, fails the test.
-    fn ask(&mut self, kind: StencilKind, x_t0: Grid, x_t1: Grid) {
+    fn ask(&mut self, kind: CandidateKind, x_t0: Grid, x_t1: Grid) {
         // Down to subnormal and up to nearly infinite numbers: the same question.
         let size = 2f64.powi([0, -140, -20, 100, 0, -60][self.queries as usize % 6]);
         let place = |x: Grid| x.map(|p| Vec3::from(p.map(|c| (c as f64 * size) as f32)));
@@ -125,7 +125,7 @@ fn random_stencils() {
 }
 
 /// Runs the queries of `make` for both kinds.
-fn family(name: &str, seed: u64, make: impl Fn(&mut Seeded, StencilKind) -> (Grid, Grid) + Sync) {
+fn family(name: &str, seed: u64, make: impl Fn(&mut Seeded, CandidateKind) -> (Grid, Grid) + Sync) {
     let tally = Tally::series(asked().map_or(FAMILY, |random| random / 10), seed, |tally, random, i| {
         let kind = if i % 2 == 0 { VertexFace } else { EdgeEdge };
         let (x_t0, x_t1) = make(random, kind);

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use loomtree::collision::Candidate;
 use loomtree::collision::broad::{Broad, BroadStats, Choice, Query, Search, Sink, Split, brute_force};
-use loomtree::collision::elementary::{StencilKind, closest_points};
+use loomtree::collision::elementary::{CandidateKind, closest_points};
 use loomtree::gpu::CpuExecutor;
 use loomtree::math::Vec3;
 use loomtree::transport::InProcessTransport;
@@ -40,7 +40,7 @@ fn sheet(n: usize, m: usize, place: impl Fn(f32, f32) -> Vec3, motion: impl FnMu
 
 /// Distance of the parts of a pair.
 fn distance(candidate: &Candidate, x: impl Fn(u32) -> Vec3) -> f32 {
-    let kind = if candidate.is_vertex_face() { StencilKind::VertexFace } else { StencilKind::EdgeEdge };
+    let kind = if candidate.is_vertex_face() { CandidateKind::VertexFace } else { CandidateKind::EdgeEdge };
     closest_points(kind, candidate.vertices.map(x)).distance_squared.sqrt()
 }
 

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use loomtree::collision::{Candidate, Impact};
 use loomtree::gpu::Executor;
-use loomtree::impact_zone::{Batch, FailSafes, ImpactZones, Row, Stage, StepPositions, ZoneSettings, solve};
+use loomtree::impact_zone::{FailSafes, ImpactZones, Row, Stage, StepPositions, ZoneBatch, ZoneSettings, solve};
 use loomtree::math::{Mat3, Vec3};
 use support::device;
 use support::seeded::Seeded;
@@ -360,9 +360,9 @@ fn only_what_still_hits_goes_to_the_fail_safe() {
 }
 
 /// Random zones of a few and of many rows; the last one has more than a workgroup's invocations.
-fn random_batch() -> Batch {
+fn random_batch() -> ZoneBatch {
     let mut random = Seeded::new(21);
-    let mut batch = Batch::new();
+    let mut batch = ZoneBatch::new();
     for (vertices, rows) in [(1, 1), (4, 1), (7, 9), (40, 60), (300, 200)] {
         let masses: Vec<f64> = (0..vertices).map(|_| f64::from(random.uniform(0.5, 2.0))).collect();
         let mut row = || {
@@ -404,7 +404,7 @@ fn device_and_native_solve_agree() {
         }
     }
     // A zone alone gives the same bits as among others.
-    let mut alone = Batch::new();
+    let mut alone = ZoneBatch::new();
     let span = batch.zones[3];
     let local = |row: &Row| Row {
         vertices: row.vertices.map(|v| if v == u32::MAX { v } else { v - span.first_vertex }),

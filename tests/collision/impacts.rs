@@ -3,7 +3,7 @@
 use glam::Vec4;
 use loomtree::collision::broad::{CollisionMesh, Split, brute_force};
 use loomtree::collision::elementary::lanes::{Lanes, undecided, undecided_at_rest};
-use loomtree::collision::elementary::{StencilKind, ccd, proximity};
+use loomtree::collision::elementary::{CandidateKind, ccd, proximity};
 use loomtree::collision::{Candidate, ContactParams, Detector, Impact, merge_impacts};
 use loomtree::gpu::CpuExecutor;
 use loomtree::math::Vec3;
@@ -29,7 +29,7 @@ fn detector(model: &Model, separation_m: f32) -> Detector {
 fn oracle(mesh: &CollisionMesh, model: &Model, separation_m: f32) -> Vec<Impact> {
     let all = brute_force(mesh, &model.query(separation_m * 1.001)).expect("an oracle");
     let at = |x: &[Vec3], c: &Candidate| c.vertices.map(|v| x[v as usize]);
-    let kind = |c: &Candidate| if c.is_vertex_face() { StencilKind::VertexFace } else { StencilKind::EdgeEdge };
+    let kind = |c: &Candidate| if c.is_vertex_face() { CandidateKind::VertexFace } else { CandidateKind::EdgeEdge };
     all.into_iter()
         .filter_map(|candidate| {
             let toi = ccd(kind(&candidate), at(&model.x0, &candidate), at(&model.x1, &candidate), separation_m).toi?;
@@ -187,7 +187,7 @@ proptest! {
     fn lanes_reject_only_what_is_apart(seed in any::<u64>()) {
         let mut random = Seeded::new(seed);
         let mut rejected = [0; 2];
-        for kind in [StencilKind::VertexFace, StencilKind::EdgeEdge] {
+        for kind in [CandidateKind::VertexFace, CandidateKind::EdgeEdge] {
             for _ in 0..200 {
                 let (x_t0, x_t1) = random_stencil(&mut random);
                 let separation = if random.bits64().is_multiple_of(2) { 0.0 } else { 0.1 * random.signed().abs() };

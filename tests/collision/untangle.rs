@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use loomtree::collision::elementary::{StencilKind, ccd};
+use loomtree::collision::elementary::{CandidateKind, ccd};
 use loomtree::math::Vec3;
 use loomtree::mesh::{
     Group, GroupKind, Tangle, TriangleMesh, crossings, edge_crosses_triangle, read_surface, unique_edges,
@@ -193,14 +193,14 @@ fn nothing_is_hit_standing_still(mesh: &TriangleMesh) {
     for v in used {
         for corners in mesh.triangles.iter().filter(|corners| !corners.contains(&v)) {
             let [a, b, c] = corners.map(at);
-            assert!(!hit(StencilKind::VertexFace, [at(v), a, b, c]), "vertex {v}, face {corners:?}");
+            assert!(!hit(CandidateKind::VertexFace, [at(v), a, b, c]), "vertex {v}, face {corners:?}");
         }
     }
     let edges = unique_edges(mesh);
     for (i, one) in edges.iter().enumerate() {
         for other in edges[i + 1..].iter().filter(|other| !other.iter().any(|v| one.contains(v))) {
             let x = [at(one[0]), at(one[1]), at(other[0]), at(other[1])];
-            assert!(!hit(StencilKind::EdgeEdge, x), "edges {one:?} and {other:?}");
+            assert!(!hit(CandidateKind::EdgeEdge, x), "edges {one:?} and {other:?}");
         }
     }
 }

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use loomtree::cli::schedule::{ScheduleArgs, ScheduleFormat, write_schedule};
 use loomtree::interconnect::{
-    Duplex, QueueNode, Schedule, ScheduleFault, ScheduleKind, Topology, check_schedule, direct, fat_tree,
-    modelled_cost, plan, ring, root_crossings,
+    Duplex, QueueNode, Schedule, ScheduleFault, ScheduleKind, Topology, check_schedule, direct, fat_tree, modeled_cost,
+    plan, ring, root_crossings,
 };
 
 fn repository(path: &str) -> PathBuf {
@@ -129,7 +129,7 @@ fn unit_tree(gpus: usize, duplex: Duplex) -> Topology {
 }
 
 fn units(schedule: &Schedule, topology: &Topology) -> f64 {
-    modelled_cost(schedule, topology, 1e9).total_s
+    modeled_cost(schedule, topology, 1e9).total_s
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn costs_on_the_uniform_tree_are_the_known_ones() {
 
 #[test]
 fn fat_tree_stage_costs_double_with_the_height_of_the_crossed_switch() {
-    let cost = modelled_cost(&fat_tree(8).unwrap(), &unit_tree(8, Duplex::Full), 1e9);
+    let cost = modeled_cost(&fat_tree(8).unwrap(), &unit_tree(8, Duplex::Full), 1e9);
     assert_eq!(cost.stage_s, [1.0, 2.0, 1.0, 4.0, 1.0, 2.0, 1.0]);
 }
 
@@ -174,7 +174,7 @@ fn latency_is_that_of_the_whole_path_and_bandwidth_that_of_the_narrowest_link() 
         {between=['t','b'],bandwidth_gb_s=4,latency_us=30,duplex='full'}]
         device={name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}";
     let topology = Topology::parse(file, "two").unwrap();
-    let cost = modelled_cost(&ring(2), &topology, 1e6);
+    let cost = modeled_cost(&ring(2), &topology, 1e6);
     assert!((cost.total_s - (60e-6 + 1e6 / 2e9)).abs() < 1e-15, "{cost:?}");
 }
 

@@ -7,7 +7,7 @@ use std::time::Instant;
 use loomtree::cli::schedule::{ScheduleArgs, ScheduleFormat, write_schedule};
 use loomtree::interconnect::{
     Demand, Duplex, Pieces, ProductKernels, Schedule, ScheduleKind, Topology, Transfer, TransferPlan, candidates,
-    check_schedule, demand_bound_s, direct, fat_tree, lower_bound, modelled_cost, pieces_cost, plan, product_s, ring,
+    check_schedule, demand_bound_s, direct, fat_tree, lower_bound, modeled_cost, pieces_cost, plan, product_s, ring,
     transfer_times,
 };
 
@@ -187,7 +187,7 @@ fn best_costs_3_7_and_15_sub_vector_times_on_uniform_trees_where_the_paper_costs
         let tree = unit_tree(gpus, Duplex::Full);
         let best = plan(ScheduleKind::Best, &tree, 1e9).unwrap();
         assert!(best.cost.total_s <= 1.02 * receipts, "{gpus}: {:?}", best.cost);
-        close(modelled_cost(&fat_tree(gpus).unwrap(), &tree, 1e9).total_s, paper);
+        close(modeled_cost(&fat_tree(gpus).unwrap(), &tree, 1e9).total_s, paper);
         // The shipped files, with their latencies.
         for file in [format!("pcie_{gpus}"), format!("pcie4_{gpus}"), format!("pcie5_{gpus}")] {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("topology/{file}.toml"));

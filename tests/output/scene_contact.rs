@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use loomtree::collision::elementary::{StencilKind, closest_points};
+use loomtree::collision::elementary::{CandidateKind, closest_points};
 use loomtree::math::Vec3;
 use loomtree::scene::{Obstacles, Overrides, Scene, load};
 
@@ -60,7 +60,7 @@ fn gap(vertices: &[Vec3], corners: &[[Vec3; 3]]) -> f32 {
             let low = a.min(b).min(c) - least;
             let high = a.max(b).max(c) + least;
             if p.cmpge(low).all() && p.cmple(high).all() {
-                let closest = closest_points(StencilKind::VertexFace, [p, a, b, c]);
+                let closest = closest_points(CandidateKind::VertexFace, [p, a, b, c]);
                 least = least.min(closest.distance_squared.sqrt());
             }
         }

@@ -19,7 +19,7 @@ impl Source {
         Source { path: path.into(), text: text.into() }
     }
 
-    pub fn is(&self, extension: &str) -> bool {
+    pub fn has_extension(&self, extension: &str) -> bool {
         self.path.ends_with(extension)
     }
 

@@ -3,7 +3,7 @@
 //! what index fill costs in later steps is the table of that step's contacts.
 
 use super::runs::{Runs, SceneBench};
-use super::table::Table;
+use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::output::StepRecord;
 
@@ -20,7 +20,7 @@ pub fn run(bench: &SceneBench) -> Result<(), CliError> {
         "share_of_step_percent",
         "contacts",
     ];
-    let mut table = Table::new(bench.name("assembly"), title, columns);
+    let mut table = FigureTable::new(bench.name("assembly"), title, columns);
     let base = all.first().map_or(f64::NAN, |runs| runs.median(assembly));
     for runs in &all {
         table.push(row(runs, base));

@@ -2,11 +2,11 @@
 //! Figs. 10 and 12 [Li et al. 2020].
 
 use super::runs::{Runs, SceneBench, Size};
-use super::table::Table;
+use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::output::{QueryRecord, StepRecord};
 
-/// Runs the benchmark.
+/// Prints the tables of collision detection and of impact zones for a scene.
 pub fn run(bench: &SceneBench) -> Result<(), CliError> {
     let (size, all) = bench.run()?;
     let out = bench.settings.common.out.as_deref();
@@ -32,7 +32,7 @@ fn searched(step: &StepRecord) -> f64 {
     if all > 0.0 { some / all } else { 1.0 }
 }
 
-fn collision_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
+fn collision_table(bench: &SceneBench, size: Size, all: &[Runs]) -> FigureTable {
     let columns = vec![
         "workers",
         "proximity_ms",
@@ -48,7 +48,7 @@ fn collision_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
         "contacts",
         "bytes_of_a_rank",
     ];
-    let mut table = Table::new(bench.name("collision"), bench.title(size), columns);
+    let mut table = FigureTable::new(bench.name("collision"), bench.title(size), columns);
     let base = all.first().map_or(f64::NAN, |runs| runs.median(collision_s));
     for runs in all {
         let seconds = runs.median(collision_s);
@@ -72,11 +72,11 @@ fn collision_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
     table
 }
 
-/// How many steps took how many rounds; the counts are the same for every number of workers, so those of the first are shown.
-fn zone_table(bench: &SceneBench, all: &[Runs]) -> Table {
+/// Number of steps per number of rounds. The counts are the same for every number of workers; those of the first are shown.
+fn zone_table(bench: &SceneBench, all: &[Runs]) -> FigureTable {
     let columns = vec!["rounds", "steps", "zones", "largest_zone", "impacts", "iterations", "fail_safes", "halvings"];
     let title = format!("Rounds of continuous detection and impact zones: {}", bench.scene.display());
-    let mut table = Table::new(bench.name("zones"), title, columns);
+    let mut table = FigureTable::new(bench.name("zones"), title, columns);
     let Some(runs) = all.first() else { return table };
     let most = runs.most(|step| step.zones.rounds as f64) as u32;
     for rounds in 0..=most {

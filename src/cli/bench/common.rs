@@ -1,4 +1,4 @@
-//! What benchmarks share: options, parsers of their values, medians, the machine of modelled figures.
+//! What benchmarks share: options, parsers of their values, medians, the machine of modeled figures.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use crate::gpu::Executor;
 use crate::interconnect::Topology;
 use crate::protocol::{BindCores, WorkerSetup};
 
-/// What all benchmarks take.
+/// Options that all benchmarks share.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Common {
     /// What runs the kernels
@@ -48,7 +48,7 @@ pub fn median(values: &mut [f64]) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// The machine of modelled figures: that of a topology file, or a balanced tree for `gpus` ranks.
+/// The machine of modeled figures: that of a topology file, or a balanced tree for `gpus` ranks.
 pub fn machine(file: Option<&Path>, gpus: usize) -> Result<Topology, CliError> {
     let made = || Topology::default_for(gpus).map_err(CliError::bad_input);
     file.map_or_else(made, |file| Topology::read(file).map_err(CliError::bad_input))

@@ -1,7 +1,7 @@
 //! `loomtree bench device`: the bandwidth that every memory-bound kernel is held against.
 
 use super::common::Common;
-use super::table::Table;
+use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::gpu::bandwidth_gb_s;
 
@@ -25,7 +25,7 @@ pub fn run(bench: &DeviceBench) -> Result<(), CliError> {
         bench.common.threads,
         bench.megabytes
     );
-    let mut table = Table::new("device", title, vec!["copy_gb_s", "read_gb_s"]);
+    let mut table = FigureTable::new("device", title, vec!["copy_gb_s", "read_gb_s"]);
     table.push(vec![measured.copy_gb_s, measured.read_gb_s]);
     table.finish(bench.common.out.as_deref(), None)
 }

@@ -1,10 +1,10 @@
 //! `loomtree bench interconnect`: the matrix-vector product of the paper's Fig. 5 by the clock. Everything it prints is
-//! modelled from a topology file; nothing is measured.
+//! modeled from a topology file; nothing is measured.
 
 use std::path::PathBuf;
 
 use super::common::positive;
-use super::table::Table;
+use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::interconnect::{Demand, DeviceModel, ProductKernels, ScheduleKind, Topology, TransferPlan, plan, product_s};
 
@@ -38,15 +38,15 @@ const ROW_BYTES: f64 = 12.0;
 const BLOCK_BYTES: f64 = 40.0;
 const BLOCK_FLOPS: f64 = 18.0;
 
-/// What the picture shows.
+/// Columns that the picture shows as curves.
 const CURVES: [&str; 6] = ["gather_first", "gather_first_best", "full_fat_tree", "full_ring", "full_best", "halo_best"];
 
-/// What one product costs on one machine; speed-ups over one GPU.
+/// Modeled speed-ups of one product on one machine over one GPU.
 struct Speedups {
     one_gpu_ms: f64,
-    /// Direct, fat-tree, ring, best.
+    /// With schedules direct, fat-tree, ring and best.
     gather_first: [f64; 4],
-    /// Fat-tree, ring, best.
+    /// With schedules fat-tree, ring and best.
     full: [f64; 3],
     halo: f64,
 }
@@ -75,7 +75,7 @@ pub fn run(bench: &InterconnectBench) -> Result<(), CliError> {
                 "full_best",
                 "halo_best",
             ];
-            let mut table = Table::modelled(&name, title, columns);
+            let mut table = FigureTable::modeled(&name, title, columns);
             for gpus in [2, 4, 8, 16].into_iter().filter(|gpus| *gpus <= machine.gpus()) {
                 let topology = machine.with_first_gpus(gpus).map_err(CliError::bad_input)?;
                 let found = speedups(&topology, bench, efficiency)?;
@@ -90,7 +90,7 @@ pub fn run(bench: &InterconnectBench) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Rank r holds rows / n rows. A square sheet is cut into strips, so that neighbouring ranks read sqrt(rows) rows of each
+/// Rank r holds rows / n rows. A square sheet is cut into strips, so that neighboring ranks read sqrt(rows) rows of each
 /// other; a halo row is in three blocks of the reader.
 fn speedups(topology: &Topology, bench: &InterconnectBench, efficiency: f64) -> Result<Speedups, CliError> {
     let ranks = topology.gpus();
@@ -104,12 +104,12 @@ fn speedups(topology: &Topology, bench: &InterconnectBench, efficiency: f64) -> 
         _ => device.kernel_s(blocks * BLOCK_BYTES + rows * 2.0 * ROW_BYTES, blocks * BLOCK_FLOPS),
     };
     let one_gpu_s = kernel_s(rows * bench.blocks, rows);
-    let neighbours = |rank: usize| (0..ranks).filter(move |other| rank.abs_diff(*other) == 1);
+    let neighbors = |rank: usize| (0..ranks).filter(move |other| rank.abs_diff(*other) == 1);
     let own_blocks = own_rows * bench.blocks;
     let block = |rank: usize, vector: usize| {
         let remote_blocks = 3.0 * border_rows;
         match rank.abs_diff(vector) {
-            0 => kernel_s(own_blocks - neighbours(rank).count() as f64 * remote_blocks, own_rows),
+            0 => kernel_s(own_blocks - neighbors(rank).count() as f64 * remote_blocks, own_rows),
             1 => kernel_s(remote_blocks, border_rows),
             _ => 0.0,
         }
@@ -117,24 +117,24 @@ fn speedups(topology: &Topology, bench: &InterconnectBench, efficiency: f64) -> 
     let blocks = (0..ranks).map(|rank| (0..ranks).map(|vector| block(rank, vector)).collect()).collect();
     let blocks = ProductKernels::Blocks(blocks);
     let sub_vector_bytes = (rows / ranks as f64).ceil() * ROW_BYTES;
-    let modelled = |transfers: &TransferPlan, kernels: &ProductKernels, order: &[Vec<usize>]| {
+    let modeled = |transfers: &TransferPlan, kernels: &ProductKernels, order: &[Vec<usize>]| {
         product_s(topology, transfers, kernels, order).map_err(|error| CliError::failed(error.to_string()))
     };
     let full = |kind: ScheduleKind, kernels: &ProductKernels| {
         let plan = plan(kind, topology, sub_vector_bytes).map_err(CliError::bad_input)?;
         let vectors = |queue: &Vec<crate::interconnect::QueueNode>| queue.iter().map(|node| node.vector).collect();
         let order: Vec<Vec<usize>> = plan.schedule.queues.iter().map(vectors).collect();
-        Ok::<f64, CliError>(one_gpu_s / modelled(&plan.transfers(sub_vector_bytes), kernels, &order)?)
+        Ok::<f64, CliError>(one_gpu_s / modeled(&plan.transfers(sub_vector_bytes), kernels, &order)?)
     };
     let whole = ProductKernels::Whole(vec![kernel_s(own_blocks, own_rows); ranks]);
     let halves = |rank: usize| {
-        let remote_rows = neighbours(rank).count() as f64 * border_rows;
+        let remote_rows = neighbors(rank).count() as f64 * border_rows;
         let local_rows = own_rows - remote_rows;
         (kernel_s(local_rows * bench.blocks, local_rows), kernel_s(remote_rows * bench.blocks, remote_rows))
     };
     let halves = ProductKernels::Halo((0..ranks).map(halves).collect());
     let demands: Vec<Demand> = (0..ranks)
-        .flat_map(|owner| neighbours(owner).map(move |reader| (owner, reader)))
+        .flat_map(|owner| neighbors(owner).map(move |reader| (owner, reader)))
         .map(|(owner, reader)| Demand { owner, bytes: border_rows * ROW_BYTES, readers: vec![reader] })
         .collect();
     let (halo, _) = TransferPlan::best_for(topology, &demands);
@@ -151,6 +151,6 @@ fn speedups(topology: &Topology, bench: &InterconnectBench, efficiency: f64) -> 
             full(ScheduleKind::Ring, &blocks)?,
             full(ScheduleKind::Best, &blocks)?,
         ],
-        halo: one_gpu_s / modelled(&halo, &halves, &vec![Vec::new(); ranks])?,
+        halo: one_gpu_s / modeled(&halo, &halves, &vec![Vec::new(); ranks])?,
     })
 }

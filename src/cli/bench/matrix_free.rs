@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use super::common::{Common, machine, median, positive};
 use super::ranks::{ModelState, seconds_of};
-use super::table::Table;
+use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::interconnect::{Kernel, Topology};
 use crate::model::GlobalModel;
@@ -39,7 +39,7 @@ pub struct MatrixFreeBench {
     /// Products to time
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
-    /// Machine whose device the modelled table is for [default: Titan Xp]
+    /// Machine whose device the modeled table is for [default: Titan Xp]
     #[arg(long, value_name = "FILE")]
     topology: Option<PathBuf>,
 }
@@ -47,15 +47,15 @@ pub struct MatrixFreeBench {
 pub fn run(bench: &MatrixFreeBench) -> Result<(), CliError> {
     let machine = machine(bench.topology.as_deref(), 1)?;
     let out = bench.common.out.as_deref();
-    let (measured, modelled) = tables(bench, &machine)?;
+    let (measured, modeled) = tables(bench, &machine)?;
     measured.y_label("matrix-free over stored").finish_curves(
         out,
         Some(("triangles", &["product_ratio", "integration_ratio", "step_ratio", "memory_ratio"])),
     )?;
-    modelled.finish(out, Some(("triangles", "product_ratio")))
+    modeled.finish(out, Some(("triangles", "product_ratio")))
 }
 
-fn tables(bench: &MatrixFreeBench, machine: &Topology) -> Result<(Table, Table), CliError> {
+fn tables(bench: &MatrixFreeBench, machine: &Topology) -> Result<(FigureTable, FigureTable), CliError> {
     let title = format!(
         "measured: a stored matrix against none, {}, one rank, {} thread(s), cpu executor, block Jacobi",
         bench.scene.display(),
@@ -79,14 +79,14 @@ fn tables(bench: &MatrixFreeBench, machine: &Topology) -> Result<(Table, Table),
         "stored_iterations",
         "free_iterations",
     ];
-    let mut measured = Table::new("matrix_free", title, columns);
+    let mut measured = FigureTable::new("matrix_free", title, columns);
     let title = format!(
         "modelled, not measured: a product on one {} with and without a stored matrix, {}",
         machine.device().name,
         bench.scene.display()
     );
     let columns = vec!["triangles", "stored_product_ms", "free_product_ms", "product_ratio"];
-    let mut modelled = Table::modelled("matrix_free_modelled", title, columns);
+    let mut modeled = FigureTable::modeled("matrix_free_modelled", title, columns);
     for &resolution in &bench.resolution {
         let overrides = Overrides { resolution: Some(resolution), frames: None };
         let scene = crate::scene::load(&bench.scene, &overrides).map_err(CliError::bad_input)?;
@@ -130,9 +130,9 @@ fn tables(bench: &MatrixFreeBench, machine: &Topology) -> Result<(Table, Table),
         ]);
         let [product, free_product] =
             [stored.kernel, free.kernel].map(|kernel| machine.device().kernel_s(kernel.bytes, kernel.flops) * 1e3);
-        modelled.push(vec![triangles, product, free_product, free_product / product]);
+        modeled.push(vec![triangles, product, free_product, free_product / product]);
     }
-    Ok((measured, modelled))
+    Ok((measured, modeled))
 }
 
 /// Implicit time integration: everything but collisions.
@@ -149,7 +149,7 @@ struct Measured {
     steps: Vec<StepStats>,
     /// Bytes of all tables and vectors, with the contacts of the first step.
     bytes: u64,
-    /// What a product moves and computes.
+    /// Bytes and flops of a product.
     kernel: Kernel,
 }
 

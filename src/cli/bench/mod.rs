@@ -1,5 +1,5 @@
 //! `loomtree bench`: measures this program on this machine, and models other machines. Every table says what it ran on;
-//! modelled figures stand in tables or columns of their own that say so.
+//! modeled figures stand in tables or columns of their own that say so.
 
 mod assembly;
 mod collision;
@@ -31,7 +31,7 @@ enum Bench {
     /// Memory bandwidth of the executor: copy and read, to hold the others against
     Device(device::DeviceBench),
     /// Matrix-vector product of scenes' matrices in contact on 1 to 16 ranks: gather first, pipelined with every schedule, halo
-    /// rows; modelled on a topology file's machine and measured on this one, apart; bandwidth and bytes exchanged
+    /// rows; modeled on a topology file's machine and measured on this one, apart; bandwidth and bytes exchanged
     Spmv(spmv::SpmvBench),
     /// Collision detection and impact zones of scenes on several numbers of worker processes: time, tests, their split
     Collision(runs::ScenesBench),
@@ -39,18 +39,18 @@ enum Bench {
     Step(runs::ScenesBench),
     /// Assembly of scenes' matrices on several numbers of worker processes: element records, index fill, value fill
     Assembly(runs::ScenesBench),
-    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine and modelled
+    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine and modeled
     /// on a topology file's
     Scaling(scaling::ScalingBench),
     /// The same integrator with and without a stored matrix (cpu executor, one rank): product, memory, whole step
     MatrixFree(matrix_free::MatrixFreeBench),
     /// Memory of scenes' workers per structure and vertex
     Memory(runs::ScenesBench),
-    /// Modelled, not measured: products on the machines of topology files, every exchange and schedule
+    /// Modeled, not measured: products on the machines of topology files, every exchange and schedule
     Interconnect(interconnect::InterconnectBench),
 }
 
-/// Runs the command.
+/// Runs a benchmark and prints its tables.
 pub fn run(args: BenchArgs) -> Result<(), CliError> {
     if !matches!(args.what, Bench::Interconnect(_)) {
         warn_of_load();
@@ -68,7 +68,7 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
     }
 }
 
-/// Other work on the machine makes times useless; say so beside them.
+/// Prints the load average, because other work on the machine distorts times.
 fn warn_of_load() {
     let load =
         std::fs::read_to_string("/proc/loadavg").ok().and_then(|text| text.split(' ').next()?.parse::<f64>().ok());

@@ -10,7 +10,7 @@ use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
 use crate::interconnect::{KernelTimes, Replay, ScheduleKind, Topology, plan};
 use crate::output::{Existing, Report, StepRecord};
 
-/// What benchmarks of whole steps take.
+/// Arguments of benchmarks of whole steps.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ScenesBench {
     /// Scenes to run, separated by commas or each with a --scene of its own; of several, each has its tables, and files named
@@ -25,7 +25,7 @@ pub struct ScenesBench {
     pub settings: Settings,
 }
 
-/// What all scenes of a benchmark share.
+/// Options that all scenes of a benchmark share.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Settings {
     #[command(flatten)]
@@ -81,13 +81,13 @@ impl ScenesBench {
 /// The benchmark of one scene.
 #[derive(Clone, Debug)]
 pub struct SceneBench {
-    /// The scene.
+    /// Scene file.
     pub scene: PathBuf,
     /// Steps before the counted ones, if they come on top of those.
     skip: Option<u32>,
     /// Ending of the names of its tables.
     suffix: String,
-    /// Everything else.
+    /// Options that all scenes share.
     pub settings: Settings,
 }
 
@@ -106,17 +106,17 @@ impl Runs {
         self.steps.iter().map(figure).collect()
     }
 
-    /// Its median.
+    /// Median of a figure over the counted steps.
     pub fn median(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
         median(&mut self.values(figure))
     }
 
-    /// Its mean.
+    /// Mean of a figure over the counted steps.
     pub fn mean(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
         self.values(figure).iter().sum::<f64>() / self.steps.len().max(1) as f64
     }
 
-    /// Its largest value.
+    /// Largest value of a figure over the counted steps.
     pub fn most(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
         self.values(figure).into_iter().fold(0.0, f64::max)
     }
@@ -165,7 +165,7 @@ impl SceneBench {
         self.skip.map_or((steps.div_ceil(5), steps), |skip| (skip, steps.saturating_add(skip)))
     }
 
-    /// Modelled seconds of the counted steps on `topology`, with schedule `best`: a run of its own records events, which
+    /// Modeled seconds of the counted steps on `topology`, with schedule `best`: a run of its own records events, which
     /// costs time, and is re-timed as `loomtree predict` does it.
     pub fn predict(&self, workers: usize, topology: &Topology) -> Result<Vec<f64>, CliError> {
         let (skip, steps) = self.steps();

@@ -1,5 +1,5 @@
 //! `loomtree bench spmv`: the matrix-vector product of the matrices of scenes in contact on 1 to 16 ranks, P-Cloth's Fig. 5
-//! [Li et al. 2020]: all-gather first [Cevahir et al. 2009], the pipelined product with every schedule, and halo rows. Modelled
+//! [Li et al. 2020]: all-gather first [Cevahir et al. 2009], the pipelined product with every schedule, and halo rows. Modeled
 //! on the machine of a topology file from the bytes and flops of these very matrices, and measured with ranks that are threads
 //! of this machine; the two never share a table.
 
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::common::{Common, machine, median, positive, worker_counts};
 use super::ranks::{ModelState, median_s, seconds_of};
-use super::table::Table;
+use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::gpu::bandwidth_gb_s;
 use crate::interconnect::{
@@ -50,10 +50,10 @@ pub struct SpmvBench {
     /// Or that after so many steps, whichever comes first; 0: of the start state
     #[arg(long, default_value_t = 600)]
     steps: u32,
-    /// Machine of the modelled table [default: Titan Xp on a balanced tree of PCIe 3 x16 links]
+    /// Machine of the modeled table [default: Titan Xp on a balanced tree of PCIe 3 x16 links]
     #[arg(long, value_name = "FILE")]
     topology: Option<PathBuf>,
-    /// Shares of the memory bandwidth that the modelled kernel reaches, a table each
+    /// Shares of the memory bandwidth that the modeled kernel reaches, a table each
     #[arg(long, value_delimiter = ',', default_value = "1", value_parser = positive)]
     efficiency: Vec<f64>,
 }
@@ -61,8 +61,8 @@ pub struct SpmvBench {
 /// Schedules of the pipelined product, in the order of the columns.
 const SCHEDULES: [ScheduleKind; 4] =
     [ScheduleKind::FatTree, ScheduleKind::Ring, ScheduleKind::Direct, ScheduleKind::Best];
-/// Columns of speed-ups, modelled.
-const MODELLED: [&str; 10] = [
+/// Columns of speed-ups, modeled.
+const MODELED: [&str; 10] = [
     "ranks",
     "one_gpu_ms",
     "gather_first",
@@ -86,7 +86,7 @@ pub fn run(bench: &SpmvBench) -> Result<(), CliError> {
     Ok(())
 }
 
-/// What the tables of one scene share.
+/// Recorded products of one scene, for all its tables.
 struct SceneProducts<'a> {
     bench: &'a SpmvBench,
     state: ModelState,
@@ -124,7 +124,7 @@ fn of_scene(bench: &SpmvBench, file: &Path, machine: &Topology) -> Result<(), Cl
     products.bytes()?;
     let curves = |columns: &'static [&'static str]| Some((columns[0], &columns[2..]));
     for &efficiency in &bench.efficiency {
-        products.modelled(machine, efficiency)?.finish_curves(bench.common.out.as_deref(), curves(&MODELLED))?;
+        products.modeled(machine, efficiency)?.finish_curves(bench.common.out.as_deref(), curves(&MODELED))?;
     }
     products.measured()?.finish_curves(bench.common.out.as_deref(), curves(&MEASURED))
 }
@@ -157,18 +157,18 @@ impl SceneProducts<'_> {
             common.threads, self.what
         );
         let columns = vec!["rows", "median_ms", "min_ms", "bytes", "gb_s", "read_gb_s", "share_of_read"];
-        let mut table = Table::new(format!("spmv_{}", self.stem), title, columns);
+        let mut table = FigureTable::new(format!("spmv_{}", self.stem), title, columns);
         let rows = self.state.model.rows() as f64;
         let share = rate / bandwidth.read_gb_s;
         table.push(vec![rows, middle * 1e3, best * 1e3, *bytes as f64, rate, bandwidth.read_gb_s, share]);
         table.finish(common.out.as_deref(), None)
     }
 
-    /// What ranks receive.
+    /// Prints the bytes that ranks receive per product.
     fn bytes(&self) -> Result<(), CliError> {
         let title = format!("counted: bytes that all ranks receive per product: {}", self.what);
         let columns = vec!["ranks", "halo_bytes", "full_bytes", "halo_over_full"];
-        let mut table = Table::new(format!("spmv_{}_bytes", self.stem), title, columns);
+        let mut table = FigureTable::new(format!("spmv_{}_bytes", self.stem), title, columns);
         for Recorded { ranks, halo, full } in self.recorded.iter().filter(|recorded| recorded.ranks > 1) {
             let [halo, full] = [halo, full].map(|(traffic, _)| traffic.received.iter().flatten().sum::<f64>());
             table.push(vec![*ranks as f64, halo, full, halo / full]);
@@ -192,7 +192,7 @@ impl SceneProducts<'_> {
     }
 
     /// Speed-ups by the clock on the machine of the topology file; ranks that it has no GPUs for are left out.
-    fn modelled(&self, machine: &Topology, efficiency: f64) -> Result<Table, CliError> {
+    fn modeled(&self, machine: &Topology, efficiency: f64) -> Result<FigureTable, CliError> {
         let device = machine.device();
         let derated = DeviceModel { bandwidth_gb_s: device.bandwidth_gb_s * efficiency, ..device.clone() };
         let machine = machine.with_device(derated);
@@ -204,7 +204,7 @@ impl SceneProducts<'_> {
             self.what
         );
         let slow = if efficiency == 1.0 { String::new() } else { format!("_{:.0}", efficiency * 100.0) };
-        let mut table = Table::modelled(format!("spmv_{}_modelled{slow}", self.stem), title, MODELLED.to_vec());
+        let mut table = FigureTable::modeled(format!("spmv_{}_modelled{slow}", self.stem), title, MODELED.to_vec());
         let one_gpu_s = self.recorded.first().map_or(f64::NAN, |one| kernel_s(machine.device(), &one.halo.1));
         let wanted = |ranks: &usize| self.bench.workers.contains(ranks) && *ranks <= machine.gpus();
         for Recorded { ranks, halo, full } in self.recorded.iter().filter(|recorded| wanted(&recorded.ranks)) {
@@ -227,7 +227,7 @@ impl SceneProducts<'_> {
         Ok(table)
     }
 
-    /// Modelled time of a recorded product; NaN where there is no such schedule.
+    /// Modeled time of a recorded product; NaN if the schedule does not exist for this number of ranks.
     fn product_s(
         &self,
         topology: &Topology,
@@ -249,14 +249,14 @@ impl SceneProducts<'_> {
     }
 
     /// Speed-ups on this machine, with ranks that are threads of this process.
-    fn measured(&self) -> Result<Table, CliError> {
+    fn measured(&self) -> Result<FigureTable, CliError> {
         let cores = Machine::here().cores;
         let title = format!(
             "measured on this machine of {cores} core(s), ranks are threads of it: speed-up of a product over one rank, {} \
              thread(s) per rank: {}",
             self.bench.common.threads, self.what
         );
-        let mut table = Table::new(format!("spmv_{}_measured", self.stem), title, MEASURED.to_vec());
+        let mut table = FigureTable::new(format!("spmv_{}_measured", self.stem), title, MEASURED.to_vec());
         let one = Way { mode: ExchangeMode::Halo, gather_first: false, queues: vec![Vec::new()] };
         let mut ways = vec![Some(one)];
         for &ranks in &self.bench.workers {
@@ -266,7 +266,7 @@ impl SceneProducts<'_> {
         for _ in 0..self.bench.rounds {
             for (way, best_s) in ways.iter().zip(&mut seconds) {
                 if let Some(way) = way {
-                    // The first one replaces what is no number.
+                    // The first number replaces the initial NaN.
                     *best_s = self.time(way)?.min(*best_s);
                 }
             }
@@ -279,7 +279,7 @@ impl SceneProducts<'_> {
         Ok(table)
     }
 
-    /// What the columns of [`MEASURED`] compare on some number of ranks; none where there is no such schedule.
+    /// The way of exchanging behind each of the columns [`MEASURED`]; none where the number of ranks has no such schedule.
     fn ways(&self, ranks: usize) -> Result<Vec<Option<Way>>, CliError> {
         let topology = Topology::default_for(ranks).map_err(CliError::bad_input)?;
         let order = direct(ranks).queues;
@@ -314,7 +314,7 @@ struct Way {
     queues: Vec<Vec<QueueNode>>,
 }
 
-/// Modelled time of all kernels of a product as one.
+/// Modeled time of all kernels of a product as one.
 fn kernel_s(device: &DeviceModel, product: &RecordedProduct) -> f64 {
     let all = match product {
         RecordedProduct::Halo(halves) => halves.iter().map(|(local, remote)| local.plus(*remote)).collect::<Vec<_>>(),

@@ -2,7 +2,7 @@
 //! (shares of the stages, speed-up), Fig. 13 (memory) [Li et al. 2020].
 
 use super::runs::{Runs, SceneBench, Size};
-use super::table::Table;
+use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::output::StepRecord;
 
@@ -25,10 +25,10 @@ fn total(step: &StepRecord) -> f64 {
     step.stage_seconds.total
 }
 
-fn step_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
+fn step_table(bench: &SceneBench, size: Size, all: &[Runs]) -> FigureTable {
     let columns =
         vec!["workers", "step_ms", "solve_ms", "iterations", "us_per_triangle", "speedup", "bytes_per_spmv", "start_s"];
-    let mut table = Table::new(bench.name("step"), bench.title(size), columns);
+    let mut table = FigureTable::new(bench.name("step"), bench.title(size), columns);
     let base = all.first().map_or(f64::NAN, |runs| runs.median(total));
     for runs in all {
         let step = runs.median(total);
@@ -47,7 +47,7 @@ fn step_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
 }
 
 /// Percent of a step's time in the slowest rank's stages; what is left is waiting and the coordinator.
-fn stage_table(bench: &SceneBench, all: &[Runs]) -> Table {
+fn stage_table(bench: &SceneBench, all: &[Runs]) -> FigureTable {
     let columns = vec![
         "workers",
         "proximity",
@@ -63,7 +63,7 @@ fn stage_table(bench: &SceneBench, all: &[Runs]) -> Table {
         "zones",
     ];
     let title = format!("Share of the stages, percent of the step: {}", bench.scene.display());
-    let mut table = Table::new(bench.name("stages"), title, columns);
+    let mut table = FigureTable::new(bench.name("stages"), title, columns);
     for runs in all {
         let whole = runs.mean(total);
         let share = |stage: fn(&StepRecord) -> f64| 100.0 * runs.mean(stage) / whole;
@@ -85,7 +85,7 @@ fn stage_table(bench: &SceneBench, all: &[Runs]) -> Table {
     table
 }
 
-fn memory_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
+fn memory_table(bench: &SceneBench, size: Size, all: &[Runs]) -> FigureTable {
     let columns = vec![
         "workers",
         "device_bytes",
@@ -96,7 +96,7 @@ fn memory_table(bench: &SceneBench, size: Size, all: &[Runs]) -> Table {
         "peak_resident_of_a_rank",
         "peak_resident_per_vertex",
     ];
-    let mut table = Table::new(bench.name("memory"), bench.title(size), columns);
+    let mut table = FigureTable::new(bench.name("memory"), bench.title(size), columns);
     let largest = |bytes: &[u64]| bytes.iter().copied().max().unwrap_or(0) as f64;
     for runs in all {
         let device = runs.most(|step| step.memory_bytes_per_rank.iter().sum::<u64>() as f64);

@@ -1,4 +1,4 @@
-//! A table of figures, measured or modelled: printed, and written as JSON and SVG.
+//! A table of figures, measured or modeled: printed, and written as JSON and SVG.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::output::plot::{Series, line_chart};
 use crate::output::{Machine, write_atomically};
 
 /// Column heads and rows of numbers.
-pub struct Table {
+pub struct FigureTable {
     name: String,
     title: String,
     kind: &'static str,
@@ -18,34 +18,34 @@ pub struct Table {
     rows: Vec<Vec<f64>>,
 }
 
-impl Table {
+impl FigureTable {
     /// An empty table of measured figures; `name` names its files.
-    pub fn new(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
-        Table { name: name.into(), title, kind: "measured", y_label: "speed-up", columns, rows: Vec::new() }
+    pub fn new(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
+        FigureTable { name: name.into(), title, kind: "measured", y_label: "speed-up", columns, rows: Vec::new() }
     }
 
-    /// The same for figures that were modelled.
-    pub fn modelled(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
-        Table { kind: "modelled", ..Table::new(name, title, columns) }
+    /// The same for figures that were modeled.
+    pub fn modeled(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
+        FigureTable { kind: "modelled", ..FigureTable::new(name, title, columns) }
     }
 
     /// The same for columns of both kinds, each of which says in its name which it is.
-    pub fn mixed(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> Table {
-        Table { kind: "measured and modelled", ..Table::new(name, title, columns) }
+    pub fn mixed(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
+        FigureTable { kind: "measured and modelled", ..FigureTable::new(name, title, columns) }
     }
 
-    /// What the y axis of several curves shows.
-    pub fn y_label(self, y_label: &'static str) -> Table {
-        Table { y_label, ..self }
+    /// The table with another label of the y axis, for pictures of several curves.
+    pub fn y_label(self, y_label: &'static str) -> FigureTable {
+        FigureTable { y_label, ..self }
     }
 
-    /// Adds a row.
+    /// Adds a row, one number per column.
     pub fn push(&mut self, row: Vec<f64>) {
         assert_eq!(row.len(), self.columns.len());
         self.rows.push(row);
     }
 
-    /// Prints the table; a reader that went away is no error.
+    /// Prints the table. A closed pipe is not an error.
     pub fn print(&self) -> Result<(), CliError> {
         let cell = |v: f64| match v {
             v if v.is_nan() => "-".to_string(),
@@ -115,7 +115,7 @@ impl Table {
         self.finish_curves(folder, curve.zip(names.as_ref()).map(|((x, _), names)| (x, &names[..])))
     }
 
-    /// As [`Table::finish`], with several curves in one picture.
+    /// As [`FigureTable::finish`], with several curves in one picture.
     pub fn finish_curves(&self, folder: Option<&Path>, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         self.print()?;
         folder.map_or(Ok(()), |folder| self.write(folder, curves))

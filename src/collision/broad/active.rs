@@ -13,7 +13,7 @@ use super::split::{Split, even};
 use crate::gpu::CpuExecutor;
 use crate::transport::TransportError;
 
-/// Most boxes that stand for the triangles with touched vertices.
+/// Largest number of boxes that cover the triangles with touched vertices.
 const REACHES: usize = 64;
 
 /// The patches of a mesh and what chooses among them.
@@ -28,8 +28,8 @@ impl ActivePatches {
         ActivePatches { patches: Patches::new(mesh), culling: None }
     }
 
-    /// Finds boxes, and which patches are active. `large` says of a box that it may not reside in the finest grid. Between
-    /// ranks: 48 bytes per patch, and at most 4 for what is proven of it.
+    /// Computes the boxes of patches and chooses the active ones. `large(box)` is true for a triangle that may not reside in
+    /// the finest grid. Moves 48 bytes per patch between ranks, and at most 4 for the result of culling.
     ///
     /// # Errors
     /// Another rank is not heard.
@@ -70,7 +70,7 @@ impl ActivePatches {
         Ok(())
     }
 
-    /// Bytes of what the mesh alone decides.
+    /// Bytes that depend on the mesh alone.
     pub fn mesh_bytes(&self) -> u64 {
         self.patches.mesh_bytes() + self.culling.as_ref().map_or(0, Culling::bytes)
     }
@@ -89,7 +89,7 @@ fn state_of(patches: &Patches, input: &Input, is_large: &impl Fn(&Aabb) -> bool,
     PatchState::new(&all, cone, large)
 }
 
-/// Boxes that hold all triangles with touched vertices.
+/// Boxes that together contain all triangles with touched vertices.
 fn reaches(patches: &Patches, input: &Input) -> Vec<Aabb> {
     let mut reaches = Vec::new();
     for patch in 0..patches.count() {

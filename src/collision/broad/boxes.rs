@@ -9,10 +9,10 @@ use super::query::{BroadError, Choice, Query};
 /// Relative widening of every bound: more than the rounding of a few f32 operations on the coordinates, so that a test
 /// that decides with rounded numbers is still handed the pair.
 const SLACK: f32 = 1.0 / (1 << 21) as f32;
-/// Largest coordinate, metres; beyond it squares leave f32.
+/// Largest coordinate, meters; beyond it squares leave f32.
 const MOST_M: f32 = 1e18;
 
-/// An axis-aligned box.
+/// An axis-aligned box; empty if a lower bound exceeds the upper one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Aabb {
     pub lo: Vec3A,
@@ -33,52 +33,53 @@ impl Aabb {
         Aabb { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
     }
 
-    /// Touching boxes overlap.
+    /// True if the boxes have a point in common; touching boxes overlap.
     #[inline(always)]
     pub fn overlaps(&self, other: &Aabb) -> bool {
         (self.lo.cmple(other.hi) & other.lo.cmple(self.hi)).all()
     }
 
-    /// Every operation is monotone in its argument also after rounding, hence: bounds whose gap is at most the radius
-    /// meet, and the box of a triangle holds the boxes of its features.
+    /// Widens the box by `pad` and for rounding. Every operation is monotone in its argument also after rounding; therefore
+    /// bounds whose gap is at most the radius meet, and the box of a triangle holds the boxes of its features.
     #[inline(always)]
     pub fn inflated(self, pad: Vec3A) -> Aabb {
         let (lo, hi) = (self.lo - pad, self.hi + pad);
         Aabb { lo: lo - lo.abs() * SLACK, hi: hi + hi.abs() * SLACK }
     }
 
-    /// Each bound moved inwards by `by`; may end up inside out, then it overlaps what holds all of it at most.
+    /// Moves each bound inwards by `by`. May become inverted (lo > hi); it then overlaps only boxes that contain it.
     #[inline(always)]
     pub fn shrink(self, by: Vec3A) -> Aabb {
         Aabb { lo: self.lo + by, hi: self.hi - by }
     }
 
-    /// Whether nothing was joined.
+    /// True if the box is [`Aabb::EMPTY`] or inverted along x.
     #[inline(always)]
     pub fn is_empty(&self) -> bool {
         self.lo.x > self.hi.x
     }
 
-    /// Longest side.
+    /// Longest side, meters.
     #[inline(always)]
     pub fn extent(&self) -> f32 {
         (self.hi - self.lo).max_element()
     }
 }
 
-/// The positions of a query, checked.
+/// Straight paths of all vertices over a query, checked, and how far boxes around them are widened.
 pub(super) struct Trajectories<'a> {
     start: &'a [f32],
     end: &'a [f32],
     pad: Vec3A,
-    /// How much a box may shrink before it is tested with one of the same piece.
+    /// How much a box may shrink before it is tested with one of the same piece, meters; none if not at all.
     pub within_piece: Option<Vec3A>,
-    /// Distance up to which pairs within one piece are wanted, metres.
+    /// Distance up to which pairs within one piece are wanted, meters.
     pub within_piece_m: f32,
 }
 
 impl<'a> Trajectories<'a> {
-    /// Refuses positions and radii that boxes cannot be built from.
+    /// # Errors
+    /// Positions or a radius that boxes cannot be built from.
     pub fn new(mesh: &CollisionMesh, query: &Query<'a>, choice: &Choice) -> Result<Trajectories<'a>, BroadError> {
         for (which, positions) in [("start", query.x_t0), ("end", query.x_t1)] {
             if positions.len() != 3 * mesh.vertices {
@@ -118,12 +119,12 @@ impl<'a> Trajectories<'a> {
         path.inflated(self.pad)
     }
 
-    /// False if start and end are known to be the same.
+    /// False if start and end are the same array.
     pub fn moves(&self) -> bool {
         !std::ptr::eq(self.start, self.end)
     }
 
-    /// Position of a vertex at the end of its path that `end` says.
+    /// Position of a vertex at the start of its path, or at its end.
     #[inline(always)]
     pub fn at(&self, vertex: u32, end: bool) -> Vec3A {
         let x = if end { self.end } else { self.start };
@@ -132,7 +133,7 @@ impl<'a> Trajectories<'a> {
         Vec3A::new(x[0], x[1], x[2])
     }
 
-    /// How far boxes are inflated, metres.
+    /// How far boxes are inflated, meters.
     pub fn pad_m(&self) -> f32 {
         self.pad.x
     }

@@ -12,11 +12,11 @@ use super::input::Input;
 const LEAST_COSINE: f32 = 0.15;
 /// Least area over squared longest edge, seen along the axis: keeps the rounding of normals below [`ROUNDING`].
 const LEAST_AREA: f32 = 1e-3;
-/// More than normals of such triangles are wrong in angle (radians) and relative length: their rounding is 16 units in the
+/// Exceeds the error of normals of such triangles in angle (radians) and relative length; their rounding is 16 units in the
 /// last place of the squared edge.
 pub(super) const ROUNDING: f32 = 4e-3;
 
-/// Where the normals of a patch point during the step.
+/// A cone that holds all normals of a patch during the step.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Cone {
@@ -24,7 +24,7 @@ pub(super) struct Cone {
     pub axis: [f32; 3],
     /// Least cosine of the angle between a normal and the axis.
     cosine: f32,
-    /// Least altitude of a triangle seen along the axis, metres.
+    /// Least altitude of a triangle seen along the axis, meters.
     altitude_m: f32,
 }
 
@@ -59,7 +59,7 @@ impl Cone {
         for (normals, longest_squared) in &normals {
             for normal in normals {
                 let area = normal.dot(axis);
-                // What is no number makes no cone.
+                // The comparison is false for NaN.
                 let faces_the_axis = area > LEAST_AREA * longest_squared;
                 if !faces_the_axis {
                     return Cone::zeroed();

@@ -7,7 +7,7 @@ use super::boxes::Trajectories;
 
 /// Edges whose bounds are looked at together.
 const CHUNK: usize = 4;
-/// Coordinates are wrong by less than this part of the largest: differences of coordinates, a rotation, a sum of three.
+/// Relative error bound of projected coordinates: differences of coordinates, a rotation, a sum of three.
 const ROUNDING: f32 = 1e-6;
 
 /// A point at both ends of the step.
@@ -28,7 +28,7 @@ pub(super) fn outline(triangles: &[[u32; 3]]) -> Option<Vec<[u32; 2]>> {
     boundary(triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]))
 }
 
-/// What is left of directed edges when opposite ones are taken away.
+/// The directed edges without an opposite one; none if some edge occurs twice in one direction.
 fn boundary(edges: impl Iterator<Item = [u32; 2]>) -> Option<Vec<[u32; 2]>> {
     let mut sides: Vec<([u32; 2], bool)> = edges.map(|[a, b]| ([a.min(b), a.max(b)], a < b)).collect();
     sides.sort_unstable();
@@ -69,7 +69,7 @@ pub(super) fn polygon<'a>(parts: impl Iterator<Item = Option<&'a [[u32; 2]]>>) -
     if vertices.len() == edges.len() { vertices } else { Vec::new() }
 }
 
-/// Whether all of `some` stay beyond all of `others` along an axis of any length, by more than a margin in metres.
+/// True if all of `some` stay beyond all of `others` along an axis of any length, by more than a margin in meters.
 fn beyond(axis: Vec2, some: &[Path], others: &[Path], margin_m: f32) -> bool {
     let least_squared = margin_m * margin_m * axis.length_squared();
     (0..2).all(|end| {
@@ -90,7 +90,7 @@ fn along(of: &[Path]) -> Vec2 {
     (last[0] + last[1]) - (first[0] + first[1])
 }
 
-/// Whether a point or edge and an edge are proven apart.
+/// True if a point or edge and an edge are proven apart.
 fn apart(some: &[Path], others: &[Path], margin_m: f32) -> bool {
     let either = |axis: Vec2| beyond(axis, some, others, margin_m) || beyond(-axis, some, others, margin_m);
     // The first one points from the others to the one.
@@ -116,7 +116,7 @@ impl Bounds {
         bounds
     }
 
-    /// Whether both stay apart along one of the two axes of the view.
+    /// True if both stay apart along one of the two axes of the view.
     fn are_apart(&self, other: &Bounds, margin_m: f32) -> bool {
         let above = (self.lo - other.hi).cmpgt(Vec4::splat(margin_m)).bitmask();
         let below = (other.lo - self.hi).cmpgt(Vec4::splat(margin_m)).bitmask();
@@ -126,7 +126,7 @@ impl Bounds {
 }
 
 impl Contour {
-    /// Takes the points of a contour as seen along the unit vector `view`; how far they may be off, metres.
+    /// Takes the points of a contour as seen along the unit vector `view`; how far they may be off, meters.
     pub fn project(&mut self, paths: &Trajectories, vertices: &[u32], view: Vec3A) -> f32 {
         let side = view.any_orthonormal_vector();
         let up = view.cross(side);
@@ -152,7 +152,7 @@ impl Contour {
         [self.point(at), self.point(at + 1)]
     }
 
-    /// Whether the contour keeps farther than a margin from itself, as `cull` asks for.
+    /// True if the contour keeps farther than a margin from itself, as `cull` asks for.
     pub fn is_apart(&mut self, margin_m: f32) -> bool {
         let count = self.points.len();
         let corners = (0..count).all(|at| {

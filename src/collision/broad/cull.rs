@@ -35,10 +35,10 @@ use super::split::{Split, even};
 use crate::gpu::CpuExecutor;
 use crate::transport::TransportError;
 
-/// In place of a second patch: the first one is active, whoever the other is.
+/// In place of a second patch: the first one is active whatever the second is.
 const ALONE: u32 = u32::MAX;
 
-/// What the mesh alone decides: who is around every patch of cloth, and the contour of both together.
+/// Tables that depend on the mesh alone: the patches around every patch of cloth, and the contour of their union.
 pub(super) struct Culling {
     /// First of `around` of every patch, and the end.
     firsts: Vec<u32>,
@@ -49,7 +49,7 @@ pub(super) struct Culling {
     contours: Vec<u32>,
     /// Patches whose unions together hold every patch together with each one around it, ascending.
     chosen: Vec<u32>,
-    /// All patches, as the last query had them along its axis: nearly sorted for the next one.
+    /// All patches in the order of the last query along its axis, which nearly sorts them for the next one.
     order: Vec<u32>,
 }
 
@@ -63,7 +63,7 @@ impl Culling {
             chosen: vec![],
             order: (0..patches.count() as u32).collect(),
         };
-        // Which patches have a vertex: at most one per triangle around it.
+        // Pairs (vertex, patch that has it), each once.
         let mut users: Vec<(u32, u32)> = Vec::with_capacity(mesh.vertices);
         for patch in 0..patches.cloth() {
             let from = users.len();
@@ -94,22 +94,22 @@ impl Culling {
         culling
     }
 
-    /// On a grid of patches every other one in every other row; where that leaves gaps, more.
+    /// Chooses unions greedily: on a grid of patches every other one in every other row, and more where that leaves gaps.
     fn choose(&self, count: usize) -> Vec<u32> {
         let mut chosen = vec![0u32; count];
         for patch in 0..count {
-            chosen[patch] = u32::from(self.around(patch).iter().all(|&p| chosen[p as usize] == 0));
+            chosen[patch] = u32::from(self.one_ring(patch).iter().all(|&p| chosen[p as usize] == 0));
         }
         for patch in 0..count {
             let covered = |&other: &u32| self.is_covered(patch as u32, other, &chosen);
-            if !self.around(patch).iter().all(covered) {
+            if !self.one_ring(patch).iter().all(covered) {
                 chosen[patch] = 1;
             }
         }
         (0..count as u32).filter(|&patch| chosen[patch as usize] != 0).collect()
     }
 
-    fn around(&self, patch: usize) -> &[u32] {
+    fn one_ring(&self, patch: usize) -> &[u32] {
         &self.around[self.firsts[patch] as usize..self.firsts[patch + 1] as usize]
     }
 
@@ -117,13 +117,14 @@ impl Culling {
         &self.contours[self.contour_firsts[patch] as usize..self.contour_firsts[patch + 1] as usize]
     }
 
-    /// Whether nothing in the union around a patch comes within the query's radius of what it is not joined to.
+    /// True if features of the union around a patch that share no vertex stay farther apart than the query's radius for the
+    /// whole step.
     fn is_free(&self, input: &Input, patches: &Patches, patch: usize, contour: &mut Contour) -> bool {
         let vertices = self.contour(patch);
         if vertices.is_empty() {
             return false;
         }
-        let cones = || self.around(patch).iter().map(|&p| &patches.states[p as usize].cone);
+        let cones = || self.one_ring(patch).iter().map(|&p| &patches.states[p as usize].cone);
         let sum: Vec3A = cones().map(|cone| Vec3A::from_array(cone.axis)).sum();
         let Some(view) = sum.try_normalize() else { return false };
         let altitude_m = cones().map(|cone| cone.altitude_along(view)).fold(f32::INFINITY, f32::min);
@@ -171,7 +172,7 @@ impl Culling {
             }
         }
         open.retain(|&[one, other]| !(active[one as usize] && active[other as usize]));
-        // Where the unions that were chosen do not settle a pair, others may.
+        // Unions that were not chosen may settle the pairs that are still open.
         let untried = |p: &u32| this.chosen.binary_search(p).is_err();
         let mut others: Vec<u32> =
             open.iter().flat_map(|&[one, other]| this.common(one, other)).filter(untried).collect();
@@ -188,7 +189,7 @@ impl Culling {
         Ok((0..active.len() as u32).filter(|&patch| active[patch as usize]).collect())
     }
 
-    /// Patches along the axis that the sweep goes along.
+    /// Sorts the patches along the axis of the sweep.
     fn sort(&mut self, input: &Input, patches: &Patches) {
         let (axis, states) = (input.grid.longest(), &patches.states);
         let key = |patch: u32| states[patch as usize].aabb().lo[axis];
@@ -243,16 +244,16 @@ impl Culling {
 
     /// Patches whose unions hold two patches.
     fn common(&self, one: u32, other: u32) -> impl Iterator<Item = u32> {
-        let others = self.around(other as usize);
-        self.around(one as usize).iter().copied().filter(|p| others.binary_search(p).is_ok())
+        let others = self.one_ring(other as usize);
+        self.one_ring(one as usize).iter().copied().filter(|p| others.binary_search(p).is_ok())
     }
 
-    /// Whether two patches lie in one union that is free.
+    /// True if two patches lie in one union that is free.
     fn is_covered(&self, one: u32, other: u32, free: &[u32]) -> bool {
         self.common(one, other).any(|p| free[p as usize] != 0)
     }
 
-    /// Bytes held.
+    /// Bytes of the lists; they depend on the mesh alone.
     pub fn bytes(&self) -> u64 {
         let lists = [&self.firsts, &self.around, &self.contour_firsts, &self.contours, &self.chosen];
         let lists = lists.into_iter().chain([&self.order]);
@@ -260,7 +261,7 @@ impl Culling {
     }
 }
 
-/// Moves the first of equal neighbours to the front; how many there are.
+/// Moves the first of equal neighbors to the front and returns the number of distinct ones.
 fn dedup(sorted: &mut [(u32, u32)]) -> usize {
     let mut kept = 0;
     for at in 0..sorted.len() {

@@ -1,4 +1,4 @@
-//! Boxes of the vertices and edges that a triangle owns, side by side so that one comparison tests four of them.
+//! Boxes of the vertices and edges that a triangle owns, in groups of four so that one comparison tests four of them.
 
 use glam::Vec4;
 
@@ -27,7 +27,7 @@ impl Spread {
 }
 
 impl Spread {
-    /// As [`Aabb::shrink`].
+    /// Moves each bound inwards by `by`, as [`Aabb::shrink`] does.
     #[inline(always)]
     pub fn shrink(&mut self, by: f32) {
         for axis in 0..3 {
@@ -37,7 +37,7 @@ impl Spread {
     }
 }
 
-/// Overlaps nothing.
+/// Four boxes that overlap nothing: unused slots.
 const NOWHERE: Four = Four { lo: [Vec4::INFINITY; 3], hi: [Vec4::NEG_INFINITY; 3] };
 
 impl Four {
@@ -49,7 +49,7 @@ impl Four {
     }
 }
 
-/// What a triangle owns: up to six features in slots, vertices first.
+/// The up to six features that a triangle owns, in slots, vertices first.
 #[derive(Clone, Copy)]
 pub(super) struct Features {
     pub corners: [u32; 3],
@@ -60,9 +60,9 @@ pub(super) struct Features {
     pub vertices: u32,
     /// Bits of the slots that hold edges.
     pub edges: u32,
-    /// The triangle's piece.
+    /// Smallest vertex of the piece that the triangle belongs to.
     pub piece: u32,
-    /// Set once the rest is.
+    /// True once the other fields are set.
     pub known: bool,
 }
 

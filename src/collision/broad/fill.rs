@@ -9,33 +9,40 @@ use bytemuck::Zeroable;
 use super::grid::Entry;
 use super::input::Input;
 use super::patches::Patches;
-use super::table::{Load, Table, bump};
-use super::workload::Batch;
+use super::table::{HashTable, Load, bump};
+use super::workload::BucketBatch;
 use crate::gpu::CpuExecutor;
 
 /// Cursor of a bucket without tests.
 const NONE: u32 = u32::MAX;
 
-/// Where entries are written; every slot is handed out once by a cursor.
+/// The entries being written; a cursor hands every slot out once.
 struct Slots(*mut Entry, usize);
-// SAFETY: shared only within `Entries::fill`, where no two threads touch the same slot.
+// SAFETY: shared only within `BucketEntries::fill`, where no two threads touch the same slot.
 unsafe impl Sync for Slots {}
 
 /// Entries of a batch, bucket by bucket: residents (cloth, obstacles), then visitors (cloth, obstacles).
 #[derive(Default)]
-pub(super) struct Entries {
+pub(super) struct BucketEntries {
     entries: Vec<Entry>,
     /// Per bucket of the batch: the next free slot of a resident; after the pass the end of the residents.
     resident: Vec<AtomicU32>,
-    /// The same for visitors, for buckets that can have some.
+    /// The same for visitors, for the buckets of coarser grids.
     visiting: Vec<AtomicU32>,
     first: usize,
     first_visited: usize,
 }
 
-impl Entries {
+impl BucketEntries {
     /// Scans the counts of the batch and writes its entries.
-    pub fn fill(&mut self, cpu: &CpuExecutor, input: &Input, patches: &Patches, table: &Table, batch: &Batch) {
+    pub fn fill(
+        &mut self,
+        cpu: &CpuExecutor,
+        input: &Input,
+        patches: &Patches,
+        table: &HashTable,
+        batch: &BucketBatch,
+    ) {
         self.scan(table, batch);
         let shared = cpu.threads() > 1;
         let slots = Slots(self.entries.as_mut_ptr(), self.entries.len());
@@ -73,9 +80,9 @@ impl Entries {
         }
     }
 
-    /// Puts the entries of every bucket in the order in which one thread would have written them, so that the tests of a
-    /// bucket have the same numbers on every rank.
-    fn order(&mut self, cpu: &CpuExecutor, table: &Table, batch: &Batch) {
+    /// Sorts the entries of every bucket into the order in which one thread writes them, so that the tests of a bucket have
+    /// the same numbers on every rank.
+    fn order(&mut self, cpu: &CpuExecutor, table: &HashTable, batch: &BucketBatch) {
         let slots = Slots(self.entries.as_mut_ptr(), self.entries.len());
         let slots = &slots;
         let this = (&self.resident, self.first);
@@ -97,7 +104,7 @@ impl Entries {
         });
     }
 
-    fn scan(&mut self, table: &Table, batch: &Batch) {
+    fn scan(&mut self, table: &HashTable, batch: &BucketBatch) {
         self.resident.clear();
         self.visiting.clear();
         self.resident.reserve_exact(batch.buckets.len());
@@ -116,7 +123,7 @@ impl Entries {
                 slot += load.entries() as u32;
             }
         }
-        // Old contents may stay: every slot is written.
+        // Old contents may stay because every slot is written.
         self.entries.truncate(slot as usize);
         if self.entries.capacity() < slot as usize {
             self.entries = Vec::new();
@@ -132,13 +139,13 @@ impl Entries {
         &self.entries[start..start + load.entries()]
     }
 
-    /// Bytes held now.
+    /// Bytes of entries and cursors, unused capacity included.
     pub fn bytes(&self) -> u64 {
         (self.entries.capacity() * size_of::<Entry>() + 4 * (self.resident.capacity() + self.visiting.capacity()))
             as u64
     }
 
-    /// A number of bytes that [`Entries::fit`] `entries` in a bucket.
+    /// A number of bytes within which [`BucketEntries::fit`] allows `entries` entries.
     pub fn bytes_for(entries: usize) -> u64 {
         (entries * size_of::<Entry>()) as u64 * 4 / 3 + 64
     }

@@ -1,6 +1,6 @@
 //! Cells and buckets. A hierarchy of uniform grids, each four times coarser than the one before: a triangle *resides* in
 //! the finest grid whose cells are at least as large as its box, so it covers at most 2 x 2 x 2 cells, and *visits* all
-//! coarser grids that have residents. A floor of two triangles is thus a few entries, not one per cell it passes.
+//! coarser grids that have residents. A floor of two triangles therefore takes a few entries, not one per cell below it.
 //!
 //! Cells are hashed into buckets by blocks of 2 x 2 x 2: the block is hashed, the place in the block is kept. The (up to
 //! eight) cells of one triangle therefore never share a bucket, and a block is one cache line of counters.
@@ -10,7 +10,7 @@ use glam::{Vec3A, Vec4};
 use super::boxes::{Aabb, Trajectories};
 use super::mesh::CollisionMesh;
 
-/// Grids. The last has one cell for all of space and takes what no other takes.
+/// Number of grids. The last one has one cell for all of space and takes the triangles that no other takes.
 pub(super) const LEVELS: usize = 16;
 /// Side of a cell over the near-largest box. If sizes differ widely it is twice this over a near-smallest box, and the
 /// coarser grids take the larger ones.
@@ -19,10 +19,10 @@ const CELL_FACTOR: f32 = 1.5;
 const SAMPLES: usize = 512;
 /// Cells per axis and direction; farther positions share the outermost cell.
 const REACH: f32 = (1 << 20) as f32;
-/// Adding it leaves the nearest integer in the low bits of the sum.
+/// Added to a coordinate, it leaves the nearest integer in the low bits of the sum.
 const MAGIC: f32 = (3 << 22) as f32;
 
-/// The cells of a box in one grid: lower and upper cell per axis (biased integers), at most one apart.
+/// The cells of a box in one grid: lower and upper cell per axis, as biased integers that differ by at most 1.
 #[derive(Clone, Copy)]
 pub(super) struct Cells {
     pub lo: [u32; 3],
@@ -79,7 +79,7 @@ impl Grid {
         self.origin
     }
 
-    /// Cells of the finest grid per metre.
+    /// Cells of the finest grid per meter.
     pub fn finest_per_m(&self) -> f32 {
         self.per_m[0]
     }
@@ -151,12 +151,12 @@ impl Buckets {
     /// Calls `visit(bucket, tag)` for each cell; the buckets differ.
     #[inline(always)]
     pub fn for_each(&self, cells: &Cells, mut visit: impl FnMut(u32, u32)) {
-        cells.for_each(|cell, tag| visit(self.of(cell), tag));
+        cells.for_each(|cell, tag| visit(self.bucket(cell), tag));
     }
 
     /// The bucket of a cell.
     #[inline(always)]
-    pub fn of(&self, [x, y, z]: [u32; 3]) -> u32 {
+    pub fn bucket(&self, [x, y, z]: [u32; 3]) -> u32 {
         let mix = [0x9E37_79B1u32, 0x85EB_CA77, 0xC2B2_AE3D];
         let hash = (x >> 1).wrapping_mul(mix[0]) ^ (y >> 1).wrapping_mul(mix[1]) ^ (z >> 1).wrapping_mul(mix[2]);
         let hash = (hash ^ (hash >> 15)).wrapping_mul(0x2C1B_3C6D);
@@ -186,7 +186,7 @@ impl Cells {
 /// Bit of a tag: pairs of this triangle are wanted whatever the other is.
 pub(super) const WANTED: u32 = 0x40;
 
-/// Whether two boxes *that overlap* and met in a bucket met in the cell of the lower corner of their intersection, which
+/// True if two boxes *that overlap* and met in a bucket met in the cell of the lower corner of their intersection, which
 /// is the one place where the pair is reported.
 ///
 /// Per axis that cell is the higher of the two lowest cells, so one of the boxes must have its lowest cell here. That
@@ -221,14 +221,14 @@ impl Entry {
         Aabb { lo: Vec3A::from_array(self.lo), hi: -Vec3A::from_array(self.minus_hi) }
     }
 
-    /// What [`Entry::meets`] compares with.
+    /// The operand of [`Entry::meets`].
     #[inline(always)]
     pub fn probe(&self) -> Probe {
         let ([lx, ly, lz], [hx, hy, hz]) = (self.lo, self.minus_hi);
         Probe { hi: Vec4::new(-hx, -hy, -hz, 0.0), minus_lo: Vec4::new(-lx, -ly, -lz, 0.0), tag: self.tag }
     }
 
-    /// Whether the boxes overlap and this is the place to say so.
+    /// True if the boxes overlap and this bucket is the one to report the pair in.
     #[inline(always)]
     pub fn meets(&self, probe: &Probe) -> bool {
         let [lo, minus_hi]: &[Vec4; 2] = bytemuck::cast_ref(self);

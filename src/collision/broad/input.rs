@@ -1,16 +1,16 @@
-//! What the passes of a query work on: mesh, paths, grids, and boxes of triangles. Promises the same to every rank.
+//! Input of the passes of a query: mesh, paths, grids, and boxes of triangles. The same on every rank.
 
 use super::boxes::{Aabb, Trajectories};
 use super::grid::{Grid, WANTED};
 use super::mesh::CollisionMesh;
 use super::query::Choice;
 
-/// What a query works on.
+/// Mesh, paths and grids of one query.
 pub(super) struct Input<'a> {
     pub mesh: &'a CollisionMesh,
     pub paths: Trajectories<'a>,
     pub grid: Grid,
-    /// What the query leaves out.
+    /// Pairs that the query leaves out.
     pub choice: Choice<'a>,
     /// Obstacles are cut to these bounds.
     cloth: Aabb,

@@ -1,13 +1,13 @@
 //! Layers: the finest grid cut across its longest axis, one layer per block of cells, with buckets of its own. A range of
-//! buckets is thus a part of space, and who works on it need not look at triangles elsewhere. Knows no triangles, only how
-//! many there may be.
+//! buckets is therefore a slab of space, and a rank that works on it need not look at triangles elsewhere. Holds estimates of
+//! the number of triangles, not the triangles.
 
 use std::ops::Range;
 
 use super::boxes::Aabb;
 use super::grid::{Buckets, Cells, Grid};
 
-/// Most layers; what lies beyond the outermost belongs to them.
+/// Largest number of layers; triangles beyond the outermost layer belong to it.
 const MOST: u32 = 1024;
 
 /// The layers of a query: a function of the query alone, so every rank has the same.
@@ -75,14 +75,14 @@ impl Layers {
         &self.triangles
     }
 
-    /// How many there are.
+    /// Number of layers.
     pub fn count(&self) -> usize {
         self.buckets.len()
     }
 
     /// Layers that a box touches.
     #[inline(always)]
-    pub fn of(&self, cells: &Cells) -> Range<usize> {
+    pub fn touched_by(&self, cells: &Cells) -> Range<usize> {
         self.layer(block(cells.lo[self.axis]))..self.layer(block(cells.hi[self.axis])) + 1
     }
 
@@ -113,7 +113,7 @@ impl Layers {
         }
         cells.for_each(|cell, tag| {
             if let Some(buckets) = &buckets[usize::from(cell[self.axis] != low)] {
-                visit(buckets.of(cell), tag);
+                visit(buckets.bucket(cell), tag);
             }
         });
     }
@@ -136,7 +136,7 @@ impl Layers {
         (if rank == 0 { 0 } else { cut(rank) })..end
     }
 
-    /// Bytes held.
+    /// Bytes of the lists, unused capacity left out.
     pub fn bytes(&self) -> u64 {
         (size_of_val(&self.buckets[..]) + size_of_val(&self.triangles[..])) as u64
     }

@@ -1,5 +1,4 @@
-//! Everything that can touch: triangles of cloth and obstacles, and which triangle speaks for which vertex and edge.
-//! Knows no positions.
+//! Triangles of cloth and obstacles as one mesh, and which triangle owns which vertex and edge. Holds no positions.
 
 use thiserror::Error;
 
@@ -10,12 +9,12 @@ use crate::partition::chunk_rows;
 /// Why triangles do not make a [`CollisionMesh`].
 #[derive(Debug, Error, PartialEq)]
 pub enum CollisionMeshError {
-    /// A corner that is no vertex.
+    /// A corner is not a vertex of the mesh.
     #[error("triangle {triangle} uses vertex {vertex}, but the mesh has {vertices} vertices (0 to {})", vertices.saturating_sub(1))]
     VertexOutOfRange {
         /// Triangle, counting from 0.
         triangle: usize,
-        /// The corner.
+        /// Vertex at that corner.
         vertex: u32,
         /// Vertices of the mesh.
         vertices: usize,
@@ -25,10 +24,10 @@ pub enum CollisionMeshError {
     RepeatedVertex {
         /// Triangle, counting from 0.
         triangle: usize,
-        /// The corner.
+        /// Vertex at that corner.
         vertex: u32,
     },
-    /// Corners in the cloth and in an obstacle.
+    /// A triangle has corners in the cloth and in an obstacle.
     #[error("triangle {triangle} joins cloth and obstacle vertices (cloth vertices are those below {cloth_vertices})")]
     JoinsClothAndObstacle {
         /// Triangle, counting from 0.
@@ -39,7 +38,7 @@ pub enum CollisionMeshError {
     /// More cloth vertices than vertices.
     #[error("{cloth_vertices} cloth vertices were declared, but the mesh has only {vertices} vertices")]
     ClothVertices {
-        /// Declared cloth vertices.
+        /// Number of cloth vertices that was declared.
         cloth_vertices: usize,
         /// Vertices of the mesh.
         vertices: usize,
@@ -47,9 +46,9 @@ pub enum CollisionMeshError {
     /// Corners are numbered with 32 bits.
     #[error("the mesh has {count} {what}; collision detection takes at most 1431655765")]
     TooLarge {
-        /// What there is too much of.
+        /// "vertices" or "triangles".
         what: &'static str,
-        /// How many.
+        /// Their number.
         count: usize,
     },
 }
@@ -63,16 +62,16 @@ pub struct CollisionMesh {
     pub vertices: usize,
     /// Vertices from this one on belong to obstacles.
     pub cloth_vertices: usize,
-    /// Triangles: cloth first, then obstacles, each patch by patch, a patch sorted by smallest vertex, so that neighbours in
-    /// the list are neighbours in memory. Corners in the order they were given.
+    /// Triangles: cloth first, then obstacles, each patch by patch, a patch sorted by smallest vertex, so that neighbors in
+    /// the list are neighbors in memory. Corners in the order they were given.
     pub triangles: Vec<[u32; 3]>,
-    /// How many of the triangles are cloth.
+    /// Number of cloth triangles; they come first.
     pub cloth_triangles: usize,
     /// Edges, smaller vertex first, ascending: comparing two edges compares their places in this list.
     pub edges: Vec<[u32; 2]>,
     /// Per triangle: bit k (0..3) is set if it owns corner k, bit 3 + k if it owns the edge from corner k to k + 1.
     pub owned: Vec<u8>,
-    /// First triangle of every patch, and the end. A patch is a few dozen neighbouring triangles of one piece.
+    /// First triangle of every patch, and the end. A patch is a few dozen neighboring triangles of one piece.
     pub patches: Vec<u32>,
     /// Per vertex: the smallest vertex of its piece. A piece is a connected component, of cloth or of an obstacle.
     pub pieces: Vec<u32>,
@@ -120,7 +119,7 @@ impl CollisionMesh {
         let cloth_triangles = triangles.partition_point(|t| (t[0] as usize) < cloth_vertices);
         let pieces = pieces(vertices, &triangles);
         let mut patches = vec![0];
-        // A part knows its triangles by their smallest vertices, which must still be sorted when it is cut.
+        // `cut` finds the triangles of a part by their smallest vertices, so these must still be sorted.
         cut(&mut triangles, &pieces, 0..cloth_vertices, chunk_rows(cloth_vertices), &mut patches);
         cut(&mut triangles, &pieces, cloth_vertices..vertices, vertices, &mut patches);
         let mut mesh = CollisionMesh {
@@ -137,8 +136,8 @@ impl CollisionMesh {
         Ok(mesh)
     }
 
-    /// Gives every feature to the one of its triangles that has the fewest so far (then to the first), which keeps the
-    /// work of pairs of triangles even.
+    /// Gives every feature to the one of its triangles that owns the fewest so far (to the first of several), so that the
+    /// work per pair of triangles stays even.
     fn assign_features(&mut self) {
         let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * self.triangles.len());
         for (t, &corners) in self.triangles.iter().enumerate() {

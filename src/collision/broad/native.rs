@@ -6,21 +6,21 @@ use std::time::Instant;
 
 use super::active::ActivePatches;
 use super::boxes::Trajectories;
-use super::fill::Entries;
+use super::fill::BucketEntries;
 use super::input::Input;
 use super::mesh::CollisionMesh;
 use super::pairs::Tester;
 use super::patches::Patches;
 use super::query::{BroadError, BroadStats, Query, Search, Sink, nanoseconds};
 use super::split::Split;
-use super::table::Table;
-use super::workload::{Batch, LayerLoad, Workload, layers_of};
+use super::table::HashTable;
+use super::workload::{BucketBatch, LayerLoad, Workload, layers_of};
 use crate::collision::Candidate;
 use crate::gpu::CpuExecutor;
 
-/// Patches from which on ranks do a part each of what all need: below, hearing of each other takes longer.
+/// From this many patches on, ranks share the passes over patches; with fewer, the exchange takes longer than the pass.
 const PATCHES_TOGETHER: usize = 256;
-/// Entries that are always made at once if the memory limit allows it.
+/// A batch holds at least this many entries if the memory limit allows it.
 const ENTRIES_TOGETHER: u64 = 1 << 12;
 /// Buckets per unit of work of the test pass.
 const GRAIN: usize = 256;
@@ -29,9 +29,9 @@ const GRAIN: usize = 256;
 pub struct Broad {
     mesh: Arc<CollisionMesh>,
     active: ActivePatches,
-    table: Table,
+    table: HashTable,
     workload: Workload,
-    entries: Entries,
+    entries: BucketEntries,
 }
 
 /// Hands all candidates to one closure.
@@ -51,18 +51,18 @@ impl Broad {
         Broad {
             active: ActivePatches::new(&mesh),
             mesh: Arc::new(mesh),
-            table: Table::default(),
+            table: HashTable::default(),
             workload: Workload::default(),
-            entries: Entries::default(),
+            entries: BucketEntries::default(),
         }
     }
 
-    /// The mesh.
+    /// Cloth and obstacles, shared with whoever searches the same mesh.
     pub fn mesh(&self) -> &Arc<CollisionMesh> {
         &self.mesh
     }
 
-    /// Bytes of the mesh and of what follows from it alone; every rank holds all of it.
+    /// Bytes of the mesh and of tables that depend on it alone; every rank holds all of it.
     pub fn mesh_bytes(&self) -> u64 {
         self.mesh.bytes() + self.active.mesh_bytes()
     }
@@ -161,9 +161,9 @@ impl Broad {
     }
 }
 
-/// Counts what this rank needs; its share of the tests. Between ranks: 16 bytes per layer.
+/// Counts the layers that this rank needs and returns its share of the tests. Moves 16 bytes per layer between ranks.
 fn count(
-    (table, workload, patches): (&mut Table, &mut Workload, &Patches),
+    (table, workload, patches): (&mut HashTable, &mut Workload, &Patches),
     cpu: &CpuExecutor,
     input: &Input,
     split: &mut Split,
@@ -189,22 +189,23 @@ fn count(
     Ok(share)
 }
 
-/// The batches of a rank's share within the limit, and the bytes that are needed besides their entries.
+/// The batches of a rank's share within the limit, and the bytes needed besides their entries.
 fn plan(
-    (table, workload, entries): (&Table, &Workload, &mut Entries),
+    (table, workload, entries): (&HashTable, &Workload, &mut BucketEntries),
     threads: usize,
     patches_bytes: u64,
     (share, ranks): (&Range<u64>, usize),
     memory_limit_bytes: Option<u64>,
-) -> Result<(Vec<Batch>, u64), BroadError> {
+) -> Result<(Vec<BucketBatch>, u64), BroadError> {
     let fixed = patches_bytes + table.bytes() + workload.bytes() + threads as u64 * Tester::bytes();
     if memory_limit_bytes.is_some_and(|limit| fixed + entries.bytes() > limit) {
-        // What an earlier, unlimited query left must not count against this one.
-        *entries = Entries::default();
+        // Arrays of an earlier query without a limit must not count against this one.
+        *entries = BucketEntries::default();
     }
     let room = memory_limit_bytes.map_or(u64::MAX / 4, |limit| limit.saturating_sub(fixed));
-    let (most_entries, most_buckets) = Entries::fit(room);
-    // Tests are even over ranks, their entries are not: emptier cells need more. Memory shall shrink with the number of ranks.
+    let (most_entries, most_buckets) = BucketEntries::fit(room);
+    // An even share of the tests may need more entries than an even share of the entries, where cells are emptier. The bound
+    // makes memory shrink with the number of ranks.
     let even = workload.entries.div_ceil(ranks as u64);
     let together = (even + even / 8).max(ENTRIES_TOGETHER) as usize;
     let batches = workload.batches(table, share, most_entries.min(together), most_buckets);
@@ -212,7 +213,7 @@ fn plan(
     if let Some(limit_bytes) = memory_limit_bytes.filter(|&limit| fixed > limit || fullest > most_entries) {
         let singles = workload.batches(table, share, 0, 0);
         let fullest = singles.iter().map(|b| b.entries).max().unwrap_or(0);
-        return Err(BroadError::MemoryLimit { needs_bytes: fixed + Entries::bytes_for(fullest), limit_bytes });
+        return Err(BroadError::MemoryLimit { needs_bytes: fixed + BucketEntries::bytes_for(fullest), limit_bytes });
     }
     Ok((batches, fixed))
 }

@@ -3,25 +3,25 @@
 use std::ops::Range;
 
 use super::features::{Features, Spread, bits};
-use super::fill::{Entries, rows};
+use super::fill::{BucketEntries, rows};
 use super::grid::Entry;
 use super::input::Input;
-use super::table::{Load, Table};
-use super::workload::Batch;
+use super::table::{HashTable, Load};
+use super::workload::BucketBatch;
 use crate::collision::Candidate;
 
 /// Candidates handed over at once, at most.
 pub(super) const BUFFER: usize = 1024;
 /// Most candidates of a pair of triangles: 3 + 3 vertices, 3 x 3 edges.
 const PER_PAIR: usize = 15;
-/// Triangles of a bucket whose feature boxes are kept; in a larger bucket they are formed per pair.
+/// Triangles of a bucket whose feature boxes are kept; those of further triangles are formed per pair.
 const KEPT: usize = 64;
-/// Box tests between two looks at what they found.
+/// Box tests whose results are collected before the features are tested.
 const STRIDE: usize = 64;
 
 /// Buffers of one thread.
 pub(super) struct Tester {
-    /// By place in the bucket, then two for triangles beyond [`KEPT`].
+    /// By place in the bucket; the last two slots are for triangles beyond [`KEPT`].
     features: Vec<Features>,
     buffer: Vec<Candidate>,
     /// Candidates found since the start.
@@ -44,9 +44,9 @@ impl Tester {
     pub fn run(
         &mut self,
         input: &Input,
-        table: &Table,
-        entries: &Entries,
-        batch: &Batch,
+        table: &HashTable,
+        entries: &BucketEntries,
+        batch: &BucketBatch,
         buckets: Range<usize>,
         emit: &mut dyn FnMut(&[Candidate]),
     ) {
@@ -109,7 +109,7 @@ impl Tester {
         let mut start = partners.start;
         while start < partners.end {
             let end = (start + STRIDE).min(partners.end);
-            // Which ones meet is hard to predict, so the loop does not branch on it.
+            // The loop does not branch on the result, because it is hard to predict.
             let mut meets = 0u64;
             for (bit, entry) in entries[start..end].iter().enumerate() {
                 meets |= u64::from(entry.meets(&probe)) << bit;
@@ -126,7 +126,7 @@ impl Tester {
         }
     }
 
-    /// Where the features of an entry are; `spare` is 0 or 1.
+    /// Slot of the features of an entry, filled if needed; `spare` (0 or 1) chooses between the two last slots.
     #[inline(always)]
     fn features(&mut self, input: &Input, entry: &Entry, at: usize, spare: usize) -> usize {
         let slot = if at < KEPT { at } else { KEPT + spare };

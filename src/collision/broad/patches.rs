@@ -1,5 +1,5 @@
 //! Patches: a few dozen neighboring triangles each, which passes over triangles look at first. Which triangles make a patch
-//! depends on the mesh alone; what a query knows of them is filled in by `active`.
+//! depends on the mesh alone; `active` fills in their state in a query.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use super::boxes::Aabb;
 use super::cone::Cone;
 use super::mesh::CollisionMesh;
 
-/// What a query knows of a patch. The same bits whichever rank made it.
+/// Box and cone of a patch in the present query. The same bits whichever rank made it.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct PatchState {
@@ -27,18 +27,18 @@ impl PatchState {
         PatchState { lo: aabb.lo.to_array(), hi: aabb.hi.to_array(), cone, large: u32::from(is_large) }
     }
 
-    /// Holds the boxes of all triangles that take part; overlaps nothing if there are none.
+    /// Box around the boxes of all triangles that take part; overlaps nothing if there are none.
     pub fn aabb(&self) -> Aabb {
         Aabb { lo: Vec3A::from_array(self.lo), hi: Vec3A::from_array(self.hi) }
     }
 
-    /// Whether there may be residents of coarser grids.
+    /// True if a triangle of the patch may reside in a coarser grid.
     pub fn is_large(&self) -> bool {
         self.large != 0
     }
 }
 
-/// The patches of a mesh, and what the present query knows of them.
+/// The patches of a mesh, and their state in the present query.
 pub(super) struct Patches {
     /// First triangle of every patch, and the end.
     firsts: Vec<u32>,
@@ -57,12 +57,12 @@ impl Patches {
         Patches { firsts, cloth, states, active: Vec::new() }
     }
 
-    /// How many there are.
+    /// Number of patches.
     pub fn count(&self) -> usize {
         self.firsts.len() - 1
     }
 
-    /// How many of them are cloth.
+    /// Number of cloth patches; they come first.
     pub fn cloth(&self) -> usize {
         self.cloth
     }
@@ -73,12 +73,12 @@ impl Patches {
         self.firsts[patch] as usize..self.firsts[patch + 1] as usize
     }
 
-    /// Bytes of what a query makes.
+    /// Bytes that a query makes.
     pub fn bytes(&self) -> u64 {
         (size_of_val(&self.states[..]) + 4 * self.active.capacity()) as u64
     }
 
-    /// Bytes of what the mesh alone decides.
+    /// Bytes that depend on the mesh alone.
     pub fn mesh_bytes(&self) -> u64 {
         size_of_val(&self.firsts[..]) as u64
     }

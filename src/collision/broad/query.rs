@@ -8,46 +8,46 @@ use crate::collision::Candidate;
 use crate::gpu::GpuError;
 use crate::transport::TransportError;
 
-/// What to search.
+/// Positions over a step and the distance up to which pairs of features are wanted.
 #[derive(Clone, Copy, Debug)]
 pub struct Query<'a> {
-    /// Start positions, metres: x, y, z of every vertex, obstacles included.
+    /// Start positions, meters: x, y, z of every vertex, obstacles included.
     pub x_t0: &'a [f32],
-    /// End positions, metres; the start positions again for a proximity query.
+    /// End positions, meters; the start positions again for a proximity query.
     pub x_t1: &'a [f32],
-    /// Distance up to which pairs are wanted, metres: the thickness for proximity, 0 or the smallest separation for
+    /// Distance up to which pairs are wanted, meters: the thickness for proximity, 0 or the smallest separation for
     /// continuous collision detection.
     pub radius_m: f32,
 }
 
-/// What a search leaves out of a query's pairs.
+/// Pairs of a query that a search leaves out.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Choice<'a> {
     /// Per vertex: pairs of triangles of which none has a vertex that is set here are left out. None keeps all.
     pub touched: Option<&'a [bool]>,
-    /// Distance beyond which pairs within one piece may be left out, metres. None stands for the query's radius.
+    /// Distance beyond which pairs within one piece may be left out, meters. None stands for the query's radius.
     pub piece_radius_m: Option<f32>,
-    /// Whether pairs within one piece that are proven farther apart than that distance on the whole way may be left out, by
+    /// True if pairs within one piece that are proven farther apart than that distance on the whole way may be left out, by
     /// self-collision culling. Not looked at in a search among touched vertices.
     pub cull: bool,
 }
 
-/// What may be dropped besides pairs whose boxes are apart.
+/// Pairs with overlapping boxes that a device may drop.
 #[derive(Clone, Copy, Debug)]
 pub enum Filter<'a> {
     /// Nothing: the candidates of the native search.
     Boxes,
-    /// Pairs proven farther apart than this on the whole way, by more than rounded closest points may be wrong.
-    ByStencil {
-        /// Distance of features of different pieces, metres.
+    /// Pairs proven farther apart than this on the whole way, by more than the error of rounded closest points.
+    ByPair {
+        /// Distance of features of different pieces, meters.
         reach_m: f32,
-        /// Per vertex: distance of features of one piece, metres. A vertex and a face have the vertex's, two edges the
+        /// Per vertex: distance of features of one piece, meters. A vertex and a face have the vertex's, two edges the
         /// least of their ends.
         within_piece_m: &'a [f32],
     },
     /// Pairs proven farther apart than this on the whole way.
     Separation {
-        /// Distance, metres.
+        /// The separation of continuous detection, meters.
         separation_m: f32,
     },
 }
@@ -55,11 +55,11 @@ pub enum Filter<'a> {
 /// A search: the same on all ranks, but for the memory limit.
 #[derive(Clone, Copy, Debug)]
 pub struct Search<'a> {
-    /// Positions and radius.
+    /// What to search.
     pub query: Query<'a>,
-    /// What is left out for sure.
+    /// What is left out on every executor.
     pub choice: Choice<'a>,
-    /// What a device may drop besides. The native search does not look at it.
+    /// What a device may drop besides. The native search ignores it.
     pub filter: Filter<'a>,
     /// Bound of this rank's tables, bytes; None: no bound. What does not fit is searched in batches of cells, at the price of
     /// one pass over all triangles each.
@@ -79,12 +79,12 @@ pub trait Sink: Send {
     fn take(&mut self, found: &[Candidate]);
 }
 
-/// What a query did on this rank. Counts repeat exactly; times do not.
+/// Counts, times and memory of one search on this rank. Counts repeat exactly; times do not.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BroadStats {
     /// Triangle-triangle tests of all ranks.
     pub tests_total: u64,
-    /// Those of this rank.
+    /// Triangle-triangle tests of this rank.
     pub tests: u64,
     /// Buckets with at least one test, over all ranks.
     pub cells: u64,
@@ -98,73 +98,73 @@ pub struct BroadStats {
     pub bytes: u64,
     /// Passes of fill and test.
     pub batches: u64,
-    /// Time of the passes before entries are made, waiting for other ranks included.
+    /// Time of the passes before entries are made, nanoseconds, waiting for other ranks included.
     pub count_ns: u64,
-    /// Time of the fill passes.
+    /// Time of the fill passes, nanoseconds.
     pub fill_ns: u64,
-    /// Time of the tests, the work on candidates included.
+    /// Time of the tests, nanoseconds, the work on candidates included.
     pub test_ns: u64,
 }
 
 /// Why a query gave no candidates.
 #[derive(Debug, Error, PartialEq)]
 pub enum BroadError {
-    /// Not one position per vertex.
+    /// There is not one position per vertex.
     #[error("the {which} positions have {values} values, but {vertices} vertices need {}", 3 * vertices)]
     PositionCount {
         /// "start" or "end".
         which: &'static str,
-        /// Values given.
+        /// Length of the list.
         values: usize,
         /// Vertices of the mesh.
         vertices: usize,
     },
-    /// Not a number, infinite or absurd.
+    /// A coordinate is NaN, infinite or absurdly large.
     #[error("vertex {vertex} has the {which} coordinate {value_m} m; coordinates must be finite and at most 1e18 m")]
     Position {
         /// "start" or "end".
         which: &'static str,
         /// Vertex, counting from 0.
         vertex: usize,
-        /// The coordinate.
+        /// The coordinate, meters.
         value_m: f32,
     },
-    /// Not a distance.
+    /// The radius is negative, NaN or infinite.
     #[error("the search radius is {radius_m} m; it must be finite and not negative")]
     Radius {
-        /// The radius.
+        /// The radius, meters.
         radius_m: f32,
     },
-    /// Not one mark per vertex.
+    /// There is not one mark per vertex.
     #[error("{values} vertices are marked as touched or not, but the mesh has {vertices} vertices")]
     TouchedCount {
-        /// Marks given.
+        /// Number of marks.
         values: usize,
         /// Vertices of the mesh.
         vertices: usize,
     },
-    /// No such rank.
+    /// The rank is not below the number of ranks.
     #[error("rank {rank} of {ranks} ranks does not exist")]
     Rank {
-        /// The rank.
+        /// Rank that was asked for.
         rank: usize,
         /// Number of ranks.
         ranks: usize,
     },
-    /// Not even the fullest cell fits.
+    /// The counters and the fullest cell do not fit the limit.
     #[error(
         "collision tables need {needs_bytes} bytes, more than the memory limit of {limit_bytes} bytes; raise the limit or use more workers"
     )]
     MemoryLimit {
-        /// A limit that would do.
+        /// A limit that suffices, bytes.
         needs_bytes: u64,
-        /// The limit given.
+        /// The limit that was set, bytes.
         limit_bytes: u64,
     },
-    /// The device stopped.
+    /// The device stopped during the search.
     #[error(transparent)]
     Device(#[from] GpuError),
-    /// Another rank was not heard.
+    /// Another rank did not answer.
     #[error(transparent)]
     Transport(#[from] TransportError),
 }

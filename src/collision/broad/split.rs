@@ -1,5 +1,5 @@
-//! Who does which part of a query: ranks alone, each doing by itself what all need, or together, each doing a part of that
-//! and telling the others. Both find the same.
+//! How ranks share a query. Alone, a rank computes everything that its share of the tests needs. Together, each rank computes
+//! a part of it and sends that to the others. Both find the same pairs.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ pub struct Split<'a> {
 }
 
 impl<'a> Split<'a> {
-    /// A rank that hears nothing of the others, which may not even run.
+    /// A rank that exchanges nothing with the others; they need not run.
     pub fn alone(rank: usize, ranks: usize) -> Split<'a> {
         Split { rank, ranks, transport: None }
     }
@@ -26,7 +26,7 @@ impl<'a> Split<'a> {
         Split { rank, ranks, transport: Some(transport).filter(|_| ranks > 1) }
     }
 
-    /// The rank and their number.
+    /// The rank and the number of ranks.
     pub fn place(&self) -> (usize, usize) {
         (self.rank, self.ranks)
     }
@@ -36,7 +36,7 @@ impl<'a> Split<'a> {
         if self.transport.is_some() { even(self.rank, self.ranks, items) } else { 0..items }
     }
 
-    /// As [`Split::part`], for work that differs from place to place: this rank's turns if ranks take turns.
+    /// As [`Split::part`] for items of uneven cost: every n-th item, so that ranks take turns.
     pub(super) fn every(&self, items: usize) -> impl Iterator<Item = usize> + use<> {
         let (first, stride) = if self.transport.is_some() { (self.rank, self.ranks) } else { (0, 1) };
         (first..items).step_by(stride)
@@ -50,7 +50,7 @@ impl<'a> Split<'a> {
         Ok(all)
     }
 
-    /// True if other ranks do their part of what all need.
+    /// True if the ranks share the work.
     pub(super) fn is_together(&self) -> bool {
         self.transport.is_some()
     }

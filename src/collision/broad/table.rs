@@ -37,7 +37,7 @@ struct Level {
 /// Number of triangles per bucket, by role. Buckets are numbered layer by layer; behind those of the last layer come those of
 /// the coarser grids, which count as one layer more.
 #[derive(Default)]
-pub(super) struct Table {
+pub(super) struct HashTable {
     layers: Layers,
     /// Coarser grids that have residents, from fine to coarse.
     levels: Vec<Level>,
@@ -59,7 +59,7 @@ pub(super) struct Table {
     marked: Option<Marked>,
 }
 
-/// Who is in a bucket. Entries are in this order.
+/// Number of triangles in a bucket, by role. Entries are in this order.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Load {
     pub resident_cloth: u32,
@@ -89,7 +89,8 @@ impl Load {
 /// Buckets of the finest grid where wanted triangles reside.
 struct Marked {
     bits: Vec<u64>,
-    /// A wanted triangle resides in a coarser grid and may be visited by any; else wanted ones alone need to visit.
+    /// True if a wanted triangle resides in a coarser grid, where any triangle may visit it. If false, only wanted triangles
+    /// need to visit coarser grids.
     coarse: bool,
 }
 
@@ -120,14 +121,14 @@ fn clear(counts: &mut Vec<AtomicU32>, len: usize) {
     counts.truncate(len);
     counts.iter_mut().for_each(|count| *count.get_mut() = 0);
     if counts.capacity() < len {
-        // The old counts need not be moved, and no more room than asked for.
+        // A new vector neither copies the old counts nor reserves more than asked for.
         *counts = Vec::new();
         counts.reserve_exact(len);
     }
     counts.resize_with(len, || AtomicU32::new(0));
 }
 
-impl Table {
+impl HashTable {
     /// Layers and coarser grids of a query; nothing is counted yet.
     pub fn lay_out(&mut self, input: &Input, patches: &Patches) {
         let boxes: Vec<(Aabb, usize)> = patches
@@ -137,7 +138,7 @@ impl Table {
             .collect();
         self.layers = Layers::new(&input.grid, boxes.iter().map(|(aabb, triangles)| (aabb, *triangles)));
         let span = |(aabb, _): &(Aabb, usize)| {
-            let layers = self.layers.of(&input.grid.cells(0, aabb));
+            let layers = self.layers.touched_by(&input.grid.cells(0, aabb));
             layers.start as u32..layers.end as u32
         };
         self.spans = boxes.iter().map(span).collect();
@@ -351,13 +352,13 @@ impl Table {
         self.first..self.first + self.resident.len() / 2
     }
 
-    /// Whether a bucket belongs to a grid that has visitors.
+    /// True if a bucket belongs to a grid that has visitors.
     #[inline(always)]
     pub fn is_coarse(&self, bucket: usize) -> bool {
         bucket >= self.coarse
     }
 
-    /// Who is in a bucket that is counted.
+    /// Number of triangles in a counted bucket.
     #[inline(always)]
     pub fn load(&self, bucket: usize) -> Load {
         let [resident_cloth, resident_obstacles] = self.residents(bucket);
@@ -370,7 +371,7 @@ impl Table {
         load
     }
 
-    /// Bytes of the counters, and of what counting needed besides.
+    /// Bytes of the counters and of the lists that counting needs.
     pub fn bytes(&self) -> u64 {
         let counters = 4 * (self.resident.capacity() + self.visiting.capacity());
         let marked = self.marked.as_ref().map_or(0, |marked| size_of_val(&marked.bits[..]));

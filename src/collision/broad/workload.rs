@@ -5,12 +5,12 @@ use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
 
-use super::table::Table;
+use super::table::HashTable;
 
 /// Buckets per stored partial sum; sums within are formed again when needed.
 const CHUNK: usize = 1024;
 
-/// Tests, busy buckets and their entries in a layer: what ranks tell each other.
+/// Tests, busy buckets (those with tests) and their entries in a layer. Ranks exchange these.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct LayerLoad {
@@ -21,8 +21,8 @@ pub(super) struct LayerLoad {
 }
 
 impl LayerLoad {
-    /// Of a layer that is counted.
-    pub fn new(table: &Table, layer: usize) -> LayerLoad {
+    /// The load of a counted layer.
+    pub fn new(table: &HashTable, layer: usize) -> LayerLoad {
         let (mut tests, mut busy, mut entries) = (0, 0, 0);
         for bucket in table.buckets_of(layer) {
             let load = table.load(bucket);
@@ -36,7 +36,7 @@ impl LayerLoad {
         LayerLoad::of(tests, busy, entries)
     }
 
-    /// Of a layer with so many tests, busy buckets and entries of these.
+    /// The load of a layer from its numbers of tests, busy buckets and entries in these.
     pub fn of(tests: u64, busy: u32, entries: u32) -> LayerLoad {
         LayerLoad { tests: [tests as u32, (tests >> 32) as u32], busy, entries }
     }
@@ -69,13 +69,13 @@ pub(super) struct Workload {
     pub tests: u64,
     /// Buckets with a test.
     pub busy: u64,
-    /// Their entries.
+    /// Entries of the buckets with a test.
     pub entries: u64,
 }
 
 /// Consecutive buckets whose entries are in memory together.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Batch {
+pub(super) struct BucketBatch {
     pub buckets: Range<usize>,
     pub entries: usize,
     /// Tests of the first bucket that belong to the rank before.
@@ -93,7 +93,7 @@ impl Workload {
     }
 
     /// The scan pass, over the buckets that are counted.
-    pub fn scan(&mut self, table: &Table, loads: &[LayerLoad]) {
+    pub fn scan(&mut self, table: &HashTable, loads: &[LayerLoad]) {
         self.before.clear();
         let mut before = loads[..table.window().start].iter().map(LayerLoad::tests).sum();
         for start in table.buckets().step_by(CHUNK) {
@@ -112,8 +112,14 @@ impl Workload {
 
     /// Consecutive batches that hold the buckets of the tests `share`, each of at most `most_entries` entries (but at
     /// least one bucket) and `most_buckets` buckets.
-    pub fn batches(&self, table: &Table, share: &Range<u64>, most_entries: usize, most_buckets: usize) -> Vec<Batch> {
-        let mut batches: Vec<Batch> = Vec::new();
+    pub fn batches(
+        &self,
+        table: &HashTable,
+        share: &Range<u64>,
+        most_entries: usize,
+        most_buckets: usize,
+    ) -> Vec<BucketBatch> {
+        let mut batches: Vec<BucketBatch> = Vec::new();
         if share.is_empty() {
             return batches;
         }
@@ -136,7 +142,7 @@ impl Workload {
                     last.buckets.end = bucket + 1;
                     last.stop = stop;
                 }
-                _ => batches.push(Batch {
+                _ => batches.push(BucketBatch {
                     buckets: bucket..bucket + 1,
                     entries,
                     skip: share.start.saturating_sub(first),

@@ -1,34 +1,34 @@
 //! Closest points of a vertex and a face, and of two edges [Ericson 2005, Ch. 5.1], for any shape of them: parallel,
 //! collinear and collapsed to a point included.
 //!
-//! Distances are rounded results with errors of a few roundoffs of the stencil's size; nothing here is a decision that
+//! Distances are rounded results with errors of a few roundoffs of the pair's size; nothing here is a decision that
 //! must not be wrong. Continuous tests use the vectors found here only as guesses of directions.
 
-use super::StencilKind;
 use super::real::{Real, V, add, clamp01, cross, dot, of, scale, size, sub};
+use crate::collision::CandidateKind;
 use crate::math::{DVec3, Vec3};
 
 /// Squared sine (roughly) below which a face or a pair of edges is compared with its borders as well, because the
 /// solution in its inside may be noise.
 const THIN: f32 = 1e-5;
 
-/// Closest points of a stencil.
+/// Closest points of a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
-    /// Squared distance, m^2.
+    /// Squared distance, m^2; rounded.
     pub distance_squared: f32,
-    /// The point of the first part (vertex, first edge) minus the point of the second (face, second edge), metres.
+    /// The point of the first part (vertex, first edge) minus the point of the second (face, second edge), meters.
     pub offset: Vec3,
     /// Barycentric weights: vertex-face `[1, a, b, c]`, edge-edge `[a0, a1, b0, b1]`; those of each part sum to 1.
     pub weights: [f32; 4],
-    /// Which feature is closest: the vertices whose weight is not zero.
+    /// The closest feature: the vertices whose weight is not zero.
     pub feature: Feature,
 }
 
-/// The vertices of a stencil that span the closest feature: a face has three, an edge two, a corner one of its part.
+/// The vertices of a pair that span the closest feature: a face has three, an edge two, a corner one of its part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Feature {
-    /// Bit `i` is set for vertex `i` of the stencil.
+    /// Bit `i` is set for vertex `i` of the pair.
     pub vertices: u8,
 }
 
@@ -48,29 +48,29 @@ impl Feature {
     }
 }
 
-/// A stencil closer than the thickness: what a contact is made of.
+/// A pair closer than the thickness: what a contact is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Proximity {
-    /// Distance, metres; 0 where the parts touch or cross.
+    /// Distance, meters; 0 where the parts touch or cross.
     pub distance: f32,
     /// Unit vector from the second part (face, second edge) to the first. Where they touch, the normal of the face or of
     /// both edges with arbitrary sign.
     pub normal: Vec3,
     /// Signed weights: `sum(weights[i] * x[i]) = distance * normal`; they sum to zero.
     pub weights: [f32; 4],
-    /// Which feature is closest.
+    /// The closest feature.
     pub feature: Feature,
 }
 
-/// Closest points of the two parts of a stencil.
-pub fn closest_points(kind: StencilKind, x: [Vec3; 4]) -> Closest {
+/// Closest points of the two parts of a pair.
+pub fn closest_points(kind: CandidateKind, x: [Vec3; 4]) -> Closest {
     let x: [V<f32>; 4] = x.map(of);
     let (weights, found) = match kind {
-        StencilKind::VertexFace => {
+        CandidateKind::VertexFace => {
             let found = point_triangle(sub(x[0], x[1]), sub(x[0], x[2]), sub(x[0], x[3]));
             ([1.0, found.weights[0], found.weights[1], found.weights[2]], found.offset)
         }
-        StencilKind::EdgeEdge => {
+        CandidateKind::EdgeEdge => {
             let found = segment_segment(sub(x[0], x[2]), sub(x[1], x[0]), sub(x[3], x[2]));
             let [s, t] = found.parameters;
             ([1.0 - s, s, 1.0 - t, t], found.offset)
@@ -84,17 +84,17 @@ pub fn closest_points(kind: StencilKind, x: [Vec3; 4]) -> Closest {
     }
 }
 
-/// Closest points of a stencil in f64: signed weights, which sum to zero, and `sum(weights[i] * x[i])`, the point of the
+/// Closest points of a pair in f64: signed weights, which sum to zero, and `sum(weights[i] * x[i])`, the point of the
 /// first part minus the point of the second.
-pub fn closest_offset(kind: StencilKind, x: [DVec3; 4]) -> ([f64; 4], DVec3) {
+pub fn closest_offset(kind: CandidateKind, x: [DVec3; 4]) -> ([f64; 4], DVec3) {
     let x: [V<f64>; 4] = x.map(|p| p.to_array());
     match kind {
-        StencilKind::VertexFace => {
+        CandidateKind::VertexFace => {
             let found = point_triangle(sub(x[0], x[1]), sub(x[0], x[2]), sub(x[0], x[3]));
             let [a, b, c] = found.weights;
             ([1.0, -a, -b, -c], DVec3::from(found.offset))
         }
-        StencilKind::EdgeEdge => {
+        CandidateKind::EdgeEdge => {
             let found = segment_segment(sub(x[0], x[2]), sub(x[1], x[0]), sub(x[3], x[2]));
             let [s, t] = found.parameters;
             ([1.0 - s, s, t - 1.0, -t], DVec3::from(found.offset))
@@ -102,24 +102,24 @@ pub fn closest_offset(kind: StencilKind, x: [DVec3; 4]) -> ([f64; 4], DVec3) {
     }
 }
 
-/// The contact of a stencil whose parts are at most `thickness_m` apart (rounded); none otherwise.
-pub fn proximity(kind: StencilKind, x: [Vec3; 4], thickness_m: f32) -> Option<Proximity> {
+/// The contact of a pair whose parts are at most `thickness_m` apart (rounded); none otherwise.
+pub fn proximity(kind: CandidateKind, x: [Vec3; 4], thickness_m: f32) -> Option<Proximity> {
     let closest = closest_points(kind, x);
     let distance = closest.distance_squared.sqrt();
-    // Written so that a distance that is no number is no contact.
+    // The negation makes NaN no contact.
     if !(distance <= thickness_m) {
         return None;
     }
     let [w0, w1, w2, w3] = closest.weights;
     let weights = match kind {
-        StencilKind::VertexFace => [w0, -w1, -w2, -w3],
-        StencilKind::EdgeEdge => [w0, w1, -w2, -w3],
+        CandidateKind::VertexFace => [w0, -w1, -w2, -w3],
+        CandidateKind::EdgeEdge => [w0, w1, -w2, -w3],
     };
     let plane_normal = match kind {
-        StencilKind::VertexFace => (x[2] - x[1]).cross(x[3] - x[1]),
-        StencilKind::EdgeEdge => (x[1] - x[0]).cross(x[3] - x[2]),
+        CandidateKind::VertexFace => (x[2] - x[1]).cross(x[3] - x[1]),
+        CandidateKind::EdgeEdge => (x[1] - x[0]).cross(x[3] - x[2]),
     };
-    // Far below the size of the stencil the offset is rounding noise, the plane of the parts is not.
+    // An offset far below the size of the pair is rounding noise; the plane of the parts is not.
     let extent = x.iter().map(|v| (*v - x[0]).abs().max_element()).fold(0.0, f32::max);
     let noise = distance <= 1e-4 * extent && closest.feature.is_interior();
     let along = if closest.offset.dot(plane_normal) < 0.0 { -plane_normal } else { plane_normal };
@@ -172,7 +172,7 @@ pub(super) fn point_triangle<T: Real>(ap: V<T>, bp: V<T>, cp: V<T>) -> OnTriangl
             return OnTriangle { weights, offset };
         }
         if total > T::ZERO {
-            // A needle: the plane is noise, the combination of the corners is not.
+            // The plane of a needle is noise; the combination of its corners is not.
             let offset = add(scale(weights[0], ap), add(scale(weights[1], bp), scale(weights[2], cp)));
             best = Some(OnTriangle { weights, offset });
         }
@@ -205,7 +205,7 @@ pub(super) fn triangle_border<T: Real>(ap: V<T>, bp: V<T>, cp: V<T>) -> OnTriang
 fn point_segment<T: Real>(p: V<T>, edge: V<T>) -> (T, V<T>) {
     let length_squared = dot(edge, edge);
     let s = if length_squared > T::ZERO { clamp01(dot(p, edge) / length_squared) } else { T::ZERO };
-    // From the far end where that is the closest point: no cancellation left over.
+    // Measured from the far end where that is the closest point, so that no cancellation remains.
     (s, if s == T::ONE { sub(p, edge) } else { sub(p, scale(s, edge)) })
 }
 

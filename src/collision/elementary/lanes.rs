@@ -1,4 +1,4 @@
-//! Four stencils at once: a separating-axis test that rejects most pairs of a broad phase before the tests proper look at
+//! Four pairs at once: a separating-axis test that rejects most pairs of a broad phase before the tests proper look at
 //! them one by one. Rejects only what is proven apart, by the argument of `planes`: one direction whose products with all
 //! differences exceed the separation, at the start and at the end of the step, errors of rounding included.
 //!
@@ -7,16 +7,16 @@
 
 use glam::{BVec4A, Vec4};
 
-use super::StencilKind;
+use crate::collision::CandidateKind;
 
-/// Three components of four stencils.
+/// Three components, each of four pairs.
 pub type Lanes = [Vec4; 3];
 
-/// Above the errors of a product (5 roundoffs of the sum of absolute products) and of its bound.
+/// Exceeds the errors of a product (5 roundoffs of the sum of absolute products) and of its bound.
 const SLACK: f32 = 12.0 * (f32::EPSILON / 2.0);
-/// Above the errors of closest points computed in f32, in the same measure.
+/// Exceeds the errors of closest points computed in f32, in the same unit.
 const ROUNDED: f32 = 64.0 * (f32::EPSILON / 2.0);
-/// Above the absolute error of what underflows: 2^-120.
+/// Exceeds the absolute error of underflow: 2^-120.
 const UNDERFLOW: f32 = 7.523_164e-37;
 
 #[inline(always)]
@@ -34,17 +34,17 @@ fn cross(a: &Lanes, b: &Lanes) -> Lanes {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Bit i is set if stencil i may come within `separation_m[i]` while its vertices move from `x_t0` to `x_t1`; the others are
-/// proven apart. Vertices as in [`super::Stencil`]; coordinates must be finite.
+/// Bit i is set if pair i may come within `separation_m[i]` while its vertices move from `x_t0` to `x_t1`; the others are
+/// proven apart. Vertices as in [`crate::collision::Candidate`]; coordinates must be finite.
 #[inline]
-pub fn undecided(kind: StencilKind, x_t0: &[Lanes; 4], x_t1: &[Lanes; 4], separation_m: Vec4) -> u32 {
+pub fn undecided(kind: CandidateKind, x_t0: &[Lanes; 4], x_t1: &[Lanes; 4], separation_m: Vec4) -> u32 {
     match kind {
-        StencilKind::VertexFace => {
+        CandidateKind::VertexFace => {
             let [a, b, c] = corners(x_t0);
             let [d, e, f] = corners(x_t1);
             vertex_face(&[a, b, c, d, e, f], separation_m, SLACK)
         }
-        StencilKind::EdgeEdge => {
+        CandidateKind::EdgeEdge => {
             let [a, b, c, d] = ends(x_t0);
             let [e, f, g, h] = ends(x_t1);
             edge_edge(&[a, b, c, d, e, f, g, h], separation_m, SLACK)
@@ -52,12 +52,13 @@ pub fn undecided(kind: StencilKind, x_t0: &[Lanes; 4], x_t1: &[Lanes; 4], separa
     }
 }
 
-/// As [`undecided`] for stencils at rest; leaves in as well what rounded closest points might find within the separation.
+/// As [`undecided`] for pairs at rest. Also sets the bits of pairs that rounded closest points might find within the
+/// separation.
 #[inline]
-pub fn undecided_at_rest(kind: StencilKind, x: &[Lanes; 4], separation_m: Vec4) -> u32 {
+pub fn undecided_at_rest(kind: CandidateKind, x: &[Lanes; 4], separation_m: Vec4) -> u32 {
     match kind {
-        StencilKind::VertexFace => vertex_face(&corners(x), separation_m, ROUNDED),
-        StencilKind::EdgeEdge => edge_edge(&ends(x), separation_m, ROUNDED),
+        CandidateKind::VertexFace => vertex_face(&corners(x), separation_m, ROUNDED),
+        CandidateKind::EdgeEdge => edge_edge(&ends(x), separation_m, ROUNDED),
     }
 }
 
@@ -73,7 +74,7 @@ fn ends(x: &[Lanes; 4]) -> [Lanes; 4] {
     [sub(&x[0], &x[2]), sub(&x[0], &x[3]), sub(&x[1], &x[2]), sub(&x[1], &x[3])]
 }
 
-/// The differences of four stencils, and what bounds the errors of their products.
+/// The differences of four pairs, and what bounds the errors of their products.
 struct Hull<'a> {
     w: &'a [Lanes],
     largest: Lanes,
@@ -136,7 +137,7 @@ fn edge_edge(w: &[Lanes], separation_m: Vec4, slack: f32) -> u32 {
     let decided = hull.split_by(&normal)
         || hull.split_by(&cross(&u, &normal))
         || hull.split_by(&cross(&v, &normal))
-        // Parallel edges have no such plane: away from each other, or one behind the other.
+        // Parallel edges have no common plane of this kind: try the direction between them and their own direction.
         || hull.split_by(&cross(&u, &cross(&w[0], &u)))
         || hull.split_by(&u);
     if decided { 0 } else { !hull.apart.bitmask() & 15 }

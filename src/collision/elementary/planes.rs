@@ -12,27 +12,27 @@
 //! How a direction is found does not matter for correctness, so only the products carry error bounds. Contracting a
 //! product and a sum to one rounding only lowers the errors; flushing subnormal numbers is covered by `UNDERFLOW`.
 
-use super::StencilKind;
 use super::closest::{above_triangle, across_segments, segment_ends, triangle_border, unit_size};
 use super::real::{Real, V, add, dot, of, scale, sub};
+use crate::collision::CandidateKind;
 use crate::math::Vec3;
 
-/// A step below this many roundoffs of the whole is short.
+/// Advances below this many roundoffs of the step's length count as short.
 const SHORT_STEP: f32 = 512.0;
-/// So many short steps in a row are a contact: a true one ends in them, where rounding leaves no better plane.
+/// This many short advances in a row are a contact: a true contact ends in them, because rounding leaves no better plane.
 const SHORT_STEPS: u32 = 2;
 
-/// The differences of a stencil at both ends of the step.
+/// The differences of a pair at both ends of the step.
 #[derive(Clone, Copy)]
-pub(super) struct Motion<T> {
-    kind: StencilKind,
+pub(super) struct Differences<T> {
+    kind: CandidateKind,
     len: usize,
     w_t0: [V<T>; 4],
     w_t1: [V<T>; 4],
     separation: T,
 }
 
-/// How far the parts are proven apart.
+/// Time up to which the parts are proven apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Advance<T> {
     /// Over the whole step.
@@ -45,18 +45,18 @@ pub(super) enum Advance<T> {
     Never,
 }
 
-impl<T: Real> Motion<T> {
-    pub(super) fn new(kind: StencilKind, x_t0: [Vec3; 4], x_t1: [Vec3; 4], separation: f32) -> Motion<T> {
+impl<T: Real> Differences<T> {
+    pub(super) fn new(kind: CandidateKind, x_t0: [Vec3; 4], x_t1: [Vec3; 4], separation: f32) -> Differences<T> {
         let differences = |x: [Vec3; 4]| {
             let x: [V<T>; 4] = x.map(of);
             match kind {
-                StencilKind::VertexFace => [sub(x[0], x[1]), sub(x[0], x[2]), sub(x[0], x[3]), [T::ZERO; 3]],
-                StencilKind::EdgeEdge => [sub(x[0], x[2]), sub(x[0], x[3]), sub(x[1], x[2]), sub(x[1], x[3])],
+                CandidateKind::VertexFace => [sub(x[0], x[1]), sub(x[0], x[2]), sub(x[0], x[3]), [T::ZERO; 3]],
+                CandidateKind::EdgeEdge => [sub(x[0], x[2]), sub(x[0], x[3]), sub(x[1], x[2]), sub(x[1], x[3])],
             }
         };
         let (w_t0, w_t1) = (differences(x_t0), differences(x_t1));
-        let len = if kind == StencilKind::VertexFace { 3 } else { 4 };
-        Motion { kind, len, w_t0, w_t1, separation: T::of(separation) }
+        let len = if kind == CandidateKind::VertexFace { 3 } else { 4 };
+        Differences { kind, len, w_t0, w_t1, separation: T::of(separation) }
     }
 
     /// Differences at time `t`; each component is within 8 roundoffs of the sum of its values at the ends of
@@ -69,7 +69,7 @@ impl<T: Real> Motion<T> {
         w
     }
 
-    /// What an exact product with `direction` must exceed for a distance of more than the separation.
+    /// The bound that an exact product with `direction` must exceed, so that the distance exceeds the separation.
     fn gap(&self, direction: V<T>) -> T {
         self.separation * dot(direction, direction).sqrt() * (T::ONE + T::of(16.0) * T::ROUNDOFF) + T::UNDERFLOW
     }
@@ -96,7 +96,7 @@ impl<T: Real> Motion<T> {
                 end = end.least(start_bound / (start_bound - end_bound) * (T::ONE - slack));
             } else if end_bound > T::ZERO && start_bound <= T::ZERO {
                 let begin = start_bound / (start_bound - end_bound) * (T::ONE + slack) + T::UNDERFLOW;
-                // Written so that no number proves nothing.
+                // The negation makes NaN prove nothing.
                 if !(begin < t) {
                     return None;
                 }
@@ -154,8 +154,8 @@ impl<T: Real> Motion<T> {
     /// one: the normal of the face or of both edges. Exact to rounding however small the distance.
     fn normal(&self, w: &[V<T>; 4]) -> (Option<V<T>>, bool) {
         let (normal, inside) = match self.kind {
-            StencilKind::VertexFace => above_triangle(w[0], w[1], w[2]),
-            StencilKind::EdgeEdge => across_segments(w[0], sub(w[2], w[0]), sub(w[0], w[1])),
+            CandidateKind::VertexFace => above_triangle(w[0], w[1], w[2]),
+            CandidateKind::EdgeEdge => across_segments(w[0], sub(w[2], w[0]), sub(w[0], w[1])),
         };
         (unit_size(if dot(normal, w[0]) < T::ZERO { negative(normal) } else { normal }), inside)
     }
@@ -163,8 +163,8 @@ impl<T: Real> Motion<T> {
     /// The other guess: the offset between the closest points where one is on a border.
     fn border(&self, w: &[V<T>; 4]) -> Option<V<T>> {
         unit_size(match self.kind {
-            StencilKind::VertexFace => triangle_border(w[0], w[1], w[2]).offset,
-            StencilKind::EdgeEdge => segment_ends(w[0], sub(w[2], w[0]), sub(w[0], w[1])).offset,
+            CandidateKind::VertexFace => triangle_border(w[0], w[1], w[2]).offset,
+            CandidateKind::EdgeEdge => segment_ends(w[0], sub(w[2], w[0]), sub(w[0], w[1])).offset,
         })
     }
 
@@ -190,14 +190,14 @@ fn negative<T: Real>(v: V<T>) -> V<T> {
 
 /// Proves separation from `start` on, with at most `planes` planes. The parts must be known to be apart up to `start`
 /// (0 if nothing is known).
-pub(super) fn advance<T: Real>(motion: &Motion<T>, start: T, planes: u32) -> Advance<T> {
+pub(super) fn advance<T: Real>(differences: &Differences<T>, start: T, planes: u32) -> Advance<T> {
     let mut t = start;
     let mut begun = start > T::ZERO;
     // How far ahead the next turning plane aims: a few times what the last step reached.
     let mut stride = T::ONE;
     let mut short_steps = 0;
     for count in 0..planes {
-        let Some((direction, is_normal, end)) = motion.plane_at(t) else {
+        let Some((direction, is_normal, end)) = differences.plane_at(t) else {
             return if begun { Advance::Until(t) } else { Advance::Never };
         };
         if end > T::ONE {
@@ -207,11 +207,11 @@ pub(super) fn advance<T: Real>(motion: &Motion<T>, start: T, planes: u32) -> Adv
         let mut reached = end;
         if count > 0 {
             let target = (t + stride).least(T::ONE);
-            let w = motion.at(target);
-            if let Some(ahead) = if is_normal { motion.normal(&w).0 } else { motion.border(&w) } {
+            let w = differences.at(target);
+            if let Some(ahead) = if is_normal { differences.normal(&w).0 } else { differences.border(&w) } {
                 // Behind a contact the parts have changed sides.
                 let ahead = if dot(ahead, direction) < T::ZERO { negative(ahead) } else { ahead };
-                let turned = motion.proven_turning(direction, t, ahead, target);
+                let turned = differences.proven_turning(direction, t, ahead, target);
                 if turned >= T::ONE {
                     return Advance::Apart;
                 }

@@ -5,7 +5,7 @@ use std::ops::{Add, Div, Mul, Sub};
 
 use crate::math::Vec3;
 
-/// Three components.
+/// A 3-vector of either precision.
 pub(super) type V<T> = [T; 3];
 
 /// f32 (device, filter) or f64 (fallback).
@@ -14,9 +14,9 @@ pub(super) trait Real:
 {
     const ZERO: Self;
     const ONE: Self;
-    /// Unit roundoff.
+    /// Half the distance from 1 to the next larger number.
     const ROUNDOFF: Self;
-    /// Above the absolute error of a few dozen operations that underflow, also where subnormal numbers are flushed.
+    /// Exceeds the absolute error of a few dozen operations that underflow, also where subnormal numbers are flushed.
     const UNDERFLOW: Self;
     fn of(x: f32) -> Self;
     fn abs(self) -> Self;

@@ -1,4 +1,4 @@
-//! Building blocks that several rooms use.
+//! Kernels that several modules use.
 
 mod scan;
 mod scan_cpu;

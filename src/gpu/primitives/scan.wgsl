@@ -73,7 +73,7 @@ fn add_offsets(
 ) {
     let block = group_index(group, groups);
     let offset = offsets[params.first_block + block];
-    // Neighbouring invocations take neighbouring items here, as nothing depends on who takes which.
+    // Neighboring invocations take neighboring items here, as nothing depends on who takes which.
     for (var k = 0u; k < PER_THREAD; k++) {
         let i = (block * PER_THREAD + k) * SCAN_THREADS + local;
         if (i < params.count_out) {

@@ -11,10 +11,10 @@ const FILL: f32 = 0.92;
 /// How far from the cloth obstacles count for the view, as a share of the cloth's diameter.
 const MARGIN: f32 = 0.25;
 
-/// A perspective camera.
+/// A perspective camera without roll.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Position, metres.
+    /// Position of the eye, meters.
     pub eye: Vec3,
     /// Unit vector to the right.
     pub right: Vec3,
@@ -22,25 +22,25 @@ pub struct Camera {
     pub up: Vec3,
     /// Unit vector into the picture.
     pub forward: Vec3,
-    /// Against gravity.
+    /// Unit vector of the scene's up axis.
     pub world_up: Vec3,
     /// Half the width and height of the picture at distance 1.
     pub half: Vec2,
-    /// Lowest height of the sequence, metres: where the ground is drawn.
+    /// Lowest height of the sequence, meters: where the ground is drawn.
     pub ground_m: f32,
-    /// Diameter of what is looked at, metres.
+    /// Diameter of what is looked at, meters.
     pub extent_m: f32,
 }
 
 impl Camera {
-    /// Right, down and depth of a point. Within the picture right and down are at most the depth, in metres, which is their
+    /// Right, down and depth of a point. Within the picture right and down are at most the depth, in meters, which is their
     /// unit too.
     pub fn see(&self, point: Vec3) -> Vec3 {
         let p = point - self.eye;
         Vec3::new(p.dot(self.right) / self.half.x, -p.dot(self.up) / self.half.y, p.dot(self.forward))
     }
 
-    /// Depth where surfaces begin, metres; all cloth lies beyond it ([`Fit::camera`] keeps a distance).
+    /// Depth where surfaces begin, meters; all cloth lies beyond it ([`Fit::camera`] keeps a distance).
     pub fn near_m(&self) -> f32 {
         0.01 * self.extent_m
     }
@@ -54,7 +54,7 @@ impl Camera {
 /// Collects which way the cloth faces and chooses a direction to look from.
 pub struct View {
     up: Vec3,
-    /// Two horizontal axes.
+    /// Two horizontal unit vectors, at a right angle.
     axes: (Vec3, Vec3),
     /// Sums of area * products of normal components: xx, xy, yy over the horizontal axes, and vertical.
     sums: [f64; 4],
@@ -67,7 +67,7 @@ impl View {
         View { up, axes: horizontal(up), sums: [0.0; 4], facing: [0.0; 2] }
     }
 
-    /// Adds a frame.
+    /// Adds the normals and extent of a frame's mesh.
     pub fn add(&mut self, mesh: &FrameMesh) {
         for t in &mesh.triangles {
             let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
@@ -169,7 +169,7 @@ impl Fit {
         self.high = self.high.max(other.high);
     }
 
-    /// Lowest and highest height seen, metres.
+    /// Lowest and highest height seen, meters.
     pub fn heights_m(&self) -> (f32, f32) {
         (self.low.dot(self.up), self.high.dot(self.up))
     }

@@ -21,7 +21,7 @@ pub fn choose(numbers: &[u32]) -> Vec<u32> {
     (0..count).map(|i| numbers[(i * (numbers.len() - 1) + spaces / 2) / spaces]).collect()
 }
 
-/// A small copy.
+/// The picture at the size of the sheet's cells.
 pub fn thumbnail(image: &Image) -> Image {
     let width = WIDTH.min(image.width());
     image.shrunk(width, (image.height() * width).div_ceil(image.width().max(1)))

@@ -1,12 +1,12 @@
-//! What a picture shows of a frame: cloth and obstacles as one set of triangles, with normals and colours per vertex.
+//! The contents of a picture: cloth and obstacles of a frame as one set of triangles, with normals and colors per vertex.
 
 use crate::gpu::SWATCHES;
 use crate::math::Vec3;
 use crate::output::FrameMesh;
 
-/// Colours of obstacles; those below are for pieces of cloth.
+/// Colors of obstacles; those below are for pieces of cloth.
 pub const OBSTACLE: u32 = SWATCHES as u32 - 1;
-/// Colours of pieces where there are several; 0 is for cloth in one piece.
+/// Colors of pieces where there are several; 0 is for cloth in one piece.
 const PIECE_COLORS: u32 = OBSTACLE - 1;
 /// Obstacles keep the edges at which their triangles meet more sharply: cosine of 40 degrees.
 const SMOOTH: f32 = 0.766;
@@ -14,18 +14,18 @@ const SMOOTH: f32 = 0.766;
 /// Triangles ready to be drawn.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Content {
-    /// World positions, metres.
+    /// Positions in the scene, meters.
     pub positions: Vec<Vec3>,
     /// Directions that the front faces, of unit length or zero.
     pub normals: Vec<Vec3>,
-    /// Index into the colours; the same for all corners of a triangle.
+    /// Index into the colors; the same for all corners of a triangle.
     pub swatches: Vec<u32>,
     /// Those without broken (not finite) corners.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Content {
-    /// Cloth, every piece in a colour of its own, and obstacles.
+    /// Cloth, every piece in a color of its own, and obstacles.
     pub fn new(cloth: FrameMesh, obstacle: Option<FrameMesh>) -> Content {
         let normals = vertex_normals(&cloth);
         let swatches = piece_colors(cloth.positions.len(), &cloth.triangles);
@@ -77,8 +77,8 @@ fn vertex_normals(mesh: &FrameMesh) -> Vec<Vec3> {
     normals
 }
 
-/// A colour per vertex: 0 if all triangles hang together, else 1, 2, .. in the order of the pieces' first triangles, and
-/// from the start when colours run out.
+/// A color per vertex: 0 if all triangles hang together, else 1, 2, .. in the order of the pieces' first triangles, and
+/// from the start when colors run out.
 fn piece_colors(vertices: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
     // Every vertex points to one of its piece with a smaller or equal number; the smallest points to itself.
     let mut parent: Vec<u32> = (0..vertices as u32).collect();

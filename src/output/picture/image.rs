@@ -16,7 +16,7 @@ pub struct Image {
 }
 
 impl Image {
-    /// A black picture.
+    /// A black picture of `width` x `height` pixels.
     pub fn new(width: usize, height: usize) -> Image {
         Image { width, height, rgb: vec![0; width * height * 3] }
     }
@@ -27,29 +27,29 @@ impl Image {
         Image { width, height, rgb }
     }
 
-    /// Pixels per row.
+    /// Width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// Height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Colour of a pixel; row 0 is the top.
+    /// Color of a pixel; row 0 is the top.
     pub fn get(&self, x: usize, y: usize) -> [u8; 3] {
         let at = (y * self.width + x) * 3;
         [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
     }
 
-    /// Sets a pixel.
+    /// Sets a pixel, sRGB; row 0 is the top.
     pub fn set(&mut self, x: usize, y: usize, color: [u8; 3]) {
         let at = (y * self.width + x) * 3;
         self.rgb[at..at + 3].copy_from_slice(&color);
     }
 
-    /// Makes all pixels one colour.
+    /// Makes all pixels one color.
     pub fn fill(&mut self, color: [u8; 3]) {
         self.rgb.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&color));
     }
@@ -107,7 +107,7 @@ fn io_from_png(error: png::EncodingError) -> io::Error {
     }
 }
 
-/// 8-bit sRGB of a linear colour.
+/// 8-bit sRGB of a linear color.
 pub fn srgb_from_linear(color: Vec3) -> [u8; 3] {
     const STEPS: usize = 4096;
     static TABLE: OnceLock<Vec<u8>> = OnceLock::new();

@@ -1,4 +1,4 @@
-//! What is the same in all pictures of a sequence: camera, lights and colours, for both ways of drawing.
+//! Camera, lights and colors, the same in all pictures of a sequence and for both ways of drawing.
 
 use super::camera::Camera;
 use super::content::OBSTACLE;
@@ -9,7 +9,7 @@ use crate::math::Vec3;
 /// Samples along each side of a pixel.
 pub const SAMPLES: usize = 2;
 
-// Linear colours.
+// Linear colors.
 pub const SKY_TOP: Vec3 = Vec3::new(0.70, 0.75, 0.82);
 pub const SKY_BOTTOM: Vec3 = Vec3::new(0.92, 0.92, 0.91);
 
@@ -26,7 +26,7 @@ pub const FRONTS: [Vec3; SWATCHES] = [
     Vec3::new(0.36, 0.36, 0.34),
 ];
 
-/// Backs by swatch: of one piece blue, of several a paler tint of the front, so that a colour names a piece.
+/// Backs by swatch: of one piece blue, of several a paler tint of the front, so that a color names a piece.
 pub fn backs() -> [Vec3; SWATCHES] {
     std::array::from_fn(|i| match i {
         0 => Vec3::new(0.10, 0.23, 0.48),
@@ -44,21 +44,21 @@ pub const VIRIDIS: [Vec3; 5] = [
     Vec3::new(0.983, 0.799, 0.018),
 ];
 
-/// Camera, lights and colours.
+/// Camera, lights and colors.
 pub struct Look {
-    /// Where it is seen from.
+    /// The camera of the sequence.
     pub camera: Camera,
-    /// What colours mean.
+    /// Meaning of the cloth's colors.
     pub coloring: Coloring,
-    /// Lowest and highest height of the cloth over the sequence, metres.
+    /// Lowest and highest height of the cloth over the sequence, meters.
     pub heights_m: (f32, f32),
     /// Unit vector towards the main light.
     pub key: Vec3,
     /// Unit vector towards the weak light.
     pub fill: Vec3,
-    /// Distance of the lines on the ground, metres.
+    /// Distance of the lines on the ground, meters.
     pub grid_m: f32,
-    /// Backs by swatch.
+    /// Colors of backs, by swatch.
     pub backs: [Vec3; SWATCHES],
 }
 

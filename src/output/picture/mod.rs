@@ -1,4 +1,4 @@
-//! Shaded pictures of a run's frames: enough to judge folds, not meant to be photographs.
+//! Shaded pictures of a run's frames: good enough to judge folds; light and material are not physical.
 //!
 //! One camera for the whole sequence, so that pictures of different frames can be compared. Frames are drawn in parallel;
 //! a picture depends on its frame and the camera only. A device draws through `gpu::Offscreen`, the native executor with
@@ -31,7 +31,7 @@ use self::painter::Painter;
 use super::{FrameSource, FramesError, RunDirectory, WriteError};
 use crate::gpu::{Executor, GpuError};
 
-/// Why there are no (or not all) pictures.
+/// Why pictures, or some of them, cannot be drawn.
 #[derive(Debug, Error)]
 pub enum PictureError {
     /// A frame cannot be read.
@@ -46,12 +46,12 @@ pub enum PictureError {
     /// The folder for pictures cannot be made.
     #[error("cannot make {}: {source}", path.display())]
     Folder {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// Nothing to point a camera at.
+    /// No frame has a vertex that a camera could see.
     #[error("frames {first} to {last} have no vertex with finite coordinates, so there is nothing to draw")]
     NothingToSee {
         /// First frame asked for.

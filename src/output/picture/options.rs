@@ -1,10 +1,10 @@
-//! What a user can choose about pictures.
+//! Options of pictures.
 
 use std::str::FromStr;
 
 use crate::math::Vec3;
 
-/// What the colours of the cloth mean.
+/// Meaning of the colors of the cloth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Coloring {
     /// Front and back of the cloth in two tints.
@@ -23,7 +23,7 @@ impl FromStr for Coloring {
             "shaded" => Ok(Coloring::Shaded),
             "height" => Ok(Coloring::Height),
             "normal" => Ok(Coloring::Normal),
-            _ => Err(format!("{text:?} is no colouring; valid are shaded, height and normal")),
+            _ => Err(format!("{text:?} is not a coloring; valid are shaded, height and normal")),
         }
     }
 }
@@ -31,9 +31,9 @@ impl FromStr for Coloring {
 /// The axis that points up in the pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum UpAxis {
-    /// Y up.
+    /// Y points up.
     Y,
-    /// Z up.
+    /// Z points up.
     #[default]
     Z,
 }
@@ -44,7 +44,7 @@ impl FromStr for UpAxis {
         match text {
             "y" => Ok(UpAxis::Y),
             "z" => Ok(UpAxis::Z),
-            _ => Err(format!("{text:?} is no up axis; valid are y and z")),
+            _ => Err(format!("{text:?} is not an up axis; valid are y and z")),
         }
     }
 }
@@ -59,22 +59,22 @@ impl UpAxis {
     }
 }
 
-/// How to draw.
+/// Size, coloring and camera of pictures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureOptions {
-    /// Pixels of a picture.
+    /// Width of a picture, pixels.
     pub width: u32,
-    /// Pixels of a picture.
+    /// Height of a picture, pixels.
     pub height: u32,
-    /// Meaning of the colours.
+    /// Meaning of the colors.
     pub coloring: Coloring,
-    /// Up.
+    /// The axis of the scene that points up in the picture.
     pub up: UpAxis,
     /// Direction of the camera around the up axis, degrees; none = the side that shows most of the cloth.
     pub azimuth_deg: Option<f32>,
     /// Height of the camera above the horizon, degrees; none = chosen with the azimuth.
     pub elevation_deg: Option<f32>,
-    /// Threads.
+    /// Threads that draw frames at the same time.
     pub threads: usize,
 }
 

@@ -9,14 +9,14 @@ use crate::math::{DVec3, Vec3};
 
 /// Marks a sample without a triangle.
 pub const EMPTY: u32 = u32::MAX;
-/// How far from the middle, in halves of the picture, screen positions are still exact enough to fill from.
+/// Largest distance from the middle, in halves of the picture, at which screen positions are exact enough to fill from.
 const REACH: f32 = 4.0;
 
-/// What is visible where.
+/// The visible triangle of every sample.
 pub struct Visible {
     /// Triangle per sample, row by row from the top.
     pub triangle: Vec<u32>,
-    /// Samples per row.
+    /// Samples in a row of the picture.
     pub width: usize,
     height: usize,
     /// Every vertex in samples: right, down, and 1 / depth (0 = behind the camera or out of reach).

@@ -1,4 +1,4 @@
-//! Colours of a picture on the processor: two-sided cloth under a key light, a fill light and a rim light, over a faint
+//! Colors of a picture on the processor: two-sided cloth under a key light, a fill light and a rim light, over a faint
 //! ground grid. Computed in linear light, 2x2 samples per pixel. Twin of `gpu/offscreen.wgsl`.
 
 use super::camera::Camera;
@@ -35,7 +35,7 @@ struct Shader<'a> {
 }
 
 impl Shader<'_> {
-    /// Linear colour of a sample.
+    /// Linear color of a sample.
     fn sample(&self, x: usize, y: usize) -> Vec3 {
         let (sx, sy) = (x as f32 + 0.5, y as f32 + 0.5);
         let ray = self.look.camera.ray(2.0 * sx / self.size.0 - 1.0, 2.0 * sy / self.size.1 - 1.0);
@@ -99,7 +99,7 @@ impl Shader<'_> {
     }
 }
 
-/// A direction as a colour: to the right red, to the top green, to the viewer blue.
+/// A direction as a color: to the right red, to the top green, to the viewer blue.
 fn seen_direction(normal: Vec3, camera: &Camera) -> Vec3 {
     let seen = Vec3::new(normal.dot(camera.right), normal.dot(camera.up), -normal.dot(camera.forward));
     (seen * 0.5 + 0.5).max(Vec3::ZERO).powf(2.2)

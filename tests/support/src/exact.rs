@@ -5,7 +5,7 @@
 //! and for collapsed shapes the position along a line). The first contact is at t = 0 or where one of these polynomials
 //! vanishes: it is enough to look there.
 
-use loomtree::collision::elementary::StencilKind;
+use loomtree::collision::elementary::CandidateKind;
 use num_bigint::{BigInt, Sign};
 
 /// Positions of a stencil on the grid.
@@ -19,7 +19,7 @@ pub struct FirstContact {
 }
 
 /// First contact in [0, 1] of linear trajectories, or none.
-pub fn first_contact(kind: StencilKind, x_t0: Grid, x_t1: Grid) -> Option<FirstContact> {
+pub fn first_contact(kind: CandidateKind, x_t0: Grid, x_t1: Grid) -> Option<FirstContact> {
     if apart_along_an_axis(kind, &x_t0, &x_t1) || never_coplanar(&x_t0, &x_t1) {
         return None;
     }
@@ -48,8 +48,8 @@ pub fn first_contact(kind: StencilKind, x_t0: Grid, x_t1: Grid) -> Option<FirstC
 // --- quick proofs, exact in i128 for grids up to 2^24 ---------------------------------------------------------------
 
 /// Do the parts lie on two sides of a plane across a coordinate axis or a diagonal, at both ends and so all the way?
-fn apart_along_an_axis(kind: StencilKind, x_t0: &Grid, x_t1: &Grid) -> bool {
-    let first = if kind == StencilKind::VertexFace { 1 } else { 2 };
+fn apart_along_an_axis(kind: CandidateKind, x_t0: &Grid, x_t1: &Grid) -> bool {
+    let first = if kind == CandidateKind::VertexFace { 1 } else { 2 };
     let directions = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]).filter(|d: &[i64; 3]| *d != [0; 3]);
     let along = |d: [i64; 3], p: &[i64; 3]| d[0] * p[0] + d[1] * p[1] + d[2] * p[2];
     directions.into_iter().any(|d| {
@@ -333,7 +333,7 @@ impl At<'_> {
 // --- the stencil ----------------------------------------------------------------------------------------------------
 
 struct Moving {
-    kind: StencilKind,
+    kind: CandidateKind,
     x: [Vector; 4],
 }
 
@@ -350,8 +350,8 @@ impl Moving {
     /// (point, segment) pairs that decide where the parts have no common plane normal.
     fn point_segments(&self) -> Vec<(usize, [usize; 2])> {
         match self.kind {
-            StencilKind::VertexFace => self.segments_of_face().map(|s| (0, s)).to_vec(),
-            StencilKind::EdgeEdge => vec![(0, [2, 3]), (1, [2, 3]), (2, [0, 1]), (3, [0, 1])],
+            CandidateKind::VertexFace => self.segments_of_face().map(|s| (0, s)).to_vec(),
+            CandidateKind::EdgeEdge => vec![(0, [2, 3]), (1, [2, 3]), (2, [0, 1]), (3, [0, 1])],
         }
     }
 
@@ -360,14 +360,14 @@ impl Moving {
     fn inside(&self) -> (Vector, Vec<Poly>) {
         let x = &self.x;
         match self.kind {
-            StencilKind::VertexFace => {
+            CandidateKind::VertexFace => {
                 let normal = cross(&minus(&x[2], &x[1]), &minus(&x[3], &x[1]));
                 let areas = self
                     .segments_of_face()
                     .map(|[i, j]| dot(&cross(&minus(&x[j], &x[i]), &minus(&x[0], &x[i])), &normal));
                 (normal, areas.to_vec())
             }
-            StencilKind::EdgeEdge => {
+            CandidateKind::EdgeEdge => {
                 let (u, v, r) = (minus(&x[1], &x[0]), minus(&x[3], &x[2]), minus(&x[2], &x[0]));
                 let normal = cross(&u, &v);
                 // r = s u - t v in the plane: r x v = s n, r x u = t n.

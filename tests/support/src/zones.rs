@@ -2,7 +2,7 @@
 //! candidates, zones shared out over pretended ranks.
 
 use loomtree::collision::broad::{CollisionMesh, Query, brute_force};
-use loomtree::collision::elementary::{StencilKind, ccd, edge_crosses_triangle};
+use loomtree::collision::elementary::{CandidateKind, ccd, edge_crosses_triangle};
 use loomtree::collision::{Candidate, Impact};
 use loomtree::gpu::{CpuExecutor, Executor};
 use loomtree::impact_zone::{
@@ -84,7 +84,7 @@ impl World {
     pub fn impacts(&self, mesh: &CollisionMesh, x_t1: &[f32]) -> Vec<Impact> {
         let candidates = brute_force(mesh, &Query { x_t0: &self.x_t0, x_t1, radius_m: 0.0 }).unwrap();
         let hit = |candidate: Candidate| {
-            let kind = if candidate.is_vertex_face() { StencilKind::VertexFace } else { StencilKind::EdgeEdge };
+            let kind = if candidate.is_vertex_face() { CandidateKind::VertexFace } else { CandidateKind::EdgeEdge };
             let gather = |x: &[f32]| candidate.vertices.map(|v| Vec3::from_slice(&x[3 * v as usize..]));
             Some(Impact { candidate, toi: ccd(kind, gather(&self.x_t0), gather(x_t1), 0.0).toi? })
         };

@@ -1,4 +1,4 @@
-//! Which chunks of buckets are done together: as many as bindings and the memory limit let in. Host code; knows loads only.
+//! Batches of chunks of buckets, as large as bindings and the memory limit allow. Host code that works on loads only.
 
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ const TESTS_MOST: u64 = (1 << 31) - 1;
 const PAIRS_PER_TRIANGLE: usize = 8;
 const PAIRS_PER_TRIANGLE_MOST: usize = 16;
 const ROOM_LEAST: usize = 4096;
-/// DeviceEntries that are always made at once if the memory limit allows it.
+/// A batch holds at least this many entries if the memory limit allows it.
 const ENTRIES_TOGETHER: u64 = 1 << 12;
 /// Bytes of an array that every adapter can bind.
 pub(super) const BINDING_BYTES: usize = 128 << 20;
@@ -35,7 +35,7 @@ impl Chunk {
         Chunk { buckets, tests, entries: u64::from(entries), busy }
     }
 
-    /// Whether no dispatch takes it.
+    /// True if the chunk is too large for one dispatch.
     pub fn is_too_much(&self) -> bool {
         self.tests > TESTS_MOST || self.entries > (BINDING_BYTES / size_of::<[u32; 2]>()) as u64
     }
@@ -53,7 +53,7 @@ pub(super) struct ChunkBatch {
     pub own: Range<u64>,
 }
 
-/// How much fits at once.
+/// Capacities of a batch and of the buffers.
 pub(super) struct Room {
     buckets: u64,
     entries: u64,
@@ -64,7 +64,7 @@ pub(super) struct Room {
     pub first_candidates: usize,
 }
 
-/// What room is for.
+/// Numbers that [`Room`] is computed from.
 pub(super) struct Wanted<'a> {
     pub chunks: &'a [Chunk],
     /// Triangles and entries of a rank if they were even.
@@ -77,14 +77,11 @@ pub(super) struct Wanted<'a> {
 impl Room {
     /// Half of what `fixed` leaves of the limit is for entries, a quarter each for pairs and candidates.
     pub fn new(executor: &Executor, wanted: &Wanted, limit_bytes: Option<u64>) -> Result<Room, BroadError> {
-        let binds = |bytes: usize| match executor {
-            Executor::Cpu(_) => u32::MAX as usize,
-            Executor::Gpu(gpu) => gpu.window_items(bytes),
-        };
+        let binds = |bytes: usize| executor.window_items(bytes).unwrap_or(u32::MAX as usize);
         let (item, candidate) = (size_of::<[u32; 2]>(), size_of::<Candidate>());
         let fullest = wanted.chunks.iter().map(|chunk| chunk.entries).max().unwrap_or(0);
-        // Tests are even over ranks, their entries are not: emptier cells need more. Memory shall shrink with the number of
-        // ranks.
+        // An even share of the tests may need more entries than an even share of the entries, where cells are emptier. The
+        // bound makes memory shrink with the number of ranks.
         let together = (wanted.entries + wanted.entries / 8).max(ENTRIES_TOGETHER);
         let pairs = |per_triangle: usize| (per_triangle * wanted.triangles).max(ROOM_LEAST).min(binds(item));
         let candidates = |pairs: usize, part: usize| (pairs / part).max(ROOM_LEAST).min(binds(candidate));
@@ -105,7 +102,7 @@ impl Room {
         if free < least {
             return Err(BroadError::MemoryLimit { needs_bytes: wanted.fixed + least / 8 * 9 + 9, limit_bytes });
         }
-        // An eighth for what belongs to buckets, three eighths for entries.
+        // An eighth for arrays per bucket, three eighths for entries.
         room.buckets = room.buckets.min(free / 8 / DeviceEntries::bytes_for(1, 0)).max(CHUNK as u64);
         room.entries = room.entries.min(free * 3 / 8 / item as u64).max(fullest);
         room.pairs = room.pairs.min((free / 4) as usize / item);
@@ -116,7 +113,7 @@ impl Room {
     }
 }
 
-/// How many of `items` to try next if all of them found `found` things and there is room for `room`.
+/// Number of items to try next if `items` of them produced `found` results and there is room for `room`.
 pub(super) fn fewer(items: u64, found: usize, room: usize) -> u64 {
     (u128::from(items) * room as u128 * 7 / 8 / found as u128).max(1) as u64
 }

@@ -1,5 +1,5 @@
-//! What ranks count: each the layers that its share of the tests lies in. They then split the tests evenly, as in a native
-//! search. Host code around the passes of `hash`.
+//! Counts the layers that a rank's share of the tests lies in. The ranks then split the tests evenly, as in a native search.
+//! Host code around the passes of `hash`.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use crate::collision::broad::workload::{LayerLoad, Workload, layers_of};
 use crate::collision::broad::{BroadError, CollisionMesh, Query, Split};
 use crate::gpu::{DeviceVec, Executor};
 
-/// Tests of a layer with a chunk that no dispatch takes, as ranks tell each other.
+/// Number of tests that ranks exchange for a layer with a chunk that is too large for one dispatch.
 const TOO_MANY: u64 = u64::MAX;
 
 /// Counts layers of space for one mesh. Keeps its arrays from query to query.
@@ -27,7 +27,7 @@ pub(super) struct Counter {
     pub table: DeviceTable,
 }
 
-/// What a rank knows when all is counted.
+/// Result of counting.
 pub(super) struct Counted {
     pub params: HashParams,
     pub chunks: Vec<Chunk>,

@@ -7,7 +7,7 @@
 //! it covers at most two cells per axis and *visits* the coarser ones that have residents near it. In every layer the finest
 //! grid has buckets of its own, the coarser ones share the rest.
 //!
-//! DeviceEntries of a bucket are in order of their class (resident cloth, resident obstacles, visiting cloth, visiting obstacles)
+//! Entries of a bucket are in order of their class (resident cloth, resident obstacles, visiting cloth, visiting obstacles)
 //! and in no order within; counts are the same every time.
 
 use std::ops::Range;
@@ -52,7 +52,7 @@ gpu_struct! {
     }
 }
 
-/// What passes over triangles read: positions of all vertices at both ends of the step, and corners, owned features and piece
+/// Input of passes over triangles: positions of all vertices at both ends of the step, and corners, owned features and piece
 /// per triangle that takes part. Kernels number triangles by their places in that list, which is in the order of the mesh.
 pub(super) struct Shapes {
     pub x_t0: DeviceVec<f32>,
@@ -67,7 +67,7 @@ impl Shapes {
     }
 }
 
-/// What kernels need to count a range of layers.
+/// Parameters and tables with which kernels count a range of layers.
 pub(super) struct Window {
     pub layers: Range<usize>,
     pub params: HashParams,
@@ -108,10 +108,10 @@ pub(super) struct DeviceEntries {
     sizes: DeviceVec<u32>,
     /// Tests before every bucket of the batch, and all.
     pub test_starts: DeviceVec<u32>,
-    /// DeviceEntries before every bucket of the batch, and all.
+    /// Entries before every bucket of the batch, and all.
     pub starts: DeviceVec<u32>,
     cursors: DeviceVec<[u32; 4]>,
-    /// Triangle and tag.
+    /// Per entry: number of the triangle, tag of the cell.
     pub entries: DeviceVec<[u32; 2]>,
 }
 
@@ -191,7 +191,7 @@ impl DeviceTable {
         }
     }
 
-    /// Loads of chunks.
+    /// Loads of the chunks `spans`: tests (low, high word), entries and buckets with tests.
     pub fn loads(&mut self, executor: &Executor, params: &HashParams, spans: &[[u32; 2]]) -> Vec<[u32; 4]> {
         self.spans.assign(executor, spans);
         self.chunks.resize(executor, spans.len());
@@ -258,7 +258,7 @@ impl DeviceTable {
         }
     }
 
-    /// Bytes held now.
+    /// Bytes on the device, unused capacity included.
     pub fn bytes(&self) -> u64 {
         let of_triangles = self.boxes.held_bytes() + self.cells.held_bytes();
         let of_layers = self.layers.held_bytes() + self.levels.held_bytes();
@@ -278,12 +278,12 @@ impl DeviceEntries {
         }
     }
 
-    /// Bytes of a batch with so many buckets and entries: tests, sizes, both starts and cursors; entries.
+    /// Bytes of a batch with `buckets` buckets (tests, sizes, both starts, cursors) and `entries` entries.
     pub fn bytes_for(buckets: u64, entries: u64) -> u64 {
         32 * buckets + 8 * entries
     }
 
-    /// Bytes held now.
+    /// Bytes on the device, unused capacity included.
     pub fn bytes(&self) -> u64 {
         let per_bucket = self.tests.held_bytes() + self.sizes.held_bytes() + self.cursors.held_bytes();
         per_bucket + self.test_starts.held_bytes() + self.starts.held_bytes() + self.entries.held_bytes()

@@ -2,7 +2,7 @@
 // needs boxes.wgsl
 
 struct HashParams {
-    // Origin of the cells, then cells per metre.
+    // Origin of the cells, then cells per meter.
     origin: vec4<f32>,
     // Bounds of the cloth, then how far boxes are inflated.
     cloth_lo: vec4<f32>,
@@ -111,7 +111,7 @@ fn tag_of(cell: vec3<u32>, offset: vec3<u32>, level: u32) -> u32 {
         | (level << 6u);
 }
 
-// Whether a grid may have residents, and cells lo..hi of the finest grid overlap their bounds.
+// True if a grid may have residents, and cells lo..hi of the finest grid overlap their bounds.
 fn may_visit(level: u32, lo: vec3<u32>, hi: vec3<u32>) -> bool {
     let at = level * LEVEL;
     let all_lo = vec3<u32>(levels[at], levels[at + 1u], levels[at + 2u]);
@@ -119,7 +119,7 @@ fn may_visit(level: u32, lo: vec3<u32>, hi: vec3<u32>) -> bool {
     return levels[at + 6u] != 0u && all(lo <= all_hi) && all(all_lo <= hi);
 }
 
-// Whether a bucket has a resident that a visitor (of cloth: role 0) is to be tested with.
+// True if a bucket has a resident that a visitor (of cloth: role 0) is to be tested with.
 fn has_partner(bucket: u32, role: u32) -> bool {
     if (bucket == NOWHERE) {
         return false;

@@ -1,7 +1,7 @@
-//! The tests on the device: pairs of triangles whose boxes overlap, then candidates. What is appended is counted even where
-//! there is no room, so the host learns what it takes and asks again.
+//! The tests on the device: pairs of triangles whose boxes overlap, then candidates. The kernels count results even where the
+//! buffer is full, so that the host can repeat the pass with a larger buffer.
 //!
-//! Which pairs are appended does not depend on the device's timing; their order does.
+//! The set of pairs does not depend on the device's timing; their order does.
 
 use super::hash::{DeviceEntries, DeviceTable, Shapes};
 use super::pairs_cpu;
@@ -16,11 +16,11 @@ static FEATURE_PAIRS: KernelSource =
     KernelSource::new::<PairParams>("collision/broad/device/pairs.wgsl", TEXT, "feature_pairs")
         .with_libraries(LIBRARIES);
 
-/// Tests per invocation.
+/// Tests that one invocation makes, as in the shader.
 const SHARE: u32 = 32;
-/// Values of [`PairParams::filter_kind`].
+/// Values of [`PairParams::filter_kind`], as in the shader.
 pub(super) const BOXES_ONLY: u32 = 0;
-pub(super) const BY_STENCIL: u32 = 1;
+pub(super) const BY_PAIR: u32 = 1;
 pub(super) const SEPARATION: u32 = 2;
 
 gpu_struct! {
@@ -40,7 +40,7 @@ gpu_struct! {
     }
 }
 
-/// Bounded buffers of what was found, and how much there was: pairs of triangles, candidates.
+/// Bounded buffers of pairs of triangles and of candidates, and how many of each there were.
 pub(super) struct FoundPairs {
     pub pairs: DeviceVec<[u32; 2]>,
     pub candidates: DeviceVec<Candidate>,
@@ -56,7 +56,7 @@ impl FoundPairs {
         }
     }
 
-    /// Bytes held now.
+    /// Bytes of both buffers, unused capacity included.
     pub fn bytes(&self) -> u64 {
         self.pairs.held_bytes() + self.candidates.held_bytes() + self.counters.held_bytes()
     }
@@ -151,7 +151,7 @@ mod tests {
             assert!(kernel.check().unwrap().arrays.len() <= 8);
         }
         assert!(TEXT.contains(&format!("const SHARE: u32 = {SHARE}u;")));
-        for (name, value) in [("BOXES_ONLY", BOXES_ONLY), ("BY_STENCIL", BY_STENCIL)] {
+        for (name, value) in [("BOXES_ONLY", BOXES_ONLY), ("BY_PAIR", BY_PAIR)] {
             assert!(TEXT.contains(&format!("const {name}: u32 = {value}u;")), "{name}");
         }
     }

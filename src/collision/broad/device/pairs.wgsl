@@ -14,7 +14,7 @@ struct PairParams {
     first_pair: u32,
     end_pair: u32,
     candidate_room: u32,
-    // 0: boxes only, 1: farther apart than the stencil's reach, 2: than the separation.
+    // 0: boxes only, 1: farther apart than the candidate's reach, 2: than the separation.
     filter_kind: u32,
     pad_m: f32,
     // How much boxes shrink before they are tested with others of the same piece.
@@ -25,7 +25,7 @@ struct PairParams {
 // Tests per invocation.
 const SHARE: u32 = 32u;
 const BOXES_ONLY: u32 = 0u;
-const BY_STENCIL: u32 = 1u;
+const BY_PAIR: u32 = 1u;
 
 @group(0) @binding(0) var<storage, read> test_starts: array<u32>;
 @group(0) @binding(1) var<storage, read> starts: array<u32>;
@@ -114,7 +114,7 @@ fn triangle_box(t: u32) -> Box {
     return Box(bitcast<vec3<f32>>(boxes[2u * t].xyz), bitcast<vec3<f32>>(boxes[2u * t + 1u].xyz));
 }
 
-// Whether this bucket is the place to report two entries, and their boxes overlap.
+// True if this bucket is the place to report two entries, and their boxes overlap.
 fn meets(one: vec2<u32>, other: vec2<u32>) -> bool {
     if (((one.y | other.y) & 7u) != 7u || ((one.y ^ other.y) & 0xfffffff8u) != 0u) {
         return false;
@@ -166,7 +166,7 @@ fn edge_box(edge: vec2<u32>) -> Box {
     return inflated(joined(one, path_box(unpacked(x_t0[edge.y]), unpacked(x_t1[edge.y]))), params.pad_m);
 }
 
-// Differences of a stencil at both ends of the step; `largest` per component.
+// Differences of a candidate at both ends of the step; `largest` per component.
 struct Hull {
     start: array<vec3<f32>, 4>,
     end: array<vec3<f32>, 4>,
@@ -188,11 +188,11 @@ fn hull_of(v: vec4<u32>, is_edges: bool, separation_m: f32) -> Hull {
     return hull;
 }
 
-// Whether a direction, either sign, proves the parts more than the separation apart at both ends, so in between too.
+// True if a direction, either sign, proves the parts more than the separation apart at both ends, so in between too.
 //
 // Per product with a difference, in roundoffs u = 2^-24 of the sum of absolute products: 1 for the difference, at most 3
 // for products and sums in whatever order (contracting only lowers it), 1 for the bound: 24 u leave five times that; where
-// stencils have their own reach, 128 u are above what native tests may find with rounded closest points. sqrt may be off
+// candidates have their own reach, 128 u are above what native tests may find with rounded closest points. sqrt may be off
 // by 5 units in the last place (10 u) where it is made of a reciprocal root: 32 u. Where the square of the direction may be
 // flushed to zero the sum of its components bounds its length. What underflows or is flushed costs less than `underflow`
 // times what it is multiplied with. If `size` is finite then no product overflowed; nothing that is no number is compared.
@@ -201,7 +201,7 @@ fn splits(d: vec3<f32>, hull: ptr<function, Hull>) -> bool {
     let underflow = 7.523164e-37;
     let sum = abs(d.x) + abs(d.y) + abs(d.z);
     let size = dot(abs(d), (*hull).largest);
-    let slack = select(24.0 * u, 128.0 * u, params.filter_kind == BY_STENCIL);
+    let slack = select(24.0 * u, 128.0 * u, params.filter_kind == BY_PAIR);
     let square = dot(d, d);
     let length = select(sqrt(max(square, 1e-30)) * (1.0 + 32.0 * u), sum, square < 1e-28);
     let bound = size * slack + (*hull).separation_m * length * (1.0 + 8.0 * u) + underflow * (1.0 + sum);
@@ -219,13 +219,13 @@ fn splits(d: vec3<f32>, hull: ptr<function, Hull>) -> bool {
     return low > bound || high < -bound;
 }
 
-// Whether one of the directions of elementary/lanes.rs proves a stencil apart.
+// True if one of the directions of elementary/lanes.rs proves a candidate apart.
 fn proven_apart(v: vec4<u32>, is_edges: bool, same_piece: bool) -> bool {
     if (params.filter_kind == BOXES_ONLY) {
         return false;
     }
     var separation_m = params.separation_m;
-    if (params.filter_kind == BY_STENCIL && same_piece) {
+    if (params.filter_kind == BY_PAIR && same_piece) {
         separation_m = reach_m[v.x];
         if (is_edges) {
             separation_m = min(min(separation_m, reach_m[v.y]), min(reach_m[v.z], reach_m[v.w]));
@@ -268,9 +268,9 @@ fn vertices_to_face(one: vec4<u32>, other: vec4<u32>, face_box: Box, same_piece:
         if (((one.w >> k) & 1u) == 0u || any(other.xyz == vec3<u32>(v)) || !overlaps(vertex_box(v), face_box)) {
             continue;
         }
-        let stencil = vec4<u32>(v, other.xyz);
-        if (!proven_apart(stencil, false, same_piece)) {
-            report(stencil, 0u);
+        let candidate = vec4<u32>(v, other.xyz);
+        if (!proven_apart(candidate, false, same_piece)) {
+            report(candidate, 0u);
         }
     }
 }
@@ -290,9 +290,9 @@ fn edges_to_edges(one: vec4<u32>, other: vec4<u32>, other_box: Box, by: f32, sam
                 continue;
             }
             let a_first = a.x < b.x || (a.x == b.x && a.y < b.y);
-            let stencil = select(vec4<u32>(b, a), vec4<u32>(a, b), a_first);
-            if (!proven_apart(stencil, true, same_piece)) {
-                report(stencil, 1u);
+            let candidate = select(vec4<u32>(b, a), vec4<u32>(a, b), a_first);
+            if (!proven_apart(candidate, true, same_piece)) {
+                report(candidate, 1u);
             }
         }
     }

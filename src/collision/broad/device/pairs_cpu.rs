@@ -3,7 +3,7 @@
 use glam::Vec3A;
 
 use super::hash_cpu::path_box;
-use super::pairs::{BOXES_ONLY, BY_STENCIL, PairParams};
+use super::pairs::{BOXES_ONLY, BY_PAIR, PairParams};
 use crate::collision::Candidate;
 use crate::collision::broad::boxes::Aabb;
 use crate::collision::broad::mesh::edge_of;
@@ -11,7 +11,7 @@ use crate::math::Vec3;
 
 const ROUNDOFF: f32 = f32::EPSILON / 2.0;
 
-/// Where a test stands.
+/// Position of a test: its bucket and the two entries.
 struct Place {
     load: [u32; 4],
     start: u32,
@@ -111,7 +111,7 @@ pub(super) fn box_tests(
     }
 }
 
-/// Differences of a stencil at both ends of the step.
+/// Differences of a candidate at both ends of the step.
 struct Hull {
     start: [Vec3; 4],
     end: [Vec3; 4],
@@ -131,7 +131,7 @@ impl Hull {
         Hull { start, end, largest, separation_m, slack }
     }
 
-    /// Whether a direction, either sign, proves the parts more than the separation apart; bounds as in the shader.
+    /// True if a direction, either sign, proves the parts more than the separation apart; bounds as in the shader.
     fn splits(&self, d: Vec3) -> bool {
         let underflow = 7.523_164e-37;
         let sum = d.x.abs() + d.y.abs() + d.z.abs();
@@ -175,10 +175,10 @@ pub(super) fn feature_pairs(
     let mut report = |candidate: Candidate, same_piece: bool| {
         let is_edges = !candidate.is_vertex_face();
         if params.filter_kind != BOXES_ONLY {
-            let by_stencil = params.filter_kind == BY_STENCIL;
-            let slack = ROUNDOFF * if by_stencil { 128.0 } else { 24.0 };
-            let reach = candidate.vertices.map(|v| if by_stencil { reach_m[v as usize] } else { 0.0 });
-            let separation_m = match (by_stencil && same_piece, is_edges) {
+            let by_pair = params.filter_kind == BY_PAIR;
+            let slack = ROUNDOFF * if by_pair { 128.0 } else { 24.0 };
+            let reach = candidate.vertices.map(|v| if by_pair { reach_m[v as usize] } else { 0.0 });
+            let separation_m = match (by_pair && same_piece, is_edges) {
                 (false, _) => params.separation_m,
                 (true, false) => reach[0],
                 (true, true) => reach.into_iter().fold(f32::MAX, f32::min),

@@ -10,7 +10,7 @@ use bytemuck::Zeroable;
 use super::batches::{BINDING_BYTES, ChunkBatch, Room, Wanted, batches, fewer};
 use super::count::Counter;
 use super::hash::{DeviceEntries, HashParams};
-use super::pairs::{BOXES_ONLY, BY_STENCIL, FoundPairs, PairParams, SEPARATION};
+use super::pairs::{BOXES_ONLY, BY_PAIR, FoundPairs, PairParams, SEPARATION};
 use super::space::Nested;
 use crate::collision::Candidate;
 use crate::collision::broad::active::ActivePatches;
@@ -29,14 +29,15 @@ pub struct DeviceBroad {
     mesh: Arc<CollisionMesh>,
     active: ActivePatches,
     counter: Counter,
-    /// Per vertex: see [`Filter::ByStencil`].
+    /// Per vertex: see [`Filter::ByPair`].
     reach_m: DeviceVec<f32>,
     entries: DeviceEntries,
     found: FoundPairs,
 }
 
 impl DeviceBroad {
-    /// Whether a mesh fits what every adapter binds. Not what this one binds: all ranks must have the same answer.
+    /// True if a mesh fits the bindings that every adapter offers. This adapter's own limits do not count, because all ranks
+    /// must have the same answer.
     pub fn fits(mesh: &CollisionMesh) -> bool {
         let binds = |items: usize, bytes: usize| items <= BINDING_BYTES / bytes;
         binds(mesh.triangles.len(), 32) && binds(mesh.vertices, 12) && mesh.vertices < 1 << PIECE_BITS
@@ -96,12 +97,12 @@ impl DeviceBroad {
             return Ok(Some(stats));
         }
         if search.memory_limit_bytes.is_some() {
-            // What an earlier query left must not count against this one.
+            // Arrays of an earlier query must not count against this one.
             self.counter.drop_arrays(executor);
             (self.entries, self.found) = (DeviceEntries::new(executor), FoundPairs::new(executor));
         }
         self.counter.upload(executor, &search.query);
-        if let Filter::ByStencil { within_piece_m, .. } = search.filter {
+        if let Filter::ByPair { within_piece_m, .. } = search.filter {
             self.reach_m.assign(executor, within_piece_m);
         }
         let Some(counted) = self.counter.count(executor, &input, patches, split)? else { return Ok(None) };
@@ -246,7 +247,7 @@ impl DeviceBroad {
 pub(super) fn pair_params(paths: &Trajectories, filter: &Filter) -> PairParams {
     let (filter_kind, separation_m) = match *filter {
         Filter::Boxes => (BOXES_ONLY, 0.0),
-        Filter::ByStencil { reach_m, .. } => (BY_STENCIL, reach_m),
+        Filter::ByPair { reach_m, .. } => (BY_PAIR, reach_m),
         Filter::Separation { separation_m } => (SEPARATION, separation_m),
     };
     PairParams {

@@ -1,7 +1,7 @@
 //! Space as kernels see it: layers of blocks of cells with buckets of their own, coarser grids, and which triangles a rank needs
 //! for the layers that it counts. Host code; the same on every rank, whatever its device rounds.
 //!
-//! Cells of triangles are found on the device. The host knows each of them up to one neighbour, as the two may round
+//! Cells of triangles are found on the device. The host knows each of them up to one neighbor, as the two may round
 //! differently, so it hands over more triangles rather than fewer; buckets that a rank counts are counted in full.
 
 use std::ops::Range;
@@ -16,9 +16,9 @@ use crate::collision::broad::input::Input;
 use crate::collision::broad::layers::{Layers, block};
 use crate::collision::broad::patches::Patches;
 
-/// Most cells per metre: with the largest coordinate still a finite number.
+/// Most cells per meter: with the largest coordinate still a finite number.
 const PER_M_MOST: f32 = 1e18;
-/// More than what devices and this code make of the same position differ: relative, and in cells.
+/// Exceeds the difference between a device's cells and this code's for the same position: relative, and in cells.
 const ROUNDING: f32 = 1.0 / REACH;
 
 /// The nested grids of the shader: cells of coarser ones are four times larger each.
@@ -50,14 +50,14 @@ impl Nested {
         [self.corner(of.lo), self.corner(of.hi)]
     }
 
-    /// Whether a triangle with this box may reside in a coarser grid.
+    /// True if a triangle with this box may reside in a coarser grid.
     pub fn may_be_large(&self, of: &Aabb) -> bool {
         let [lo, hi] = self.cells(of);
         home_of(lo[0], hi[1]) > 0
     }
 }
 
-/// Where a coarser grid may have residents: cells of the finest grid.
+/// Bounds of the possible residents of a coarser grid, in cells of the finest grid.
 #[derive(Clone, Copy)]
 struct LevelBounds {
     lo: UVec3,
@@ -97,7 +97,7 @@ impl Space {
         Space { axis, grid, layers, buckets, levels }
     }
 
-    /// Layers.
+    /// Number of layers.
     pub fn layers(&self) -> usize {
         self.layers.count()
     }
@@ -186,7 +186,7 @@ impl Space {
         layer(lo[0])..layer(hi[1]) + 1
     }
 
-    /// Whether a box may have a cell, of any grid, in the layers `window`.
+    /// True if a box may have a cell, of any grid, in the layers `window`.
     fn reaches(&self, of: &Aabb, window: &Range<usize>) -> bool {
         let cells = self.grid.cells(of);
         let fine = self.fine(&cells);
@@ -200,7 +200,7 @@ impl Space {
         })
     }
 
-    /// Whether a cell of a coarser grid that holds some of the cells `fine` along the axis belongs to the layers `window`: to
+    /// True if a cell of a coarser grid that holds some of the cells `fine` along the axis belongs to the layers `window`: to
     /// the layer of its lowest cell.
     fn has_cell(&self, level: usize, fine: Range<u32>, window: &Range<usize>) -> bool {
         let bits = 2 * level as u32;
@@ -209,7 +209,7 @@ impl Space {
         cell <= (fine.end - 1) >> bits && self.layers.layer(block(cell << bits)) < window.end
     }
 
-    /// Bytes held.
+    /// Bytes of the host's lists.
     pub fn bytes(&self) -> u64 {
         self.layers.bytes() + size_of_val(&self.buckets[..]) as u64
     }
@@ -228,7 +228,7 @@ fn levels(input: &Input, grid: &Nested, patches: &Patches) -> [Option<LevelBound
             }
         }
     }
-    // Who is in the finest grid visits no bucket of it.
+    // Residents of the finest grid do not visit it.
     levels[0] = None;
     levels
 }

@@ -7,7 +7,7 @@ use bytemuck::Zeroable;
 use super::batches::Chunk;
 use super::count::{face, numbered_pieces};
 use super::hash::{DeviceEntries, DeviceTable, HashParams, Shapes, Window};
-use super::pairs::{BOXES_ONLY, BY_STENCIL, FoundPairs, PairParams, SEPARATION};
+use super::pairs::{BOXES_ONLY, BY_PAIR, FoundPairs, PairParams, SEPARATION};
 use super::search::pair_params;
 use super::space::{Nested, Space};
 use crate::collision::Candidate;
@@ -20,7 +20,7 @@ use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::test_support::device;
 use crate::test_support::seeded::Seeded;
 
-/// Cloth triangles of sizes from 1 to 1000 in one place, some of them neighbours, then obstacles.
+/// Cloth triangles of sizes from 1 to 1000 in one place, some of them neighbors, then obstacles.
 fn mesh(triangles: usize, seed: u64) -> (CollisionMesh, Vec<f32>, Vec<f32>) {
     let mut seeded = Seeded::new(seed);
     let mut corners = Vec::new();
@@ -140,7 +140,7 @@ fn made(executor: &Executor, triangles: usize, part: usize) -> Made {
     found.pairs.write_range(executor, 0, &pairs);
     let reach_m: Vec<f32> = (0..mesh.vertices).map(|v| 0.001 * (v % 5) as f32).collect();
     let reach_m = DeviceVec::upload(executor, &reach_m);
-    let candidates = [BOXES_ONLY, BY_STENCIL, SEPARATION].map(|filter_kind| {
+    let candidates = [BOXES_ONLY, BY_PAIR, SEPARATION].map(|filter_kind| {
         let pass = PairParams {
             first_pair: (count / 7) as u32,
             end_pair: count as u32,
