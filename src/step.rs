@@ -385,8 +385,8 @@ impl Simulation {
     fn exchange_state(&mut self, transport: &mut dyn Transport) -> Result<(), TransportError> {
         let start = self.recorder.now();
         let halo = self.solver.spmv.halo();
-        halo.publish(&self.executor, transport, &[&self.positions, &self.velocities], &mut self.recorder)?;
-        halo.receive(
+        halo.start(&self.executor, transport, &[&self.positions, &self.velocities], &mut self.recorder)?;
+        halo.finish(
             &self.executor,
             transport,
             &mut [&mut self.positions, &mut self.velocities],

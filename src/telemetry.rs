@@ -66,9 +66,9 @@ event_names! {
 }
 
 impl EventName {
-    /// True for exchanges of all ranks with all ranks outside of the solver. Such an exchange is a transfer from the own rank (handing
-    /// over), then per other rank a wait for it, if there is one, and a transfer from it; an all-gather is a wait for the own
-    /// rank, whose bytes are the own values.
+    /// True for exchanges of all ranks with all ranks outside of the solver. Such an exchange is a transfer from the own rank
+    /// (handing over, also if it has nothing to tell), then per other rank that tells something a wait for it and a transfer
+    /// from it; an all-gather is a wait for the own rank, whose bytes are the own values.
     pub fn is_share(self) -> bool {
         use EventName::*;
         matches!(self, SharePositions | ShareQuery | ShareContacts | ShareImpacts | ShareMoved)

@@ -78,9 +78,9 @@ impl<'a> Residual<'a> {
         transport: &mut dyn Transport,
         recorder: &mut Recorder,
     ) -> Result<(), TransportError> {
-        self.halo.publish(&self.host, transport, &[&self.high, &self.low], recorder)?;
+        self.halo.start(&self.host, transport, &[&self.high, &self.low], recorder)?;
         let halves = &mut [&mut self.high, &mut self.low];
-        self.halo.receive(&self.host, transport, halves, recorder, &mut self.traffic)?;
+        self.halo.finish(&self.host, transport, halves, recorder, &mut self.traffic)?;
         let start = recorder.now();
         for (x, (high, low)) in self.x.iter_mut().zip(self.high.as_slice().iter().zip(self.low.as_slice())) {
             *x = *high as f64 + *low as f64;

@@ -214,44 +214,49 @@ impl std::fmt::Display for Micros {
     }
 }
 
-/// Matches publications with receptions: messages of one rank arrive in the order in which they were published, so the
-/// k-th reception of its vector in a step is of its k-th publication of that name.
+/// Matches publications with receptions. Every rank records the beginning of every exchange, also where nobody reads its
+/// message, so a reception belongs to the exchange that the receiver began last: its k-th of that name in the step, and to the
+/// source's k-th of that name.
 #[derive(Default)]
 struct Flows {
-    published: HashMap<Publications, Vec<Place>>,
-    /// By publication and receiving rank.
-    received: HashMap<(Publications, u32), Vec<Place>>,
+    /// The source's place in each exchange; none for one of no length, from which no arrow can start.
+    begun: HashMap<Exchanges, Vec<Option<Place>>>,
+    /// (of which exchange of which source, receiving rank, place).
+    received: Vec<(Exchanges, usize, u32, Place)>,
 }
 
 /// Step, name of the publication, publishing rank.
-type Publications = (u32, u32, u32);
+type Exchanges = (u32, u32, u32);
 
 impl Flows {
+    /// Takes the events of a rank in the order in which it recorded them.
     fn note(&mut self, event: &Event, place: Place) {
-        if event.activity != Activity::Transfer as u32 || place.end_ns == place.start_ns {
+        if event.activity != Activity::Transfer as u32 {
             return;
         }
         let Some(name) = EventName::from_number(event.name) else { return };
-        let rank = place.rank as u32;
+        let (rank, shown) = (place.rank as u32, place.end_ns > place.start_ns);
         if name == EventName::Publish || name.is_share() && event.vector == rank {
-            self.published.entry((event.step, event.name, rank)).or_default().push(place);
-        } else if (name == EventName::Receive || name.is_share()) && event.vector != rank {
-            let publication = if name.is_share() { name } else { EventName::Publish };
-            let of_owner = (event.step, publication as u32, event.vector);
-            self.received.entry((of_owner, rank)).or_default().push(place);
+            self.begun.entry((event.step, event.name, rank)).or_default().push(Some(place).filter(|_| shown));
+        } else if (name == EventName::Receive || name.is_share()) && event.vector != rank && shown {
+            let begins = if name.is_share() { name } else { EventName::Publish } as u32;
+            let begun = self.begun.get(&(event.step, begins, rank)).map_or(0, Vec::len);
+            // A reception before any exchange: its beginning was not recorded.
+            if let Some(exchange) = begun.checked_sub(1) {
+                self.received.push(((event.step, begins, event.vector), exchange, rank, place));
+            }
         }
     }
 
-    /// Pairs in a fixed order. Where the counts differ (an event was not recorded) there is no telling which belong
-    /// together, and no arrow is better than a wrong one.
+    /// Pairs in a fixed order. Where two ranks began different numbers of exchanges (an event was not recorded) there is no
+    /// telling which belong together, and no arrow is better than a wrong one.
     fn pairs(self) -> Vec<(Place, Place)> {
         let mut pairs = Vec::new();
-        for ((of_owner, _), receptions) in &self.received {
-            let Some(publications) = self.published.get(of_owner) else { continue };
-            if publications.len() == receptions.len() {
-                let both = publications.iter().zip(receptions).filter(|(from, to)| from.start_ns <= to.end_ns);
-                pairs.extend(both.map(|(from, to)| (*from, *to)));
-            }
+        for ((step, name, owner), exchange, rank, to) in &self.received {
+            let Some(of_owner) = self.begun.get(&(*step, *name, *owner)) else { continue };
+            let as_many = self.begun.get(&(*step, *name, *rank)).is_some_and(|own| own.len() == of_owner.len());
+            let from = of_owner.get(*exchange).copied().flatten();
+            pairs.extend(from.filter(|from| as_many && from.start_ns <= to.end_ns).map(|from| (from, *to)));
         }
         pairs.sort_by_key(|(from, to)| (from.start_ns, from.rank, to.rank, to.start_ns));
         pairs

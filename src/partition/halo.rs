@@ -2,8 +2,8 @@
 //!
 //! Local numbering of a rank = its own rows and its halo rows together in ascending global order
 //! `[halo below | own rows | halo above]`, so sorting by local index is sorting by global index.
-//! A rank publishes one message per exchange: its rows that any other rank reads, ascending. A reader picks what it
-//! needs by position in that message.
+//! A rank has one message per exchange: its rows that any other rank reads, ascending. A reader picks what it needs by
+//! position in that message; source and reader both know these positions, so that either side can pick.
 
 use std::ops::Range;
 
@@ -20,12 +20,19 @@ pub struct HaloSource {
     pub extra_rows: Vec<u32>,
     /// Local index of the first of those.
     pub extra_start: u32,
+    /// Rows of the source's whole message.
+    pub published_rows: u32,
 }
 
 impl HaloSource {
     /// Runs of rows that are contiguous in the local numbering: positions in the message, first local index.
     pub fn runs(&self) -> [(&[u32], u32); 2] {
         [(&self.message_rows, self.local_start), (&self.extra_rows, self.extra_start)]
+    }
+
+    /// Positions in the source's message of all rows that are read.
+    pub fn positions(&self) -> Vec<u32> {
+        [&self.message_rows[..], &self.extra_rows].concat()
     }
 
     /// Number of rows read from this source.
@@ -49,6 +56,8 @@ pub struct HaloPlan {
     pub publish_rows: Vec<u32>,
     /// Per source rank (empty for the own rank).
     pub sources: Vec<HaloSource>,
+    /// Per reader: positions in the own message of the rows that it reads (empty for the own rank).
+    pub readers: Vec<Vec<u32>>,
     /// Global rows that each rank publishes whatever the contacts are, ascending.
     pub published: Vec<Vec<u32>>,
 }
@@ -88,18 +97,27 @@ impl HaloPlan {
         };
         let own = partition.rows_of(self.rank);
         plan.publish_rows.extend(of_rank(self.rank).iter().map(|&row| row - own.start as u32));
+        let position = |owner: usize, row: u32| {
+            let fixed = &self.published[owner];
+            let position = fixed.binary_search(&row).unwrap_or_else(|_| {
+                fixed.len() + of_rank(owner).binary_search(&row).expect("needs are part of the extra rows")
+            });
+            position as u32
+        };
+        for (readers, needs) in plan.readers.iter_mut().zip(needs) {
+            let owned = needs.iter().filter(|row| own.contains(&(**row as usize)));
+            readers.extend(owned.map(|&row| position(self.rank, row)));
+        }
+        for (owner, source) in plan.sources.iter_mut().enumerate() {
+            source.published_rows += of_rank(owner).len() as u32;
+        }
         for &row in &needs[self.rank] {
             let owner = partition.owner(row as usize);
-            let fixed = &self.published[owner];
-            let position = match fixed.binary_search(&row) {
-                Ok(position) => position,
-                Err(_) => fixed.len() + of_rank(owner).binary_search(&row).expect("needs are part of the extra rows"),
-            };
             let source = &mut plan.sources[owner];
             if source.extra_rows.is_empty() {
                 source.extra_start = plan.local_rows as u32;
             }
-            source.extra_rows.push(position as u32);
+            source.extra_rows.push(position(owner, row));
             plan.global_from_local.push(row);
             plan.local_rows += 1;
         }
@@ -120,8 +138,15 @@ pub fn halo_plans(partition: &RowPartition, halos: &[Vec<u32>]) -> Vec<HaloPlan>
         rows.sort_unstable();
         rows.dedup();
     }
-    halos.iter().enumerate().map(|(rank, halo)| plan_of(partition, rank, halo, &published)).collect()
+    let mut plans: Vec<HaloPlan> =
+        halos.iter().enumerate().map(|(rank, halo)| plan_of(partition, rank, halo, &published)).collect();
+    for rank in 0..plans.len() {
+        plans[rank].readers = plans.iter().map(|reader| reader.sources[rank].message_rows.clone()).collect();
+    }
+    plans
 }
+
+/// All but `readers`, for which the other plans are needed.
 
 fn plan_of(partition: &RowPartition, rank: usize, halo: &[u32], published: &[Vec<u32>]) -> HaloPlan {
     let rows = partition.rows_of(rank);
@@ -131,7 +156,8 @@ fn plan_of(partition: &RowPartition, rank: usize, halo: &[u32], published: &[Vec
     global_from_local.extend(rows.clone().map(|g| g as u32));
     global_from_local.extend_from_slice(&halo[below..]);
 
-    let mut sources = vec![HaloSource::default(); partition.ranks()];
+    let source = |rows: &Vec<u32>| HaloSource { published_rows: rows.len() as u32, ..HaloSource::default() };
+    let mut sources: Vec<HaloSource> = published.iter().map(source).collect();
     for (i, &global) in halo.iter().enumerate() {
         let owner = partition.owner(global as usize);
         let source = &mut sources[owner];
@@ -148,6 +174,7 @@ fn plan_of(partition: &RowPartition, rank: usize, halo: &[u32], published: &[Vec
         global_from_local,
         publish_rows: published[rank].iter().map(|&g| g - rows.start as u32).collect(),
         sources,
+        readers: Vec::new(),
         published: published.to_vec(),
     }
 }
@@ -166,8 +193,14 @@ mod tests {
         assert_eq!(plans[1].global_from_local, [1, 2, 3, 4]);
         assert_eq!(plans[1].own, 1..3);
         assert_eq!(plans[1].publish_rows, [0, 1]);
-        assert_eq!(plans[2].sources[1], HaloSource { message_rows: vec![1], ..HaloSource::default() });
-        assert_eq!(plans[1].sources[2], HaloSource { message_rows: vec![0], local_start: 3, ..HaloSource::default() });
+        let rest = HaloSource::default();
+        assert_eq!(plans[2].sources[1], HaloSource { message_rows: vec![1], published_rows: 2, ..rest.clone() });
+        assert_eq!(
+            plans[1].sources[2],
+            HaloSource { message_rows: vec![0], local_start: 3, published_rows: 1, ..rest }
+        );
+        assert_eq!(plans[1].readers, [vec![0], vec![], vec![1]]);
+        agree(&plans);
         assert_eq!(plans[1].halo_rows(), 2);
         assert_eq!(plans[1].local_from_global(4), Some(3));
         assert_eq!(plans[1].local_from_global(5), None);
@@ -189,5 +222,17 @@ mod tests {
         assert_eq!((plans[0].local_from_global(4), plans[2].local_from_global(0)), (Some(4), Some(3)));
         assert_eq!((plans[0].extra_halo_rows(), plans[0].halo_rows()), (3, 4));
         assert_eq!(plans[1].sources[0].runs()[1].0.len(), 0);
+        assert_eq!(plans[1].readers, [vec![0, 1], vec![], vec![1]], "rank 0 reads row 3 too");
+        agree(&plans);
+    }
+
+    /// Source and reader know the same of every message.
+    fn agree(plans: &[HaloPlan]) {
+        for (rank, plan) in plans.iter().enumerate() {
+            for (owner, source) in plan.sources.iter().enumerate() {
+                assert_eq!(plans[owner].readers[rank], source.positions());
+                assert_eq!(plans[owner].publish_rows.len(), source.published_rows as usize);
+            }
+        }
     }
 }

@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use crate::partition::RowPartition;
-use crate::transport::{ALL_GATHER_MAX, Transport, TransportError};
+use crate::transport::{Transport, TransportError, gather_lists};
 
 /// Most products of a factorization, per row of the system: beyond, because contacts join many far groups, pairs of groups
 /// become one. A solve takes a few thousand per row, but every rank factors for itself.
@@ -97,7 +97,7 @@ impl Coarse {
                 own.extend_from_slice(block);
             }
         }
-        let all = gather(transport, &own)?;
+        let all = gather_lists(transport, &own)?;
         let mut blocks: Vec<GroupSums> = vec![Vec::new(); self.chunks.div_ceil(self.per_group)];
         for entry in all.as_chunks::<ENTRY>().0 {
             let (chunk, column) = (entry[0] as usize / self.chunks, entry[0] as usize % self.chunks);
@@ -155,26 +155,6 @@ impl Coarse {
             *correction = std::array::from_fn(|c| self.solution[at + c] as f32);
         }
     }
-}
-
-/// The values of all ranks, in rank order, however many.
-fn gather(transport: &mut dyn Transport, own: &[f64]) -> Result<Vec<f64>, TransportError> {
-    if transport.ranks() == 1 {
-        return Ok(own.to_vec());
-    }
-    let mut parts = Vec::new();
-    transport.all_gather(&[own.len() as f64], &mut parts)?;
-    let lengths: Vec<usize> = parts.iter().map(|part| part.first().map_or(0, |&n| n as usize)).collect();
-    let mut all: Vec<Vec<f64>> = vec![Vec::new(); lengths.len()];
-    let rounds = lengths.iter().max().map_or(0, |n| n.div_ceil(ALL_GATHER_MAX));
-    for round in 0..rounds {
-        let range = (round * ALL_GATHER_MAX).min(own.len())..((round + 1) * ALL_GATHER_MAX).min(own.len());
-        transport.all_gather(&own[range], &mut parts)?;
-        for (all, part) in all.iter_mut().zip(&parts) {
-            all.extend_from_slice(part);
-        }
-    }
-    Ok(all.concat())
 }
 
 /// Where a Cholesky factor can differ from zero: from the first column of each row to the diagonal, with the rows in reverse

@@ -1,13 +1,16 @@
 //! What crosses between ranks inside a step: halo rows of a vector, or whole sub-vectors. Both travel in the order of the
-//! work queue: stage by stage, one sub-vector received per stage [Li et al. 2020, Sec. 3.1.2]. On one host a rank publishes
-//! once and every reader reads in place, so forwarding costs nothing and the node's source only names the modelled route.
+//! work queue: stage by stage, at most one sub-vector received per stage [Li et al. 2020, Sec. 3.1.2]. On one host a rank writes
+//! its message once and every reader reads in place, so forwarding costs nothing and the node's source only names the
+//! modelled route.
+
+use std::ops::Range;
 
 use super::gather::Gather;
 use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::partition::HaloPlan;
 use crate::telemetry::{Activity, EventName, Recorder};
-use crate::transport::{Transport, TransportError};
+use crate::transport::{Message, Neighbor, Pattern, Rows, Transport, TransportError};
 
 /// How SpMV gets the columns of other ranks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -31,6 +34,7 @@ pub struct TrafficCounter {
 /// Exchanges halo rows of local vectors.
 pub struct HaloExchange {
     plan: HaloPlan,
+    pattern: Pattern,
     queue: Vec<QueueNode>,
     gather: Gather,
     staging: Vec<f32>,
@@ -39,7 +43,7 @@ pub struct HaloExchange {
 impl HaloExchange {
     /// An exchange along `plan` in the order of `queue` (the own rank's work queue).
     pub fn new(plan: HaloPlan, queue: Vec<QueueNode>) -> HaloExchange {
-        HaloExchange { plan, queue, gather: Gather::default(), staging: Vec::new() }
+        HaloExchange { pattern: pattern_of(&plan), plan, queue, gather: Gather::default(), staging: Vec::new() }
     }
 
     /// The plan.
@@ -47,17 +51,25 @@ impl HaloExchange {
         &self.plan
     }
 
+    /// Who reads what of whom.
+    pub fn pattern(&self) -> &Pattern {
+        &self.pattern
+    }
+
     /// Exchanges along another plan from now on (on all ranks at once).
     pub fn set_plan(&mut self, plan: HaloPlan) {
         if self.plan.publish_rows != plan.publish_rows {
             self.gather = Gather::default();
         }
+        self.pattern = pattern_of(&plan);
         self.plan = plan;
     }
 
-    /// Publishes the own rows that others read. `vectors`: local vectors with 3 values per row; their rows are interleaved in
+    /// Hands over the own rows that others read. `vectors`: local vectors with 3 values per row; their rows are interleaved in
     /// the message.
-    pub fn publish(
+    ///
+    /// Messages: one per reader, at most its rows of 12 B per vector; in shared memory one, written once.
+    pub fn start(
         &mut self,
         executor: &Executor,
         transport: &mut dyn Transport,
@@ -71,13 +83,16 @@ impl HaloExchange {
         let (plan, width) = (&self.plan, 3 * vectors.len());
         let len = plan.publish_rows.len() * width;
         let gather = &mut self.gather;
-        transport.publish(len, &mut |out| gather.apply(executor, &plan.publish_rows, plan.own.start, vectors, out))?;
+        transport.start(&self.pattern, width, &mut |out| {
+            gather.apply(executor, &plan.publish_rows, plan.own.start, vectors, out);
+        })?;
+        // Also where nobody reads anything: every rank records the beginning of every exchange.
         recorder.end(EventName::Publish, Activity::Transfer, start, len as u64 * 4, 0);
         Ok(())
     }
 
-    /// Receives the halo rows of all other ranks into `vectors`, in the order of the work queue.
-    pub fn receive(
+    /// Receives the halo rows of the ranks that own some into `vectors`, in the order of the work queue.
+    pub fn finish(
         &mut self,
         executor: &Executor,
         transport: &mut dyn Transport,
@@ -85,37 +100,28 @@ impl HaloExchange {
         recorder: &mut Recorder,
         traffic: &mut TrafficCounter,
     ) -> Result<(), TransportError> {
-        let width = 3 * vectors.len();
-        let rank = self.plan.rank;
         for (stage, node) in self.queue.iter().enumerate() {
             let source = &self.plan.sources[node.vector];
+            if source.rows() == 0 {
+                continue;
+            }
             let start = recorder.now();
             let route = (stage as u32 + 1, node.source as u32, node.vector as u32);
-            let rows = source.rows();
-            let bytes = (rows * width * 4) as u64;
-            transport.expect_halo(node.vector, bytes);
             if !transport.ready(node.vector) {
                 transport.wait(node.vector)?;
                 recorder.end_transfer(EventName::Receive, Activity::Wait, start, route, 0, 0);
             }
-            let start = recorder.now();
+            let (mut bytes, start) = (0, recorder.now());
             let staging = &mut self.staging;
-            let mut short = None;
-            transport.receive(node.vector, &mut |message| {
-                let last = source.runs().iter().filter_map(|(positions, _)| positions.last().copied()).max();
-                if last.is_some_and(|last| (last as usize + 1) * width > message.len()) {
-                    short = Some(message.len());
-                    return;
-                }
+            transport.finish(node.vector, &mut |message| {
+                bytes = message.bytes();
+                let mut first = 0;
                 for (positions, local_start) in source.runs() {
-                    place_rows(executor, message, positions, local_start as usize * 3, vectors, staging);
+                    let rows = first..first + positions.len();
+                    place_rows(executor, message, rows.clone(), local_start as usize * 3, vectors, staging);
+                    first = rows.end;
                 }
             })?;
-            if let Some(got) = short {
-                let message =
-                    format!("message of rank {} holds {got} values, fewer than the halo plan needs", node.vector);
-                return Err(TransportError::Mechanism { rank, message });
-            }
             traffic.received_bytes += bytes;
             traffic.messages += 1;
             recorder.end_transfer(EventName::Receive, Activity::Transfer, start, route, bytes, 0);
@@ -124,30 +130,44 @@ impl HaloExchange {
     }
 }
 
-/// Copies the rows at `positions` of a message, where the rows of all `vectors` are interleaved, to values `first..` of each.
-/// The cpu executor writes them straight into place; a device gets one write per vector.
+/// The rows of `plan`: always those of both runs, in this order.
+fn pattern_of(plan: &HaloPlan) -> Pattern {
+    let own_rows = plan.publish_rows.len();
+    let readers = plan.readers.iter().enumerate().map(|(rank, positions)| Neighbor {
+        rank,
+        message_rows: own_rows,
+        rows: Rows::At(positions.clone()),
+    });
+    let sources = plan.sources.iter().enumerate().map(|(rank, source)| Neighbor {
+        rank,
+        message_rows: source.published_rows as usize,
+        rows: Rows::At(source.positions()),
+    });
+    Pattern::new(own_rows, readers.collect(), sources.collect())
+}
+
+/// Copies `rows` of those that are read of a message, where the rows of all `vectors` are interleaved, to values `first..` of
+/// each. The cpu executor writes them straight into place; a device gets one write per vector.
 fn place_rows(
     executor: &Executor,
-    message: &[f32],
-    positions: &[u32],
+    message: &Message<'_>,
+    rows: Range<usize>,
     first: usize,
     vectors: &mut [&mut DeviceVec<f32>],
     staging: &mut Vec<f32>,
 ) {
-    let width = 3 * vectors.len();
     for (plane, vector) in vectors.iter_mut().enumerate() {
         let copy = |out: &mut [f32]| {
-            for (&position, to) in positions.iter().zip(out.as_chunks_mut::<3>().0) {
-                let at = position as usize * width + plane * 3;
-                to.copy_from_slice(&message[at..at + 3]);
+            for (row, to) in rows.clone().zip(out.as_chunks_mut::<3>().0) {
+                to.copy_from_slice(&message.row(row)[plane * 3..plane * 3 + 3]);
             }
         };
         match executor {
-            Executor::Cpu(_) => copy(&mut vector.as_mut_slice()[first..first + positions.len() * 3]),
-            Executor::Gpu(_) if positions.is_empty() => {}
+            Executor::Cpu(_) => copy(&mut vector.as_mut_slice()[first..first + rows.len() * 3]),
+            Executor::Gpu(_) if rows.is_empty() => {}
             Executor::Gpu(_) => {
                 staging.clear();
-                staging.resize(positions.len() * 3, 0.0);
+                staging.resize(rows.len() * 3, 0.0);
                 copy(staging);
                 vector.write_range(executor, first, staging);
             }

@@ -12,8 +12,9 @@ use crate::assembly::SystemMatrix;
 use crate::context::RankContext;
 use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
+use crate::math::DIM;
 use crate::telemetry::{Activity, EventName, Recorder};
-use crate::transport::{Transport, TransportError};
+use crate::transport::{Pattern, Transport, TransportError};
 
 use super::exchange::{ExchangeMode, HaloExchange, TrafficCounter};
 use super::spmv::Spmv;
@@ -25,6 +26,8 @@ pub struct PipelinedSpmv {
     halo: HaloExchange,
     queue: Vec<QueueNode>,
     sub_vector_len: usize,
+    /// Who reads sub-vectors: everybody; made with the first product of the mode `full`.
+    whole: Option<Pattern>,
     /// Own sub-vector, padded.
     staging: Vec<f32>,
     /// Vector bytes received by products since the last reset.
@@ -45,7 +48,8 @@ impl PipelinedSpmv {
             mode,
             halo,
             queue,
-            sub_vector_len: sub_vector_rows * 3,
+            sub_vector_len: sub_vector_rows * DIM,
+            whole: None,
             staging: Vec::new(),
             traffic: TrafficCounter::default(),
         }
@@ -99,8 +103,8 @@ impl PipelinedSpmv {
         rank: &mut RankContext<'_>,
         u: &mut DeviceVec<f32>,
     ) -> Result<(Range<usize>, usize), TransportError> {
-        self.halo.publish(rank.executor, rank.transport, &[&*u], rank.recorder)?;
-        self.halo.receive(rank.executor, rank.transport, &mut [u], rank.recorder, &mut self.traffic)?;
+        self.halo.start(rank.executor, rank.transport, &[&*u], rank.recorder)?;
+        self.halo.finish(rank.executor, rank.transport, &mut [u], rank.recorder, &mut self.traffic)?;
         Ok((self.halo.plan().own.clone(), self.halo.plan().local_rows))
     }
 
@@ -126,9 +130,9 @@ impl PipelinedSpmv {
         u: &mut DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
     ) -> Result<(), TransportError> {
-        self.halo.publish(rank.executor, rank.transport, &[&*u], rank.recorder)?;
+        self.halo.start(rank.executor, rank.transport, &[&*u], rank.recorder)?;
         self.multiply_rows(rank, matrix, 0, accumulate, u, y);
-        self.halo.receive(rank.executor, rank.transport, &mut [u], rank.recorder, &mut self.traffic)?;
+        self.halo.finish(rank.executor, rank.transport, &mut [u], rank.recorder, &mut self.traffic)?;
         self.multiply_rows(rank, matrix, 1, accumulate, u, y);
         Ok(())
     }
@@ -172,9 +176,8 @@ impl PipelinedSpmv {
         self.publish_sub_vector(rank, matrix.elastic.rows, u)?;
         self.multiply_own_block(rank, matrix, accumulate, y);
         for stage in 0..self.queue.len() {
-            let (kernel, len, route) = (&self.kernel, self.sub_vector_len, self.route(stage));
-            let executor = rank.executor;
-            receive_whole(rank.transport, route, len, &mut self.traffic, rank.recorder, |recorder, v_j| {
+            let (kernel, route, executor) = (&self.kernel, self.route(stage), rank.executor);
+            receive_whole(rank.transport, route, &mut self.traffic, rank.recorder, |recorder, v_j| {
                 multiply_block(kernel, executor, recorder, matrix, route, v_j, y);
             })?;
         }
@@ -193,7 +196,11 @@ impl PipelinedSpmv {
         u.read_range(rank.executor, self.own_start(), &mut self.staging[..rows * 3]);
         if rank.transport.ranks() > 1 {
             let own_sub_vector = &self.staging;
-            rank.transport.publish(self.sub_vector_len, &mut |out| out.copy_from_slice(own_sub_vector))?;
+            let whole = self.whole.get_or_insert_with(|| {
+                let rows = vec![own_sub_vector.len() / DIM; rank.transport.ranks()];
+                Pattern::whole(rank.transport.rank(), &rows)
+            });
+            rank.transport.start(whole, DIM, &mut |out| out.copy_from_slice(own_sub_vector))?;
             rank.recorder.end(EventName::Publish, Activity::Transfer, start, self.sub_vector_len as u64 * 4, 0);
         }
         Ok(())
@@ -236,8 +243,8 @@ impl PipelinedSpmv {
         stage: usize,
         to: &mut Vec<f32>,
     ) -> Result<(), TransportError> {
-        let (len, route) = (self.sub_vector_len, self.route(stage));
-        receive_whole(rank.transport, route, len, &mut self.traffic, rank.recorder, |_, v_j| {
+        let route = self.route(stage);
+        receive_whole(rank.transport, route, &mut self.traffic, rank.recorder, |_, v_j| {
             to.clear();
             to.extend_from_slice(v_j);
         })
@@ -273,11 +280,11 @@ fn multiply_block(
     let (bytes, flops) = (matrix.section_bytes(section), matrix.section_flops(section));
     recorder.end_transfer(EventName::SpmvBlock, Activity::Compute, start, route, bytes, flops);
 }
-/// Receives the sub-vector that `route` names, of `len` values, and hands it to `take`.
+
+/// Receives the sub-vector that `route` names and hands it to `take`.
 fn receive_whole(
     transport: &mut dyn Transport,
     route: (u32, u32, u32),
-    len: usize,
     traffic: &mut TrafficCounter,
     recorder: &mut Recorder,
     mut take: impl FnMut(&mut Recorder, &[f32]),
@@ -288,19 +295,12 @@ fn receive_whole(
         transport.wait(vector)?;
         recorder.end_transfer(EventName::Receive, Activity::Wait, start, route, 0, 0);
     }
-    let (mut got, start) = (0, recorder.now());
-    transport.receive(vector, &mut |v_j| {
-        got = v_j.len();
-        if got == len {
-            recorder.end_transfer(EventName::Receive, Activity::Transfer, start, route, got as u64 * 4, 0);
-            take(recorder, v_j);
-        }
+    let start = recorder.now();
+    transport.finish(vector, &mut |v_j| {
+        recorder.end_transfer(EventName::Receive, Activity::Transfer, start, route, v_j.bytes(), 0);
+        traffic.received_bytes += v_j.bytes();
+        traffic.messages += 1;
+        take(recorder, v_j.values());
     })?;
-    if got != len {
-        let message = format!("sub-vector {vector} holds {got} values instead of {len}");
-        return Err(TransportError::Mechanism { rank: transport.rank(), message });
-    }
-    traffic.received_bytes += len as u64 * 4;
-    traffic.messages += 1;
     Ok(())
 }

@@ -146,8 +146,8 @@ impl Schwarz {
         let free = inverses.as_chunks::<6>().0.iter().flat_map(|inverse| [f32::from(inverse[0] != 0.0); 3]);
         flags.write_range(executor, self.own_start * 3, &free.collect::<Vec<f32>>());
         let mut traffic = TrafficCounter::default();
-        halo.publish(executor, rank.transport, &[&*flags], rank.recorder)?;
-        halo.receive(executor, rank.transport, &mut [flags], rank.recorder, &mut traffic)?;
+        halo.start(executor, rank.transport, &[&*flags], rank.recorder)?;
+        halo.finish(executor, rank.transport, &mut [flags], rank.recorder, &mut traffic)?;
         let mut entries = match &mut self.smoother {
             Smoother::Chain(sweeps) => {
                 sweeps.take_over(native(executor), matrix.elastic.values.as_slice(), flags.as_slice())

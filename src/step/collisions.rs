@@ -4,6 +4,8 @@
 //! finds goes to all ranks. Lists are sorted before use and decisions are made by everybody from the same data, so nothing
 //! depends on who found what or on the number of ranks.
 
+use std::ops::Range;
+
 use crate::collision::broad::{BroadError, CollisionMesh, Split};
 use crate::collision::{ContactParams, Detector, DetectorError, Impact, RunsOn, merge_contacts, merge_impacts};
 use crate::forces::{ContactElement, NO_VERTEX};
@@ -13,7 +15,7 @@ use crate::model::CollisionModel;
 use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::Obstacles;
 use crate::telemetry::{EventName, Recorder};
-use crate::transport::{TracedTransport, Transport, TransportError, share_lists, share_ranges};
+use crate::transport::{TracedTransport, Transport, share_lists, share_positions};
 
 use super::error::{Failure, Imposed, SetupError};
 use super::stats::{StageClock, StepStats};
@@ -171,7 +173,7 @@ impl Collisions {
         let (query, share) = (EventName::ProximityQuery, EventName::SharePositions);
         let mut traced = TracedTransport::new(transport, recorder, query, share);
         if !self.state_known {
-            share_positions(&mut traced, &self.partition, own.0, &mut self.x_t0)?;
+            share_positions(&mut traced, own.0, &mut self.x_t0, |rank| values_of(&self.partition, rank))?;
             self.state_known = true;
         }
         let cloth = self.partition.rows() * 3;
@@ -190,7 +192,7 @@ impl Collisions {
                 suspect: "simulation.step_s or a velocity".into(),
             });
         }
-        share_positions(&mut traced, &self.partition, &ahead, &mut self.x_t1)?;
+        share_positions(&mut traced, &ahead, &mut self.x_t1, |rank| values_of(&self.partition, rank))?;
         traced.shares(EventName::ShareQuery);
         let mut found = Vec::new();
         let on = RunsOn::new(executor, &self.cpu);
@@ -306,7 +308,7 @@ impl Collisions {
         let clock = StageClock::start();
         let (query, share) = (EventName::ContinuousQuery, EventName::SharePositions);
         let mut traced = TracedTransport::new(transport, recorder, query, share);
-        share_positions(&mut traced, &self.partition, own, &mut self.x_t1)?;
+        share_positions(&mut traced, own, &mut self.x_t1, |rank| values_of(&self.partition, rank))?;
         traced.finish(0);
         stats.state_bytes += 4 * (self.partition.rows() * 3 - own.len()) as u64;
         clock.lap(&mut stats.seconds.positions);
@@ -408,19 +410,10 @@ impl Collisions {
     }
 }
 
-/// Positions of the own rows to everybody: `all` receives the cloth's rows.
-fn share_positions(
-    transport: &mut dyn Transport,
-    partition: &RowPartition,
-    own: &[f32],
-    all: &mut [f32],
-) -> Result<(), TransportError> {
-    let values = |rank: usize| {
-        let rows = partition.rows_of(rank);
-        rows.start * 3..rows.end * 3
-    };
-    all[values(transport.rank())].copy_from_slice(own);
-    share_ranges(transport, all, values)
+/// Values of the rows of `rank` in a vector over the whole cloth.
+fn values_of(partition: &RowPartition, rank: usize) -> Range<usize> {
+    let rows = partition.rows_of(rank);
+    rows.start * 3..rows.end * 3
 }
 
 fn detection(step: u32, cause: impl std::fmt::Display) -> Failure {

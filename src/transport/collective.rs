@@ -1,16 +1,17 @@
-//! Lists of any length from every rank to every rank, cut into messages that fit what the transport reserved.
-//! Part of the collective program: every rank calls it at the same place.
+//! What all ranks tell all ranks: lists of any length, cut into messages that fit what the transport reserved, and the
+//! positions of the whole cloth. Part of the collective program: every rank calls it at the same place.
 
 use std::ops::Range;
 
 use bytemuck::Pod;
 
-use super::{Transport, TransportError};
+use super::{ALL_GATHER_MAX, Transport, TransportError};
 
 /// Hands the list of every rank to `read(rank, part)`: the own one first, then the others' in pieces, each rank's pieces in
 /// order. Items are whole 32-bit words, at most as aligned. Returns the number of items of every rank.
 ///
-/// Messages: one all-gather of the lengths, then as many rounds as the longest list needs (none if all are empty).
+/// Messages: one all-gather of the lengths, then as many rounds as the longest list needs (none if all are empty). A rank
+/// sends in the rounds in which it has something left.
 pub fn share_lists<T: Pod>(
     transport: &mut dyn Transport,
     own: &[T],
@@ -42,6 +43,20 @@ pub fn share_ranges<T: Pod>(
     })
 }
 
+/// Completes the positions of the whole cloth, `all`, of which rank r owns the values `of(r)` and holds them in `own`.
+///
+/// Bytes: every rank receives the whole cloth once, 12 per vertex. No rows are picked, because contacts can join any two
+/// places: a mechanism between machines brings them to each machine once (an all-gather of lists of known lengths).
+pub fn share_positions(
+    transport: &mut dyn Transport,
+    own: &[f32],
+    all: &mut [f32],
+    of: impl Fn(usize) -> Range<usize>,
+) -> Result<(), TransportError> {
+    all[of(transport.rank())].copy_from_slice(own);
+    share_ranges(transport, all, of)
+}
+
 /// As [`share_lists`], if everybody knows how many items every rank has.
 fn share_known<T: Pod>(
     transport: &mut dyn Transport,
@@ -65,24 +80,35 @@ fn share_known<T: Pod>(
     let rounds = if longest == 0 { 0 } else { longest.div_ceil(most) };
     for round in 0..rounds {
         let part: &[f32] = bytemuck::cast_slice(&own[piece(own.len(), round)]);
-        transport.publish(part.len(), &mut |out| out.copy_from_slice(part))?;
-        for step in 1..ranks {
-            let source = (rank + step) % ranks;
-            let expected = piece(lengths[source], round).len();
-            let mut got = 0;
-            transport.receive(source, &mut |values| {
-                got = values.len();
-                if got == expected * words {
-                    read(source, bytemuck::cast_slice(values));
-                }
-            })?;
-            if got != expected * words {
-                let message = format!("a list of rank {source} holds {got} values instead of {}", expected * words);
-                return Err(TransportError::Mechanism { rank, message });
+        let values: Vec<usize> = lengths.iter().map(|&len| piece(len, round).len() * words).collect();
+        transport.share(&values, part, &mut |source, values| {
+            if source != rank {
+                read(source, bytemuck::cast_slice(values));
             }
-        }
+        })?;
     }
     Ok(())
+}
+
+/// The lists of all ranks one after the other in rank order, however long: an all-gather of the lengths, then as many
+/// all-gathers as the longest list needs.
+pub fn gather_lists(transport: &mut dyn Transport, own: &[f64]) -> Result<Vec<f64>, TransportError> {
+    if transport.ranks() == 1 {
+        return Ok(own.to_vec());
+    }
+    let mut parts = Vec::new();
+    transport.all_gather(&[own.len() as f64], &mut parts)?;
+    let lengths: Vec<usize> = parts.iter().map(|part| part.first().map_or(0, |&n| n as usize)).collect();
+    let mut all: Vec<Vec<f64>> = vec![Vec::new(); lengths.len()];
+    let rounds = lengths.iter().max().map_or(0, |n| n.div_ceil(ALL_GATHER_MAX));
+    for round in 0..rounds {
+        let range = (round * ALL_GATHER_MAX).min(own.len())..((round + 1) * ALL_GATHER_MAX).min(own.len());
+        transport.all_gather(&own[range], &mut parts)?;
+        for (all, part) in all.iter_mut().zip(&parts) {
+            all.extend_from_slice(part);
+        }
+    }
+    Ok(all.concat())
 }
 
 #[cfg(test)]
@@ -112,6 +138,31 @@ mod tests {
                 .collect();
             threads.into_iter().for_each(|thread| thread.join().unwrap());
         }
+    }
+
+    #[test]
+    fn lists_of_numbers_come_in_rank_order() {
+        let lens = [ALL_GATHER_MAX + 5, 0, 3];
+        let threads: Vec<_> = InProcessTransport::group(3)
+            .into_iter()
+            .map(|mut transport| {
+                std::thread::spawn(move || {
+                    let list = |rank: usize| (0..lens[rank]).map(move |i| (rank * 10_000 + i) as f64);
+                    let own: Vec<f64> = list(transport.rank()).collect();
+                    let all = gather_lists(&mut transport, &own).unwrap();
+                    assert!(all.into_iter().eq((0..3).flat_map(list)));
+                    assert_eq!(transport.counts().published, 0, "all-gathers need no messages");
+                })
+            })
+            .collect();
+        threads.into_iter().for_each(|thread| thread.join().unwrap());
+    }
+
+    #[test]
+    fn what_was_not_announced_is_refused() {
+        let mut alone = InProcessTransport::group(1).remove(0);
+        let error = alone.share(&[2], &[1.0], &mut |_, _| ()).unwrap_err().to_string();
+        assert!(error.contains("1 values of rank 0 to share where [2] were announced"), "{error}");
     }
 
     #[test]

@@ -4,9 +4,9 @@
 //! Every message carries the emulated time at which it was published, on the one monotonic clock that all processes of a
 //! machine share. It becomes readable at its modelled arrival: receipts of a rank follow one another as in the planned exchange,
 //! with the contention that it has when all ranks publish at once; whoever publishes late delays its own message and what
-//! is behind it in the queues of its readers. Halo rows ([`Transport::expect_halo`]) travel by the plan of the halo, in
-//! proportion to the rows that are read; all other messages (whole sub-vectors, positions, lists) by the plan of whole
-//! sub-vectors, in proportion to their length; gathers of small values take the modelled time of an all-reduce.
+//! is behind it in the queues of its readers. Messages of which rows are picked ([`Rows::At`]: the halo) travel by the plan of
+//! the halo, in proportion to the rows that are read; all other messages (whole sub-vectors, positions, lists) by the plan of
+//! whole sub-vectors, in proportion to their length; gathers of small values take the modelled time of an all-reduce.
 //!
 //! Every rank keeps two clocks. Emulated time runs like real time, except that a wait ends when the message arrives by the
 //! model, however late the scheduler wakes the rank or the neighbour hands over: what the machine loses there (up to
@@ -14,20 +14,21 @@
 //! per message. Messages carry emulated times, and nothing is readable before its arrival in real time.
 //!
 //! Not emulated: contention with messages of another exchange, a straggler among ranks that only hand on and whose own
-//! message comes later, and kernels, which take what they take here. Real hand-over comes on top where it is slower for long.
+//! message comes later or is not read here, time that a rank spends on handing on what it does not read, and kernels, which take what they take here. Real hand-over comes on top where it is slower for long.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
 
-use super::{Transport, TransportError};
+use super::pattern::{Due, Pending};
+use super::{Counts, Message, Pattern, Rows, Transport, TransportError};
 use crate::interconnect::{RankLinks, Receipt};
 
 /// Values that each message carries beside its own: the time of publishing.
 pub const STAMP_VALUES: usize = 2;
 
-/// Exchanges that are remembered: a rank is never further apart from another one than two messages each way.
+/// Exchanges that are remembered: more than can be under way.
 const REMEMBERED: usize = 8;
 /// Longest sleep between two signs of life.
 const BREATH: Duration = Duration::from_millis(20);
@@ -44,20 +45,17 @@ pub struct EmulatedTransport<T> {
     /// The newest exchanges; the first one has number `oldest`.
     exchanges: VecDeque<Exchange>,
     oldest: u64,
-    /// By source: messages taken from `inner`, and the one that waits for its time.
-    taken: Vec<u64>,
+    /// As the caller sees them; `inner` may be ahead by the messages that are held.
+    pending: Pending,
+    /// By source: the message that waits for its time.
     held: Vec<Option<Held>>,
-    /// By source: bytes of halo rows that will be read of the next message.
-    expected: Vec<Option<u64>>,
-    published: u64,
-    bytes_received: u64,
     /// How far real time is behind emulated time, seconds; never negative.
     behind_s: f64,
 }
 
-/// What is known of one exchange: the k-th message of every rank.
+/// What is known of one exchange.
 struct Exchange {
-    /// By rank: time of publishing.
+    /// By rank: time of publishing; of the own rank and those whose messages have been taken.
     published_s: Vec<Option<f64>>,
     /// By lane: how far receipts are behind the plan.
     late_s: Vec<f64>,
@@ -66,6 +64,23 @@ struct Exchange {
 struct Held {
     values: Vec<f32>,
     arrival_s: f64,
+}
+
+/// What a message is to the links.
+struct Travels {
+    /// Number of the exchange.
+    number: u64,
+    /// Bytes of the rows that are read.
+    bytes: f64,
+    /// True if rows are picked from it.
+    halo: bool,
+}
+
+impl Travels {
+    fn of(due: &Due) -> Travels {
+        let halo = matches!(due.neighbor().rows, Rows::At(_));
+        Travels { number: due.number, bytes: due.bytes() as f64, halo }
+    }
 }
 
 /// The monotonic clock of the machine, seconds.
@@ -79,23 +94,20 @@ impl<T: Transport> EmulatedTransport<T> {
     pub fn new(inner: T, links: RankLinks, deadline: Duration) -> EmulatedTransport<T> {
         let ranks = inner.ranks();
         EmulatedTransport {
-            inner,
             links,
             deadline,
             exchanges: VecDeque::new(),
             oldest: 0,
-            taken: vec![0; ranks],
+            pending: Pending::new(inner.rank(), ranks),
             held: (0..ranks).map(|_| None).collect(),
-            expected: vec![None; ranks],
-            published: 0,
-            bytes_received: 0,
             behind_s: 0.0,
+            inner,
         }
     }
 
     /// The notes on exchange `number`; none if it is too long ago.
     fn exchange(&mut self, number: u64) -> Option<&mut Exchange> {
-        let ranks = self.taken.len();
+        let ranks = self.held.len();
         let lanes = self.links.whole.iter().chain(&self.links.halo).map(|receipt| receipt.lane + 1).max().unwrap_or(1);
         while number >= self.oldest + self.exchanges.len() as u64 {
             self.exchanges.push_back(Exchange { published_s: vec![None; ranks], late_s: vec![0.0; lanes] });
@@ -110,36 +122,32 @@ impl<T: Transport> EmulatedTransport<T> {
 
     /// Takes the next message of `source` out of `inner`, which waits for it.
     fn take(&mut self, source: usize) -> Result<(), TransportError> {
-        let mut values = Vec::new();
-        self.inner.receive(source, &mut |message| values = message.to_vec())?;
-        let Some(len) = values.len().checked_sub(STAMP_VALUES) else {
-            let message = format!("a message of rank {source} without the time of publishing");
-            return Err(TransportError::Mechanism { rank: self.inner.rank(), message });
-        };
-        let sent_s = f64::from_bits(u64::from(values[len].to_bits()) | u64::from(values[len + 1].to_bits()) << 32);
-        values.truncate(len);
-        let number = self.taken[source];
-        self.taken[source] += 1;
-        let arrival_s = self.arrival_s(source, number, sent_s, len * size_of::<f32>());
-        self.held[source] = Some(Held { values, arrival_s });
+        let mut held = None;
+        self.inner.finish(source, &mut |message| {
+            let bits = message.tail().iter().rev().fold(0, |bits, half| bits << 32 | u64::from(half.to_bits()));
+            held = Some((message.values().to_vec(), f64::from_bits(bits)));
+        })?;
+        let travels = self.pending.expect(source).map(Travels::of)?;
+        if let Some((values, sent_s)) = held {
+            let arrival_s = self.arrival_s(source, travels, sent_s);
+            self.held[source] = Some(Held { values, arrival_s });
+        }
         Ok(())
     }
 
-    /// When message `number` of `source` arrives.
-    fn arrival_s(&mut self, source: usize, number: u64, sent_s: f64, message_bytes: usize) -> f64 {
+    /// When a message of `source` arrives.
+    fn arrival_s(&mut self, source: usize, travels: Travels, sent_s: f64) -> f64 {
         let rank = self.inner.rank();
-        let expected = self.expected[source];
-        let bytes = expected.map_or(message_bytes as f64, |bytes| bytes as f64);
+        let Travels { number, bytes, halo } = travels;
         let of_source = |receipts: &[Receipt]| -> Vec<Receipt> {
             receipts.iter().filter(|receipt| receipt.owner == source).copied().collect()
         };
         let planned = self.links.halo_bytes.get(source).copied().unwrap_or(0.0);
-        let halo = if expected.is_some() { of_source(&self.links.halo) } else { Vec::new() };
-        let (receipts, share) = match (halo.is_empty(), bytes > 0.0) {
-            // Rows that this rank only hands on are as many as planned.
-            (false, _) => (halo, if bytes > 0.0 && planned > 0.0 { bytes / planned } else { 1.0 }),
-            (true, true) => (of_source(&self.links.whole), bytes / self.links.whole_bytes.max(1.0)),
-            (true, false) => (Vec::new(), 0.0),
+        let halo = if halo { of_source(&self.links.halo) } else { Vec::new() };
+        let (receipts, share) = match halo.is_empty() {
+            // Nothing was planned where this rank was only to hand on what others read.
+            false => (halo, if planned > 0.0 { bytes / planned } else { 1.0 }),
+            true => (of_source(&self.links.whole), bytes / self.links.whole_bytes.max(1.0)),
         };
         let Some(exchange) = self.exchange(number) else { return sent_s };
         exchange.published_s[source] = Some(sent_s);
@@ -185,10 +193,6 @@ impl<T: Transport> EmulatedTransport<T> {
             }
         }
     }
-
-    fn is_other(&self, source: usize) -> bool {
-        source < self.held.len() && source != self.inner.rank()
-    }
 }
 
 impl<T: Transport> Transport for EmulatedTransport<T> {
@@ -200,12 +204,18 @@ impl<T: Transport> Transport for EmulatedTransport<T> {
         self.inner.ranks()
     }
 
-    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError> {
+    fn start(
+        &mut self,
+        pattern: &Pattern,
+        width: usize,
+        fill: &mut dyn FnMut(&mut [f32]),
+    ) -> Result<(), TransportError> {
+        let number = self.pending.start(pattern, width)?;
         // Room for the message is a matter of the real transport; filling it is work.
         let begun_s = self.emulated_s();
         let mut sent_s = begun_s;
-        self.inner.publish(len + STAMP_VALUES, &mut |buffer| {
-            let (own, stamp) = buffer.split_at_mut(len);
+        self.inner.start(&pattern.with_tail(STAMP_VALUES), width, &mut |buffer| {
+            let (own, stamp) = buffer.split_at_mut(buffer.len() - STAMP_VALUES);
             let start_s = now_s();
             fill(own);
             sent_s = begun_s + now_s() - start_s;
@@ -213,28 +223,15 @@ impl<T: Transport> Transport for EmulatedTransport<T> {
             stamp.copy_from_slice(&[f32::from_bits(bits as u32), f32::from_bits((bits >> 32) as u32)]);
         })?;
         self.set_emulated(sent_s);
-        let (rank, number) = (self.inner.rank(), self.published);
-        self.published += 1;
+        let rank = self.inner.rank();
         if let Some(exchange) = self.exchange(number) {
             exchange.published_s[rank] = Some(sent_s);
         }
         Ok(())
     }
 
-    fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError> {
-        if !self.is_other(source) {
-            return self.inner.receive(source, read);
-        }
-        self.wait(source)?;
-        let Some(held) = self.held[source].take() else { return Ok(()) };
-        self.expected[source] = None;
-        read(&held.values);
-        self.bytes_received += std::mem::size_of_val(held.values.as_slice()) as u64;
-        Ok(())
-    }
-
     fn ready(&mut self, source: usize) -> bool {
-        if !self.is_other(source) {
+        if self.pending.next(source).is_none() {
             return false;
         }
         if self.held[source].is_none() && self.inner.ready(source) && self.take(source).is_err() {
@@ -244,9 +241,7 @@ impl<T: Transport> Transport for EmulatedTransport<T> {
     }
 
     fn wait(&mut self, source: usize) -> Result<(), TransportError> {
-        if !self.is_other(source) {
-            return self.inner.wait(source);
-        }
+        self.pending.expect(source)?;
         let (start_s, begun_s) = (now_s(), self.emulated_s());
         if self.held[source].is_none() {
             self.take(source)?;
@@ -254,6 +249,14 @@ impl<T: Transport> Transport for EmulatedTransport<T> {
         let arrival_s = self.held[source].as_ref().map_or(begun_s, |held| held.arrival_s);
         self.hold(source, arrival_s, start_s)?;
         self.set_emulated(begun_s.max(arrival_s));
+        Ok(())
+    }
+
+    fn finish(&mut self, source: usize, read: &mut dyn FnMut(&Message<'_>)) -> Result<(), TransportError> {
+        self.wait(source)?;
+        let Some(held) = self.held[source].take() else { return Ok(()) };
+        let due = self.pending.take(source)?;
+        read(&due.message(self.inner.rank(), &held.values)?);
         Ok(())
     }
 
@@ -269,12 +272,6 @@ impl<T: Transport> Transport for EmulatedTransport<T> {
         Ok(())
     }
 
-    fn expect_halo(&mut self, source: usize, bytes: u64) {
-        if let Some(expected) = self.expected.get_mut(source) {
-            *expected = Some(bytes);
-        }
-    }
-
     fn alive(&mut self) -> Result<(), TransportError> {
         self.inner.alive()
     }
@@ -283,11 +280,7 @@ impl<T: Transport> Transport for EmulatedTransport<T> {
         self.inner.max_message_values().saturating_sub(STAMP_VALUES)
     }
 
-    fn bytes_published(&self) -> u64 {
-        self.inner.bytes_published() - self.published * (STAMP_VALUES * size_of::<f32>()) as u64
-    }
-
-    fn bytes_received(&self) -> u64 {
-        self.bytes_received
+    fn counts(&self) -> Counts {
+        self.inner.counts()
     }
 }

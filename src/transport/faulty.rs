@@ -3,17 +3,17 @@
 
 use std::time::Duration;
 
-use super::{Transport, TransportError};
+use super::{Counts, Message, Pattern, Transport, TransportError};
 
-/// What goes wrong with a published message. Messages count from 0.
+/// What goes wrong with an own message. Messages count from 0; exchanges in which nobody reads the own message do not count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// The message is never handed over; the others see the next one in its place, or time out.
+    /// The message is never handed over; its readers see a later one in its place, or time out.
     Drop { message: u64 },
     /// The message is handed over late.
     Delay { message: u64, delay: Duration },
-    /// Only the first `len` values are handed over.
-    Truncate { message: u64, len: usize },
+    /// Only the first `rows` rows are handed over.
+    Truncate { message: u64, rows: usize },
     /// Publishing it fails as if the mechanism below had.
     Refuse { message: u64 },
 }
@@ -52,34 +52,41 @@ impl<T: Transport> Transport for FaultyTransport<T> {
         self.inner.ranks()
     }
 
-    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError> {
+    fn start(
+        &mut self,
+        pattern: &Pattern,
+        width: usize,
+        fill: &mut dyn FnMut(&mut [f32]),
+    ) -> Result<(), TransportError> {
+        if pattern.readers().is_empty() {
+            return self.inner.start(pattern, width, fill);
+        }
         let number = self.published;
         self.published += 1;
-        let mut handed_over = len;
+        let mut handed_over = pattern.message_rows();
         for fault in self.script.iter().filter(|fault| fault.message() == number) {
             match *fault {
-                Fault::Drop { .. } => {
-                    fill(&mut vec![0.0; len]);
-                    return Ok(());
-                }
+                Fault::Drop { .. } => return self.inner.start(&pattern.spoiled(None), width, fill),
                 Fault::Delay { delay, .. } => std::thread::sleep(delay),
-                Fault::Truncate { len, .. } => handed_over = handed_over.min(len),
+                Fault::Truncate { rows, .. } => handed_over = handed_over.min(rows),
                 Fault::Refuse { .. } => {
                     let message = format!("message {number} refused by the script");
                     return Err(TransportError::Mechanism { rank: self.inner.rank(), message });
                 }
             }
         }
-        if handed_over == len {
-            return self.inner.publish(len, fill);
+        if handed_over == pattern.message_rows() {
+            return self.inner.start(pattern, width, fill);
         }
-        let mut whole = vec![0.0; len];
+        let mut whole = vec![0.0; pattern.message_values(width)];
         fill(&mut whole);
-        self.inner.publish(handed_over, &mut |buffer| buffer.copy_from_slice(&whole[..handed_over]))
+        self.inner.start(&pattern.spoiled(Some(handed_over)), width, &mut |buffer| {
+            buffer.copy_from_slice(&whole[..buffer.len()]);
+        })
     }
 
-    fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError> {
-        self.inner.receive(source, read)
+    fn finish(&mut self, source: usize, read: &mut dyn FnMut(&Message<'_>)) -> Result<(), TransportError> {
+        self.inner.finish(source, read)
     }
 
     fn ready(&mut self, source: usize) -> bool {
@@ -102,47 +109,66 @@ impl<T: Transport> Transport for FaultyTransport<T> {
         self.inner.max_message_values()
     }
 
-    fn bytes_published(&self) -> u64 {
-        self.inner.bytes_published()
-    }
-
-    fn bytes_received(&self) -> u64 {
-        self.inner.bytes_received()
+    fn counts(&self) -> Counts {
+        self.inner.counts()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::transport::InProcessTransport;
+    use crate::transport::{InProcessTransport, Neighbor, Rows};
 
-    #[test]
-    fn the_script_is_followed() {
+    /// Rank 0 sends two values to rank 1 in every exchange.
+    fn one_way() -> [Pattern; 2] {
+        let to = |rank: usize| vec![Neighbor { rank, message_rows: 2, rows: Rows::All }];
+        [Pattern::new(2, to(1), Vec::new()), Pattern::new(0, Vec::new(), to(0))]
+    }
+
+    /// What rank 1 gets in two exchanges if rank 0 follows `fault`.
+    fn received(fault: Fault) -> Vec<Result<Vec<f32>, TransportError>> {
         let mut ranks = InProcessTransport::group(2);
         let (mut one, zero) = (ranks.pop().unwrap(), ranks.pop().unwrap());
         one.set_deadline(Duration::from_millis(50));
-        let script = vec![
-            Fault::Drop { message: 0 },
-            Fault::Delay { message: 1, delay: Duration::from_millis(20) },
-            Fault::Truncate { message: 2, len: 1 },
-            Fault::Refuse { message: 3 },
-        ];
-        let mut zero = FaultyTransport::new(zero, script);
-        let mut publish = |value: f32| zero.publish(2, &mut |buffer| buffer.fill(value));
-        let mut receive = || {
+        let mut zero = FaultyTransport::new(zero, vec![fault]);
+        let [to_one, from_zero] = one_way();
+        let exchange = |value: u8| {
+            one.start(&from_zero, 1, &mut |_| unreachable!("nobody reads it")).unwrap();
+            zero.start(&to_one, 1, &mut |buffer| buffer.fill(f32::from(value)))?;
             let mut seen = Vec::new();
-            one.receive(0, &mut |values| seen = values.to_vec()).map(|()| seen)
+            one.finish(0, &mut |message| seen = message.values().to_vec()).map(|()| seen)
         };
-        publish(0.0).unwrap();
-        assert!(matches!(receive(), Err(TransportError::TimedOut { source_rank: 0, .. })));
+        [1, 2].into_iter().map(exchange).collect()
+    }
+
+    #[test]
+    fn the_script_is_followed() {
+        let whole = [Ok(vec![1.0; 2]), Ok(vec![2.0; 2])];
+        let delay = Duration::from_millis(20);
         let start = std::time::Instant::now();
-        publish(1.0).unwrap();
-        assert!(start.elapsed() >= Duration::from_millis(20));
-        assert_eq!(receive().unwrap(), [1.0, 1.0]);
-        publish(2.0).unwrap();
-        assert_eq!(receive().unwrap(), [2.0]);
-        assert!(publish(3.0).unwrap_err().to_string().contains("message 3 refused"));
-        publish(4.0).unwrap();
-        assert_eq!(receive().unwrap(), [4.0, 4.0]);
+        assert_eq!(received(Fault::Delay { message: 0, delay }), whole);
+        assert!(start.elapsed() >= delay);
+        assert_eq!(received(Fault::Drop { message: 7 }), whole);
+        let dropped = received(Fault::Drop { message: 0 });
+        assert!(matches!(dropped[0], Err(TransportError::TimedOut { source_rank: 0, .. })), "{dropped:?}");
+        let text = |of: &Result<Vec<f32>, TransportError>| of.as_ref().unwrap_err().to_string();
+        let refused = received(Fault::Refuse { message: 1 });
+        assert!(refused[0] == whole[0] && text(&refused[1]).contains("message 1 refused"), "{refused:?}");
+        let cut = received(Fault::Truncate { message: 1, rows: 1 });
+        assert!(cut[0] == whole[0] && text(&cut[1]).contains("of rank 0 holds 1 values instead of 2"), "{cut:?}");
+    }
+
+    #[test]
+    fn a_later_message_does_not_pass_for_a_lost_one() {
+        let mut ranks = InProcessTransport::group(2);
+        let (mut one, zero) = (ranks.pop().unwrap(), ranks.pop().unwrap());
+        let mut zero = FaultyTransport::new(zero, vec![Fault::Drop { message: 0 }]);
+        let [to_one, from_zero] = one_way();
+        for _ in 0..2 {
+            zero.start(&to_one, 1, &mut |buffer| buffer.fill(1.0)).unwrap();
+            one.start(&from_zero, 1, &mut |_| unreachable!("nobody reads it")).unwrap();
+        }
+        let error = one.finish(0, &mut |_| panic!("this is not the message")).unwrap_err();
+        assert_eq!(error, TransportError::OutOfOrder { rank: 1, source_rank: 0, expected: 0, got: 1 });
     }
 }

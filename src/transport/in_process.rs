@@ -5,11 +5,9 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::pattern::{DEPTH, Pending};
 use super::wait::HOOK_INTERVAL;
-use super::{ALL_GATHER_MAX, Transport, TransportError};
-
-/// Messages that a publisher may be ahead of its slowest reader.
-const DEPTH: usize = 2;
+use super::{ALL_GATHER_MAX, Counts, Message, Pattern, RANKS_MAX, Transport, TransportError};
 
 /// One rank of a group of threads. `Hook` is called while it waits; it binds the rank to a thread if it cannot be sent.
 pub struct InProcessTransport<Hook = SendHook> {
@@ -18,15 +16,12 @@ pub struct InProcessTransport<Hook = SendHook> {
     shared: Arc<Shared>,
     deadline: Duration,
     on_wait: Option<Hook>,
-    /// Messages received so far, by source.
-    received: Vec<u64>,
+    pending: Pending,
     gathers: u64,
     /// Buffers of own messages; one is written while readers hold the others.
     buffers: Vec<Arc<Vec<f32>>>,
-    published: u64,
     max_message_values: usize,
-    bytes_published: u64,
-    bytes_received: u64,
+    counts: Counts,
 }
 
 /// A [`super::WaitHook`] that can be sent to another thread.
@@ -38,39 +33,45 @@ struct Shared {
 }
 
 struct State {
-    sources: Vec<Source>,
+    /// By rank: its messages that somebody has still to read, oldest first.
+    messages: Vec<VecDeque<Unread>>,
     /// Contributions to the all-gathers: two slots by parity, each by rank with the number of the operation.
     gathers: [Vec<(u64, Vec<f64>)>; 2],
 }
 
-struct Source {
-    /// Messages not yet received by everybody, oldest first.
-    messages: VecDeque<Arc<Vec<f32>>>,
-    /// Number of the oldest of them.
-    first: u64,
-    /// Messages given back, by reader.
-    consumed: Vec<u64>,
+struct Unread {
+    /// Number of its exchange.
+    number: u64,
+    /// Bit r is set until rank r has read it.
+    readers: u64,
+    values: Arc<Vec<f32>>,
 }
 
-impl Source {
-    /// Notes that `reader` is through with `count` messages of this source, whose rank is `own`, and forgets those that
-    /// everybody is through with.
-    fn give_back(&mut self, own: usize, reader: usize, count: u64) {
-        self.consumed[reader] = count;
-        let others = self.consumed.iter().enumerate().filter(|(rank, _)| *rank != own);
-        let slowest = others.map(|(_, &count)| count).min().unwrap_or(count);
-        while self.first < slowest && self.messages.pop_front().is_some() {
-            self.first += 1;
-        }
+impl State {
+    /// The next message of `source` that `rank` reads, which must be that of exchange `number`.
+    fn next(&self, rank: usize, source: usize, number: u64) -> Option<Result<&Unread, TransportError>> {
+        let unread = self.messages[source].iter().find(|unread| unread.readers & (1 << rank) != 0)?;
+        let (source_rank, expected, got) = (source, number, unread.number);
+        Some(if got == expected {
+            Ok(unread)
+        } else {
+            Err(TransportError::OutOfOrder { rank, source_rank, expected, got })
+        })
+    }
+
+    /// The first reader of a message of `rank` that leaves no room for the next one.
+    fn in_the_way(&self, rank: usize) -> Option<usize> {
+        let oldest = self.messages[rank].front().filter(|_| self.messages[rank].len() >= DEPTH);
+        oldest.map(|unread| unread.readers.trailing_zeros() as usize)
     }
 }
 
 impl InProcessTransport {
     /// The transports of `ranks` ranks, by rank. A rank waits up to a minute, see [`InProcessTransport::set_deadline`].
     pub fn group(ranks: usize) -> Vec<InProcessTransport> {
-        let source = || Source { messages: VecDeque::new(), first: 0, consumed: vec![0; ranks] };
+        assert!(ranks <= RANKS_MAX, "{ranks} ranks, at most {RANKS_MAX} are possible");
         let state = State {
-            sources: (0..ranks).map(|_| source()).collect(),
+            messages: (0..ranks).map(|_| VecDeque::new()).collect(),
             gathers: [vec![(0, Vec::new()); ranks], vec![(0, Vec::new()); ranks]],
         };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
@@ -81,13 +82,11 @@ impl InProcessTransport {
                 shared: shared.clone(),
                 deadline: Duration::from_secs(60),
                 on_wait: None,
-                received: vec![0; ranks],
+                pending: Pending::new(rank, ranks),
                 gathers: 0,
                 buffers: Vec::new(),
-                published: 0,
                 max_message_values: usize::MAX,
-                bytes_published: 0,
-                bytes_received: 0,
+                counts: Counts::default(),
             })
             .collect()
     }
@@ -106,13 +105,11 @@ impl InProcessTransport {
             ranks: self.ranks,
             shared: self.shared,
             deadline: self.deadline,
-            received: self.received,
+            pending: self.pending,
             gathers: self.gathers,
             buffers: self.buffers,
-            published: self.published,
             max_message_values: self.max_message_values,
-            bytes_published: self.bytes_published,
-            bytes_received: self.bytes_received,
+            counts: self.counts,
         }
     }
 }
@@ -185,64 +182,66 @@ impl<Hook: FnMut() -> bool> Transport for InProcessTransport<Hook> {
         self.ranks
     }
 
-    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError> {
-        let (rank, ranks, published) = (self.rank, self.ranks, self.published);
-        for reader in (0..ranks).filter(|&reader| reader != rank) {
+    fn start(
+        &mut self,
+        pattern: &Pattern,
+        width: usize,
+        fill: &mut dyn FnMut(&mut [f32]),
+    ) -> Result<(), TransportError> {
+        let number = self.pending.start(pattern, width)?;
+        let readers = pattern.readers().iter().fold(0, |mask, reader| mask | 1 << reader.rank);
+        if readers == 0 {
+            return Ok(());
+        }
+        let rank = self.rank;
+        while let Some(reader) = { self.shared.lock().in_the_way(rank) } {
             self.wait_for(reader, "room for the next message", |state| {
-                (published - state.sources[rank].consumed[reader] < DEPTH as u64).then_some(())
+                (state.in_the_way(rank) != Some(reader)).then_some(())
             })?;
         }
         let mut buffer = self.take_buffer();
         // Nobody else holds the buffer, so this never copies.
         let values = Arc::make_mut(&mut buffer);
-        values.resize(len, 0.0);
+        values.resize(pattern.message_values(width), 0.0);
         fill(values);
-        if ranks > 1 {
-            self.shared.lock().sources[rank].messages.push_back(buffer.clone());
-            self.shared.changed.notify_all();
-        }
-        self.buffers.push(buffer);
-        self.published += 1;
-        self.bytes_published += (len * size_of::<f32>()) as u64;
-        Ok(())
-    }
-
-    fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError> {
-        let (rank, ranks) = (self.rank, self.ranks);
-        if source >= ranks || source == rank {
-            return Err(self.fail(format!("cannot receive from rank {source} of {ranks} ranks")));
-        }
-        let sequence = self.received[source];
-        let message = self.wait_for(source, "its next message", |state| {
-            let source = &state.sources[source];
-            source.messages.get((sequence - source.first) as usize).cloned()
-        })?;
-        read(&message);
-        self.bytes_received += std::mem::size_of_val(message.as_slice()) as u64;
-        self.received[source] = sequence + 1;
-        drop(message);
-        let mut state = self.shared.lock();
-        state.sources[source].give_back(source, rank, sequence + 1);
-        drop(state);
+        self.shared.lock().messages[rank].push_back(Unread { number, readers, values: buffer.clone() });
         self.shared.changed.notify_all();
+        self.buffers.push(buffer);
+        self.counts.publish(pattern, width);
         Ok(())
     }
 
     fn ready(&mut self, source: usize) -> bool {
-        let Some(&sequence) = self.received.get(source) else { return false };
-        let state = self.shared.lock();
-        let source = &state.sources[source];
-        source.messages.len() as u64 + source.first > sequence
+        let Some(due) = self.pending.next(source) else { return false };
+        self.shared.lock().next(self.rank, source, due.number).is_some()
     }
 
     fn wait(&mut self, source: usize) -> Result<(), TransportError> {
-        let Some(&sequence) = self.received.get(source).filter(|_| source != self.rank) else {
-            return Err(self.fail(format!("cannot wait for rank {source} of {} ranks", self.ranks)));
-        };
+        let (rank, number) = (self.rank, self.pending.expect(source)?.number);
         self.wait_for(source, "its next message", |state| {
-            let source = &state.sources[source];
-            (source.messages.len() as u64 + source.first > sequence).then_some(())
-        })
+            state.next(rank, source, number).map(|found| found.map(|_| ()))
+        })?
+    }
+
+    fn finish(&mut self, source: usize, read: &mut dyn FnMut(&Message<'_>)) -> Result<(), TransportError> {
+        let (rank, number) = (self.rank, self.pending.expect(source)?.number);
+        let values = self.wait_for(source, "its next message", |state| {
+            state.next(rank, source, number).map(|found| found.map(|unread| unread.values.clone()))
+        })??;
+        let due = self.pending.take(source)?;
+        let message = due.message(rank, &values)?;
+        read(&message);
+        self.counts.receive(&message);
+        drop(values);
+        let mut state = self.shared.lock();
+        let unread = &mut state.messages[source];
+        if let Some(message) = unread.iter_mut().find(|unread| unread.number == number) {
+            message.readers &= !(1 << rank);
+        }
+        unread.retain(|unread| unread.readers != 0);
+        drop(state);
+        self.shared.changed.notify_all();
+        Ok(())
     }
 
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
@@ -281,11 +280,7 @@ impl<Hook: FnMut() -> bool> Transport for InProcessTransport<Hook> {
         self.max_message_values
     }
 
-    fn bytes_published(&self) -> u64 {
-        self.bytes_published
-    }
-
-    fn bytes_received(&self) -> u64 {
-        self.bytes_received
+    fn counts(&self) -> Counts {
+        self.counts
     }
 }

@@ -1,11 +1,11 @@
 //! A [`Transport`] that notes what goes through it, for tests of schedules and counts. It changes nothing.
 
-use super::{Transport, TransportError};
+use super::{Counts, Message, Pattern, Transport, TransportError};
 
 /// What a noted call did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// A message of the own rank was published.
+    /// A message of the own rank that somebody reads was handed over.
     Publish,
     /// A message was received.
     Receive,
@@ -20,7 +20,7 @@ pub struct Record {
     pub action: Action,
     /// Rank that the values came from: the own one unless received.
     pub source: usize,
-    /// Number of values (of the own contribution to an all-gather).
+    /// Number of values: of the own message, of the rows read of another one, of the own contribution to an all-gather.
     pub len: usize,
 }
 
@@ -61,19 +61,27 @@ impl<T: Transport> Transport for RecordingTransport<T> {
         self.inner.ranks()
     }
 
-    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError> {
-        self.inner.publish(len, fill)?;
-        self.log.push(Record { action: Action::Publish, source: self.inner.rank(), len });
+    fn start(
+        &mut self,
+        pattern: &Pattern,
+        width: usize,
+        fill: &mut dyn FnMut(&mut [f32]),
+    ) -> Result<(), TransportError> {
+        self.inner.start(pattern, width, fill)?;
+        if !pattern.readers().is_empty() {
+            let len = pattern.message_rows() * width;
+            self.log.push(Record { action: Action::Publish, source: self.inner.rank(), len });
+        }
         Ok(())
     }
 
-    fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError> {
-        let mut len = 0;
-        self.inner.receive(source, &mut |values| {
-            len = values.len();
-            read(values);
+    fn finish(&mut self, source: usize, read: &mut dyn FnMut(&Message<'_>)) -> Result<(), TransportError> {
+        let mut bytes = 0;
+        self.inner.finish(source, &mut |message| {
+            bytes = message.bytes() as usize;
+            read(message);
         })?;
-        self.log.push(Record { action: Action::Receive, source, len });
+        self.log.push(Record { action: Action::Receive, source, len: bytes / size_of::<f32>() });
         Ok(())
     }
 
@@ -99,12 +107,8 @@ impl<T: Transport> Transport for RecordingTransport<T> {
         self.inner.max_message_values()
     }
 
-    fn bytes_published(&self) -> u64 {
-        self.inner.bytes_published()
-    }
-
-    fn bytes_received(&self) -> u64 {
-        self.inner.bytes_received()
+    fn counts(&self) -> Counts {
+        self.inner.counts()
     }
 }
 
@@ -118,10 +122,12 @@ mod tests {
         let mut ranks = InProcessTransport::group(2);
         let (mut one, zero) = (ranks.pop().unwrap(), ranks.pop().unwrap());
         let mut zero = RecordingTransport::new(zero);
-        one.publish(3, &mut |buffer| buffer.fill(1.0)).unwrap();
-        zero.publish(2, &mut |buffer| buffer.fill(2.0)).unwrap();
-        zero.receive(1, &mut |values| assert_eq!(values, [1.0; 3])).unwrap();
-        assert!(zero.receive(0, &mut |_| {}).is_err());
+        let rows = [2, 3];
+        one.start(&Pattern::whole(1, &rows), 1, &mut |buffer| buffer.fill(1.0)).unwrap();
+        zero.start(&Pattern::whole(0, &rows), 1, &mut |buffer| buffer.fill(2.0)).unwrap();
+        zero.finish(1, &mut |message| assert_eq!(message.values(), [1.0; 3])).unwrap();
+        assert!(zero.finish(1, &mut |_| {}).is_err());
+        zero.start(&Pattern::whole(0, &[0, 0]), 1, &mut |_| panic!("nobody reads it")).unwrap();
         let expected = [
             Record { action: Action::Publish, source: 0, len: 2 },
             Record { action: Action::Receive, source: 1, len: 3 },
@@ -129,6 +135,6 @@ mod tests {
         assert_eq!(zero.log(), expected);
         assert_eq!(zero.take_log(), expected);
         assert!(zero.log().is_empty());
-        assert_eq!((zero.bytes_published(), zero.bytes_received()), (8, 12));
+        assert_eq!(zero.counts(), Counts { published: 1, bytes_published: 8, received: 1, bytes_received: 12 });
     }
 }

@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use super::RunName;
 use super::frames::FRAME_MAX;
-use super::iceoryx::BUFFERS;
+use super::pattern::BUFFERS;
 use super::run_name::SHARED_MEMORY_FOLDER;
 
 /// Why there is not enough shared memory.

@@ -3,22 +3,21 @@
 use std::time::Duration;
 
 use super::wait::{Patience, Stopped, WaitHook};
-use super::{ALL_GATHER_MAX, Transport, TransportError};
+use super::{ALL_GATHER_MAX, Counts, Message, Pattern, Transport, TransportError};
 
 /// Rank 0 of 1.
 pub struct SoloTransport {
     patience: Patience,
-    bytes_published: u64,
 }
 
 impl SoloTransport {
     /// `on_wait`: see [`WaitHook`].
     pub fn new(on_wait: WaitHook) -> SoloTransport {
-        SoloTransport { patience: Patience::new(Duration::MAX, 1, on_wait), bytes_published: 0 }
+        SoloTransport { patience: Patience::new(Duration::MAX, 1, on_wait) }
     }
 
-    fn nobody(&self, source: usize) -> TransportError {
-        TransportError::Mechanism { rank: 0, message: format!("cannot receive from rank {source} of 1 rank") }
+    fn nobody<T>(&self) -> Result<T, TransportError> {
+        Err(TransportError::Mechanism { rank: 0, message: "there is only one rank".into() })
     }
 }
 
@@ -31,22 +30,25 @@ impl Transport for SoloTransport {
         1
     }
 
-    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError> {
-        fill(&mut vec![0.0; len]);
-        self.bytes_published += (len * size_of::<f32>()) as u64;
-        Ok(())
-    }
-
-    fn receive(&mut self, source: usize, _read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError> {
-        Err(self.nobody(source))
+    fn start(
+        &mut self,
+        pattern: &Pattern,
+        _width: usize,
+        _fill: &mut dyn FnMut(&mut [f32]),
+    ) -> Result<(), TransportError> {
+        if pattern.readers().is_empty() && pattern.sources().is_empty() { Ok(()) } else { self.nobody() }
     }
 
     fn ready(&mut self, _source: usize) -> bool {
         false
     }
 
-    fn wait(&mut self, source: usize) -> Result<(), TransportError> {
-        Err(self.nobody(source))
+    fn wait(&mut self, _source: usize) -> Result<(), TransportError> {
+        self.nobody()
+    }
+
+    fn finish(&mut self, _source: usize, _read: &mut dyn FnMut(&Message<'_>)) -> Result<(), TransportError> {
+        self.nobody()
     }
 
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
@@ -73,11 +75,7 @@ impl Transport for SoloTransport {
         usize::MAX
     }
 
-    fn bytes_published(&self) -> u64 {
-        self.bytes_published
-    }
-
-    fn bytes_received(&self) -> u64 {
-        0
+    fn counts(&self) -> Counts {
+        Counts::default()
     }
 }

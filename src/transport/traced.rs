@@ -2,7 +2,7 @@
 //! computing up to the next message, handing a message over, waiting for one, reading it. It changes nothing else, and nothing
 //! at all where nothing is recorded.
 
-use super::{Transport, TransportError};
+use super::{Counts, Message, Pattern, Transport, TransportError};
 use crate::telemetry::{Activity, EventName, Moment, Recorder};
 
 /// Passes everything on to a transport and records it as [`EventName::is_share`] says.
@@ -58,16 +58,22 @@ impl Transport for TracedTransport<'_> {
         self.inner.ranks()
     }
 
-    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError> {
+    fn start(
+        &mut self,
+        pattern: &Pattern,
+        width: usize,
+        fill: &mut dyn FnMut(&mut [f32]),
+    ) -> Result<(), TransportError> {
         let start = self.pause();
-        self.inner.publish(len, fill)?;
-        let (own, bytes) = (self.own(), (len * size_of::<f32>()) as u64);
-        self.recorder.end_transfer(self.share, Activity::Transfer, start, own, bytes, 0);
+        self.inner.start(pattern, width, fill)?;
+        let read = if pattern.readers().is_empty() { 0 } else { pattern.message_rows() };
+        let bytes = (read * width * size_of::<f32>()) as u64;
+        self.recorder.end_transfer(self.share, Activity::Transfer, start, self.own(), bytes, 0);
         self.since = self.recorder.now();
         Ok(())
     }
 
-    fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError> {
+    fn finish(&mut self, source: usize, read: &mut dyn FnMut(&Message<'_>)) -> Result<(), TransportError> {
         let route = (0, source as u32, source as u32);
         let mut start = self.recorder.now();
         if !self.inner.ready(source) {
@@ -76,9 +82,9 @@ impl Transport for TracedTransport<'_> {
             start = self.recorder.now();
         }
         let mut bytes = 0;
-        self.inner.receive(source, &mut |values| {
-            bytes = size_of_val(values) as u64;
-            read(values);
+        self.inner.finish(source, &mut |message| {
+            bytes = message.bytes();
+            read(message);
         })?;
         self.recorder.end_transfer(self.share, Activity::Transfer, start, route, bytes, 0);
         self.since = self.recorder.now();
@@ -93,6 +99,28 @@ impl Transport for TracedTransport<'_> {
         self.inner.wait(source)
     }
 
+    fn share(
+        &mut self,
+        lengths: &[usize],
+        own: &[f32],
+        read: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<(), TransportError> {
+        let mut since = self.pause();
+        let (rank, recorder, share) = (self.inner.rank(), &mut *self.recorder, self.share);
+        self.inner.share(lengths, own, &mut |source, values| {
+            let (route, bytes) = ((0, source as u32, source as u32), size_of_val(values) as u64);
+            if source != rank {
+                recorder.end_transfer(share, Activity::Wait, since, route, 0, 0);
+                since = recorder.now();
+            }
+            read(source, values);
+            recorder.end_transfer(share, Activity::Transfer, since, route, bytes, 0);
+            since = recorder.now();
+        })?;
+        self.since = since;
+        Ok(())
+    }
+
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
         let start = self.pause();
         self.inner.all_gather(own, out)?;
@@ -100,10 +128,6 @@ impl Transport for TracedTransport<'_> {
         self.recorder.end_transfer(self.share, Activity::Wait, start, route, bytes, 0);
         self.since = self.recorder.now();
         Ok(())
-    }
-
-    fn expect_halo(&mut self, source: usize, bytes: u64) {
-        self.inner.expect_halo(source, bytes);
     }
 
     fn alive(&mut self) -> Result<(), TransportError> {
@@ -114,12 +138,8 @@ impl Transport for TracedTransport<'_> {
         self.inner.max_message_values()
     }
 
-    fn bytes_published(&self) -> u64 {
-        self.inner.bytes_published()
-    }
-
-    fn bytes_received(&self) -> u64 {
-        self.inner.bytes_received()
+    fn counts(&self) -> Counts {
+        self.inner.counts()
     }
 }
 

@@ -5,7 +5,7 @@
 use std::time::{Duration, Instant};
 
 use loomtree::interconnect::{Duplex, Plan, RankLinks, ScheduleKind, Topology, Traffic, plan};
-use loomtree::transport::{EmulatedTransport, InProcessTransport, Transport, TransportError};
+use loomtree::transport::{EmulatedTransport, InProcessTransport, Neighbor, Pattern, Rows, Transport, TransportError};
 use support::process::{Place, flag, repository};
 
 /// Values of a sub-vector.
@@ -44,8 +44,16 @@ fn on_ranks<T: Send>(
     })
 }
 
+/// Starts an exchange of whole sub-vectors.
 fn publish(transport: &mut dyn Transport, value: f32) {
-    transport.publish(LEN, &mut |out| out.fill(value)).expect("published");
+    let pattern = Pattern::whole(transport.rank(), &vec![LEN; transport.ranks()]);
+    transport.start(&pattern, 1, &mut |out| out.fill(value)).expect("started");
+}
+
+/// Two ranks read `rows` rows of a message of [`LEN`] of each other.
+fn halo_of_two(rank: usize, rows: u32) -> Pattern {
+    let neighbor = || vec![Neighbor { rank: 1 - rank, message_rows: LEN, rows: Rows::At((0..rows).collect()) }];
+    Pattern::new(LEN, neighbor(), neighbor())
 }
 
 #[test]
@@ -64,7 +72,9 @@ fn no_sub_vector_arrives_before_its_time() {
             for round in 0..ROUNDS {
                 publish(transport, rank as f32);
                 for node in &plan.schedule.queues[rank] {
-                    transport.receive(node.vector, &mut |got| assert_eq!(got, [node.vector as f32; LEN])).unwrap();
+                    let seen =
+                        transport.finish(node.vector, &mut |got| assert_eq!(got.values(), [node.vector as f32; LEN]));
+                    seen.unwrap();
                     let took = start.elapsed();
                     let of_owner = links[rank].whole.iter().filter(|receipt| receipt.owner == node.vector);
                     let earliest_s = f64::from(round) * exchange_s + of_owner.map(done).fold(0.0, f64::max);
@@ -95,7 +105,7 @@ fn a_straggler_delays_what_is_behind_it() {
         }
         publish(transport, 1.0);
         for (node, receipt) in plan.schedule.queues[rank].iter().zip(&links[rank].whole) {
-            transport.receive(node.vector, &mut |_| {}).unwrap();
+            transport.finish(node.vector, &mut |_| {}).unwrap();
             if rank == 0 {
                 assert!(start.elapsed() >= late, "{receipt:?}");
             }
@@ -121,23 +131,22 @@ fn what_is_held_longer_than_the_deadline_times_out_and_what_nobody_reads_is_not_
         // One row of halo takes 12 ms, two vectors of it twice as long.
         let (start, mut rows) = (Instant::now(), 0.0);
         for vectors in [1, 2] {
-            publish(transport, 1.0);
-            transport.expect_halo(other, 12 * vectors);
-            transport.receive(other, &mut |_| {}).unwrap();
+            let pattern = halo_of_two(transport.rank(), 1);
+            transport.start(&pattern, 3 * vectors, &mut |out| out.fill(1.0)).unwrap();
+            transport.finish(other, &mut |message| assert_eq!(message.row(0).len(), 3 * vectors)).unwrap();
             rows += vectors as f64;
             assert!(start.elapsed().as_secs_f64() >= 0.012 * rows);
         }
     });
     on_ranks(&topology, &plan, &no_halo(2), deadline, |transport| {
-        let other = 1 - transport.rank();
-        publish(transport, 1.0);
-        transport.expect_halo(other, 0);
-        transport.receive(other, &mut |_| {}).unwrap();
+        let pattern = halo_of_two(transport.rank(), 0);
+        transport.start(&pattern, 3, &mut |_| panic!("nobody reads it")).unwrap();
+        assert!(pattern.sources().is_empty());
     });
     on_ranks(&topology, &plan, &no_halo(2), Duration::from_millis(200), |transport| {
         let other = 1 - transport.rank();
         publish(transport, 1.0);
-        match transport.receive(other, &mut |_| {}) {
+        match transport.finish(other, &mut |_| {}) {
             Err(TransportError::TimedOut { source_rank, waited_s, .. }) => {
                 assert!(source_rank == other && waited_s >= 0.2);
             }

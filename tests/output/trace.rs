@@ -37,6 +37,7 @@ fn write_two_ranks(path: &Path) {
     ];
     let rank1 = [
         event(EventName::Step, Activity::Compute, (0, 9_000), (0, 1, 1)),
+        event(EventName::Publish, Activity::Transfer, (0, 0), (0, 0, 0)),
         event(EventName::Receive, Activity::Wait, (0, 1_500), (1, 0, 0)),
         event(EventName::Receive, Activity::Transfer, (1_500, 1_723), (1, 0, 0)),
     ];
@@ -92,16 +93,16 @@ fn slices_are_on_one_axis_and_do_not_overlap() {
         let track = (slice["pid"].as_i64().unwrap(), slice["tid"].as_i64().unwrap());
         tracks.entry(track).or_default().push((start, start + ns(&slice["dur"])));
     }
-    assert_eq!(tracks.values().map(Vec::len).sum::<usize>(), 13);
+    assert_eq!(tracks.values().map(Vec::len).sum::<usize>(), 14);
     for (track, mut slices) in tracks {
         let named = entries.iter().any(|e| e["name"] == "thread_name" && e["pid"] == track.0 && e["tid"] == track.1);
         assert!(named, "track {track:?} has no name");
         slices.sort();
         assert!(slices.windows(2).all(|pair| pair[0].1 <= pair[1].0), "track {track:?} overlaps: {slices:?}");
     }
-    let receive = entries.iter().find(|e| e["cat"] == "transfer" && e["pid"] == 1).unwrap();
+    let receive = entries.iter().find(|e| e["name"] == "receive sub-vector" && e["cat"] == "transfer").unwrap();
     assert_eq!((ns(&receive["ts"]), ns(&receive["dur"])), (2_000, 223));
-    assert_eq!(receive["name"], "receive sub-vector");
+    assert_eq!(receive["pid"], 1);
     assert_eq!(
         receive["args"],
         serde_json::json!({"step": 1, "stage": 1, "source": 0, "vector": 0, "bytes": 64, "flops": 7})
@@ -128,20 +129,37 @@ fn an_arrow_leads_from_the_publication_to_the_reception() {
     assert_eq!(arrows[0]["id"], arrows[1]["id"]);
 }
 
-#[test]
-fn no_arrow_is_drawn_when_an_event_is_missing() {
+/// Arrows of a step in which rank 0 begins `publications` exchanges and rank 1 begins and reads as `of_one` says.
+fn arrows(publications: usize, of_one: &[(EventName, u64)]) -> Vec<(i64, i64)> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("trace.json");
     let mut writer = TraceWriter::create(&path, &[], 0).unwrap();
-    let publish = [event(EventName::Publish, Activity::Transfer, (0, 10), (1, 0, 0))];
-    let receive = [(10, 20), (30, 40)].map(|span| event(EventName::Receive, Activity::Transfer, span, (1, 0, 0)));
-    writer
-        .append(&[
-            RankEvents { rank: 0, epoch_unix_ns: 0, events: &publish },
-            RankEvents { rank: 1, epoch_unix_ns: 0, events: &receive },
-        ])
-        .unwrap();
-    assert_eq!(load(&path).iter().filter(|e| e["ph"] == "s").count(), 0);
+    let transfer = |name: EventName, at: u64| event(name, Activity::Transfer, (at * 1000, at * 1000 + 500), (1, 0, 0));
+    let zero: Vec<Event> = (0..publications).map(|i| transfer(EventName::Publish, 10 * i as u64)).collect();
+    let one: Vec<Event> = of_one.iter().map(|&(name, at)| transfer(name, at)).collect();
+    let ranks = [(0, &zero), (1, &one)].map(|(rank, events)| RankEvents { rank, epoch_unix_ns: 0, events });
+    writer.append(&ranks).unwrap();
+    let entries = load(&path);
+    let ends =
+        |phase: &str| entries.iter().filter(|e| e["ph"] == phase).map(|e| ns(&e["ts"]) / 1000).collect::<Vec<_>>();
+    ends("s").into_iter().zip(ends("f")).collect()
+}
+
+#[test]
+fn arrows_of_who_does_not_read_every_message() {
+    use EventName::{Publish, Receive};
+    // Rank 1 reads in the second and the last of four exchanges.
+    let events = [(Publish, 1), (Publish, 11), (Receive, 12), (Publish, 21), (Publish, 31), (Receive, 32)];
+    assert_eq!(arrows(4, &events), [(10, 12), (30, 32)]);
+}
+
+#[test]
+fn no_arrow_is_drawn_when_an_event_is_missing() {
+    use EventName::{Publish, Receive};
+    let events = [(Publish, 1), (Receive, 2), (Publish, 11), (Receive, 12)];
+    assert_eq!(arrows(2, &events).len(), 2);
+    assert!(arrows(1, &events).is_empty() && arrows(3, &events).is_empty());
+    assert!(arrows(1, &[(Receive, 2), (Publish, 3)]).is_empty());
 }
 
 #[test]

@@ -8,7 +8,8 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use loomtree::transport::{
-    IceoryxOptions, IceoryxTransport, ProcessWatch, RunName, RunState, Transport, TransportError, list_runs,
+    IceoryxOptions, IceoryxTransport, Neighbor, Pattern, ProcessWatch, Rows, RunName, RunState, Transport,
+    TransportError, list_runs,
 };
 
 /// Generous: it only turns a deadlock into a failure.
@@ -34,7 +35,7 @@ impl Children {
         let executable = std::env::current_exe().expect("the test binary");
         let child = |rank: usize| {
             Command::new(&executable)
-                .args(["child_process", "--exact", "--nocapture", "--test-threads=1"])
+                .args(["transport_processes::child_process", "--exact", "--nocapture", "--test-threads=1"])
                 .env(ROLE, format!("{run} {program} {rank} {ranks}"))
                 .stdout(Stdio::piped())
                 .stderr(Stdio::inherit())
@@ -95,11 +96,23 @@ fn rounds(transport: &mut IceoryxTransport, count: usize) -> Result<f64, Transpo
     let (rank, ranks) = (transport.rank(), transport.ranks());
     let (mut sum, mut out) = (0.0, Vec::new());
     for round in 0..count {
-        let len = (rank * 977 + round * 131) % 3000;
-        transport.publish(len, &mut |buffer| buffer.fill((rank + round % 100) as f32))?;
-        let mut seen = len as f64 * (rank + round % 100) as f64;
-        for source in (1..ranks).map(|step| (rank + step) % ranks) {
-            transport.receive(source, &mut |values| seen += values.iter().map(|&v| v as f64).sum::<f64>())?;
+        let lens: Vec<usize> = (0..ranks).map(|rank| (rank * 977 + round * 131) % 3000).collect();
+        let pattern = Pattern::whole(rank, &lens);
+        transport.start(&pattern, 1, &mut |buffer| buffer.fill((rank + round % 100) as f32))?;
+        let mut seen = lens[rank] as f64 * (rank + round % 100) as f64;
+        for source in pattern.sources().iter().map(|source| source.rank) {
+            transport.finish(source, &mut |message| seen += message.values().iter().map(|&v| v as f64).sum::<f64>())?;
+        }
+        // A border of one row with the ranks before and after.
+        let neighbors = || {
+            let beside = [rank.checked_sub(1), Some(rank + 1).filter(|&next| next < ranks)];
+            let rows = || Rows::At(vec![round as u32 % 5]);
+            beside.into_iter().flatten().map(|rank| Neighbor { rank, message_rows: 5, rows: rows() }).collect()
+        };
+        let border = Pattern::new(5, neighbors(), neighbors());
+        transport.start(&border, 3, &mut |buffer| buffer.fill(rank as f32))?;
+        for source in border.sources().iter().map(|source| source.rank) {
+            transport.finish(source, &mut |message| assert_eq!(message.row(0), [source as f32; 3]))?;
         }
         transport.all_gather(&[seen, rank as f64], &mut out)?;
         assert!(out.iter().all(|values| values[0] == seen), "ranks saw different messages in round {round}");
@@ -229,13 +242,14 @@ fn times(transport: &mut IceoryxTransport) {
         start.elapsed()
     });
     let gather = median(gather.collect());
+    let whole = Pattern::whole(rank, &vec![1 << 18; ranks]);
     let exchange = (0..300).map(|_| {
         let start = Instant::now();
-        transport.publish(1 << 18, &mut |buffer| buffer.fill(1.0)).unwrap();
+        transport.start(&whole, 1, &mut |buffer| buffer.fill(1.0)).unwrap();
         for source in (1..ranks).map(|step| (rank + step) % ranks) {
             // Every cache line is read and little is computed.
             let mut sum = 0.0;
-            transport.receive(source, &mut |values| sum = values.iter().step_by(16).sum::<f32>()).unwrap();
+            transport.finish(source, &mut |m| sum = m.values().iter().step_by(16).sum::<f32>()).unwrap();
             assert_eq!(sum, (1 << 14) as f32);
         }
         start.elapsed()

@@ -50,7 +50,7 @@ pub(super) struct OwnCells {
     tails: [Vec<EntryHandleMut<Ipc, u64, Tail>>; 2],
     /// Bit r is set while this rank sleeps (or is about to) until rank r does something.
     pub asleep: EntryHandleMut<Ipc, u64, u64>,
-    /// Messages of each source that this rank has read and given back.
+    /// By source: one more than the number of the last exchange whose message this rank has read and given back; 0 = none.
     pub consumed: Vec<EntryHandleMut<Ipc, u64, u64>>,
     _writer: Writer<Ipc, u64>,
     _service: PortFactory<Ipc, u64>,
@@ -122,7 +122,7 @@ pub(super) struct PeerCells {
     heads: [EntryHandle<Ipc, u64, Head>; 2],
     tails: [Vec<EntryHandle<Ipc, u64, Tail>>; 2],
     asleep: EntryHandle<Ipc, u64, u64>,
-    /// Messages of the own rank that this peer has read and given back.
+    /// One more than the number of the last exchange in which this peer has read the own rank's message; 0 = none.
     consumed: EntryHandle<Ipc, u64, u64>,
     _reader: Reader<Ipc, u64>,
     _service: PortFactory<Ipc, u64>,

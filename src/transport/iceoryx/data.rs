@@ -1,12 +1,26 @@
-//! [`Transport`] between processes: one publisher per rank that all others read in place, and one blackboard per rank.
+//! [`Transport`] between processes: one publisher per rank whose messages all others can read in place, and one blackboard
+//! per rank.
 //!
-//! **No deadlock.** Ranks run the same sequence of calls, and at any point of it at most [`DEPTH`] messages of a source
-//! are published and not yet received (publish, let everybody receive, publish again needs one). Take the rank that is
-//! least far in that sequence: what it waits for - a message, a contribution, room in a reader's buffer - is made by calls
-//! that stand earlier in the sequence, and no other rank is waiting there. So it goes on.
+//! A message lies in the publisher's memory once and is known to every other rank, but only the readers that its pattern names
+//! take it. Messages carry the number of their exchange; a reader forgets older ones, and what nobody takes off a rank's list
+//! is pushed out by newer messages. Readers write on their blackboard up to which exchange they have read a source: these
+//! credits keep what is pushed out and what is to be read apart.
+//!
+//! **Three buffers per rank suffice** ([`DEPTH`] + 1, for any number of ranks). When a rank begins to write a message, all
+//! readers of the message before the last have given it back ([`IceoryxTransport::wait_for_room`]). So
+//! - only the last message may have readers that have still to read it, or that hold it;
+//! - lists of ranks that do not read hold at most the last [`DEPTH`] messages, because they are no longer;
+//! - besides, a rank that looks for its message holds an older one for the moment in which it sees that it is an older one.
+//!
+//! The first two are two buffers, and the third is the one to write. A buffer of the third kind comes back by itself, as its
+//! holder waits for nobody: a writer that finds no buffer looks again. A message that somebody has still to read is never
+//! pushed out: it would take [`DEPTH`] newer ones, and the second of them is not written before it is read.
+//! That nobody waits in a circle is shown in `transport/mod.rs`.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
+use iceoryx2::port::LoanError;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
@@ -14,10 +28,13 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use super::cells::{OwnCells, before_waking};
-use super::node::{DEPTH, Ipc, create_node, create_wake, service_name, text};
-use super::ports::{Header, Peer, ValueSample, Values, create_values, open_peer, port_name, stopped_error};
+use super::node::{Ipc, create_node, create_wake, service_name, text};
+use super::ports::{Header, Peer, Values, create_values, open_peer, port_name, stopped_error};
+use crate::transport::pattern::{DEPTH, Pending};
 use crate::transport::wait::{Patience, WaitHook};
-use crate::transport::{ALL_GATHER_MAX, RANKS_MAX, RunName, Transport, TransportError, shared_memory};
+use crate::transport::{
+    ALL_GATHER_MAX, Counts, Message, Pattern, RANKS_MAX, RunName, Transport, TransportError, shared_memory,
+};
 
 /// What a rank needs to connect.
 pub struct IceoryxOptions {
@@ -41,10 +58,19 @@ pub struct IceoryxTransport {
     max_len: usize,
     patience: Patience,
     links: Links,
-    published: u64,
+    pending: Pending,
+    /// Own messages that may have readers, oldest first.
+    unread: VecDeque<Unread>,
     gathers: u64,
-    bytes_published: u64,
-    bytes_received: u64,
+    counts: Counts,
+}
+
+/// An own message.
+struct Unread {
+    /// Number of its exchange.
+    number: u64,
+    /// Names its readers.
+    pattern: Pattern,
 }
 
 /// All ports; apart from the counters so that a wait can look at them while the hook runs.
@@ -88,16 +114,15 @@ impl IceoryxTransport {
             peers.push(opened.transpose()?);
         }
         let links = Links { rank, own, publisher, listener, peers, _values: values, _wake: wake, _node: node };
-        let (bytes_published, bytes_received) = (0, 0);
         let mut transport = IceoryxTransport {
             rank,
             max_len,
             patience,
             links,
-            published: 0,
+            pending: Pending::new(rank, ranks),
+            unread: VecDeque::new(),
             gathers: 0,
-            bytes_published,
-            bytes_received,
+            counts: Counts::default(),
         };
         // A port that is registered is not yet connected: first all subscribers must be there, then all senders connect,
         // then all subscribers do.
@@ -153,28 +178,21 @@ impl IceoryxTransport {
         result
     }
 
-    /// Waits until every reader has given back all but `DEPTH - 1` messages.
+    /// Waits until all readers of the own message before the last have given it back.
     fn wait_for_room(&mut self) -> Result<(), TransportError> {
-        let published = self.published;
-        for reader in 0..self.links.peers.len() {
-            self.wait_for(reader, "room for the next message", |links| {
-                let Some(peer) = &mut links.peers[reader] else { return Ok(Some(())) };
-                if published - peer.consumed >= DEPTH as u64 {
-                    peer.consumed = peer.cells.consumed();
-                }
-                Ok((published - peer.consumed < DEPTH as u64).then_some(()))
-            })?;
+        while self.unread.len() >= DEPTH {
+            let Some(Unread { number, pattern }) = self.unread.pop_front() else { break };
+            for reader in pattern.readers().iter().map(|reader| reader.rank) {
+                self.wait_for(reader, "room for the next message", |links| {
+                    let Some(peer) = &mut links.peers[reader] else { return Ok(Some(())) };
+                    if peer.consumed <= number {
+                        peer.consumed = peer.cells.consumed();
+                    }
+                    Ok((peer.consumed > number).then_some(()))
+                })?;
+            }
         }
         Ok(())
-    }
-
-    fn next_sample(&mut self, source: usize) -> Result<ValueSample, TransportError> {
-        let rank = self.rank;
-        self.wait_for(source, "its next message", |links| {
-            let Some(peer) = &mut links.peers[source] else { return Ok(None) };
-            let received = peer.subscriber.receive();
-            received.map_err(|error| TransportError::Mechanism { rank, message: format!("receive: {error:?}") })
-        })
     }
 }
 
@@ -187,15 +205,31 @@ impl Transport for IceoryxTransport {
         self.links.peers.len()
     }
 
-    fn publish(&mut self, len: usize, fill: &mut dyn FnMut(&mut [f32])) -> Result<(), TransportError> {
+    fn start(
+        &mut self,
+        pattern: &Pattern,
+        width: usize,
+        fill: &mut dyn FnMut(&mut [f32]),
+    ) -> Result<(), TransportError> {
+        let len = pattern.message_values(width);
         if len > self.max_len {
             let max_len = self.max_len;
             return Err(self.fail(format!("a message of {len} values; memory was reserved for {max_len}")));
         }
+        let number = self.pending.start(pattern, width)?;
+        let Some(first) = pattern.readers().first() else { return Ok(()) };
         self.wait_for_room()?;
-        let loaned = self.links.publisher.loan_slice_uninit(len);
-        let mut sample = loaned.map_err(|error| self.fail(format!("buffer for a message: {error:?}")))?;
-        sample.user_header_mut().sequence = self.published;
+        let rank = self.rank;
+        let mut sample =
+            self.wait_for(first.rank, "a free buffer", |links| match links.publisher.loan_slice_uninit(len) {
+                Ok(sample) => Ok(Some(sample)),
+                // Somebody holds an old message for the moment in which it sees that it is old.
+                Err(LoanError::OutOfMemory) => Ok(None),
+                Err(error) => {
+                    Err(TransportError::Mechanism { rank, message: format!("buffer for a message: {error:?}") })
+                }
+            })?;
+        sample.user_header_mut().sequence = number;
         let payload = sample.payload_mut();
         // SAFETY: same layout; the memory comes from the system zeroed (or holds an older message) and every bit pattern
         // is an f32, so what `fill` leaves unwritten holds unspecified values, not uninitialized ones.
@@ -204,57 +238,45 @@ impl Transport for IceoryxTransport {
         // SAFETY: initialized, see above.
         let sample = unsafe { sample.assume_init() };
         let sent = sample.send().map_err(|error| self.fail(format!("publish: {error:?}")))?;
-        let readers = self.ranks() - 1;
-        if sent != readers {
-            return Err(self.fail(format!("a message reached {sent} of {readers} ranks: one has left the run")));
+        // A rank that reads nothing any more may be gone already.
+        let readers = pattern.readers().len();
+        if sent < readers {
+            return Err(self.fail(format!("a message for {readers} ranks reached {sent}: one has left the run")));
         }
-        self.published += 1;
-        self.bytes_published += (len * size_of::<f32>()) as u64;
-        self.links.wake_sleepers();
-        Ok(())
-    }
-
-    fn receive(&mut self, source: usize, read: &mut dyn FnMut(&[f32])) -> Result<(), TransportError> {
-        if self.links.peers.get(source).is_none_or(Option::is_none) {
-            return Err(self.fail(format!("cannot receive from rank {source} of {} ranks", self.ranks())));
-        }
-        let sample = self.next_sample(source)?;
-        let expected = self.links.peers[source].as_ref().map_or(0, |peer| peer.received);
-        let got = sample.user_header().sequence;
-        if got != expected {
-            return Err(TransportError::OutOfOrder { rank: self.rank, source_rank: source, expected, got });
-        }
-        read(sample.payload());
-        self.bytes_received += std::mem::size_of_val(sample.payload()) as u64;
-        // The buffer goes back before the counter says so.
-        drop(sample);
-        if let Some(peer) = &mut self.links.peers[source] {
-            peer.received = expected + 1;
-        }
-        self.links.own.consumed[source].update_with_copy(expected + 1);
-        self.links.wake_if_asleep(source);
+        self.links.wake_if_asleep(pattern.readers().iter().map(|reader| reader.rank));
+        self.unread.push_back(Unread { number, pattern: pattern.clone() });
+        self.counts.publish(pattern, width);
         Ok(())
     }
 
     fn ready(&mut self, source: usize) -> bool {
-        match self.links.peers.get(source) {
-            Some(Some(peer)) => peer.subscriber.has_samples().unwrap_or(false),
-            _ => false,
-        }
+        let Some(number) = self.pending.next(source).map(|due| due.number) else { return false };
+        let peer = self.links.peers[source].as_mut();
+        // What is wrong with a message is said by `wait` and `finish`.
+        peer.is_some_and(|peer| !matches!(peer.find(self.rank, source, number), Ok(false)))
     }
 
     fn wait(&mut self, source: usize) -> Result<(), TransportError> {
-        if self.links.peers.get(source).is_none_or(Option::is_none) {
-            return Err(self.fail(format!("cannot wait for rank {source} of {} ranks", self.ranks())));
-        }
-        let rank = self.rank;
+        let (rank, number) = (self.rank, self.pending.expect(source)?.number);
         self.wait_for(source, "its next message", |links| {
-            let Some(peer) = &links.peers[source] else { return Ok(None) };
-            let waiting = peer.subscriber.has_samples();
-            let waiting =
-                waiting.map_err(|error| TransportError::Mechanism { rank, message: format!("receive: {error:?}") })?;
-            Ok(waiting.then_some(()))
+            let Some(peer) = &mut links.peers[source] else { return Ok(None) };
+            Ok(peer.find(rank, source, number)?.then_some(()))
         })
+    }
+
+    fn finish(&mut self, source: usize, read: &mut dyn FnMut(&Message<'_>)) -> Result<(), TransportError> {
+        self.wait(source)?;
+        let due = self.pending.take(source)?;
+        let found = self.links.peers[source].as_mut().and_then(|peer| peer.found.take());
+        let Some(sample) = found else { return Err(self.fail(format!("lost a message of rank {source}"))) };
+        let message = due.message(self.rank, sample.payload())?;
+        read(&message);
+        self.counts.receive(&message);
+        // The buffer goes back before the counter says so.
+        drop(sample);
+        self.links.own.consumed[source].update_with_copy(due.number + 1);
+        self.links.wake_if_asleep([source]);
+        Ok(())
     }
 
     fn alive(&mut self) -> Result<(), TransportError> {
@@ -297,17 +319,13 @@ impl Transport for IceoryxTransport {
         self.max_len
     }
 
-    fn bytes_published(&self) -> u64 {
-        self.bytes_published
-    }
-
-    fn bytes_received(&self) -> u64 {
-        self.bytes_received
+    fn counts(&self) -> Counts {
+        self.counts
     }
 }
 
 impl Links {
-    /// Wakes every rank that sleeps for this one.
+    /// Wakes all ranks that sleep for this one.
     fn wake_sleepers(&self) {
         before_waking();
         for peer in self.peers.iter().flatten() {
@@ -315,9 +333,10 @@ impl Links {
         }
     }
 
-    fn wake_if_asleep(&self, rank: usize) {
+    /// Wakes those of `ranks` that sleep for this one.
+    fn wake_if_asleep(&self, ranks: impl IntoIterator<Item = usize>) {
         before_waking();
-        if let Some(Some(peer)) = self.peers.get(rank) {
+        for peer in ranks.into_iter().filter_map(|rank| self.peers[rank].as_ref()) {
             self.notify(peer);
         }
     }

@@ -6,8 +6,9 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::Builder;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use super::node::{BUFFERS, DEPTH, Ipc, text};
+use super::node::{Ipc, text};
 use crate::transport::frames::{FRAME_MAX, FrameHead, Inbox, Outbox};
+use crate::transport::pattern::{BUFFERS, DEPTH};
 
 /// [`FrameHead`] as it crosses.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]

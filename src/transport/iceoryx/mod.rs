@@ -2,9 +2,9 @@
 //! data, `control` the coordinator's messages.
 //!
 //! iceoryx2 is used as a mechanism, not as a protocol. Three rules of ours make it one:
-//! - **Credits.** A publisher sends only while every reader has room, which it knows from a counter that the reader
-//!   keeps on its blackboard. So `send` neither blocks nor drops, a dead reader never blocks a sender inside foreign
-//!   code, and three buffers per publisher are enough for any number of readers.
+//! - **Credits.** A publisher sends only while those that read its messages have room, which it knows from a counter that
+//!   each reader keeps on its blackboard. So `send` neither blocks nor drops what somebody reads, a dead reader never blocks
+//!   a sender inside foreign code, and three buffers per publisher are enough for any number of readers (`data.rs`).
 //! - **Announced sleep.** A rank that is about to sleep writes on its blackboard for whom it waits, and only those wake
 //!   it: rounds in which everyone meets awake cost no system call.
 //! - **Nobody cleans up piecemeal.** All files carry the run's prefix and go in one purge after the last process has
@@ -25,4 +25,3 @@ pub use connect::IceoryxConnect;
 pub use control::IceoryxCoordinator;
 pub use control_worker::IceoryxWorker;
 pub use data::{IceoryxOptions, IceoryxTransport};
-pub(super) use node::BUFFERS;

@@ -13,12 +13,6 @@ use crate::transport::wait::{Patience, Stopped};
 /// The flavour of iceoryx2 used: shared memory between processes, ports bound to one thread.
 pub(super) type Ipc = ipc::Service;
 
-/// Messages that a publisher may be ahead of its slowest reader.
-pub(super) const DEPTH: usize = 2;
-
-/// Buffers of a publisher: those that readers may hold or still have to read, and the one being written.
-pub(in crate::transport) const BUFFERS: usize = DEPTH + 1;
-
 /// Pause between two attempts to open what another process is about to create.
 const OPEN_PAUSE: Duration = Duration::from_millis(1);
 

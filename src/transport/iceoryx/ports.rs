@@ -7,15 +7,16 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use super::cells::PeerCells;
-use super::node::{BUFFERS, DEPTH, Ipc, OpenError, open_when_created, service_name, text};
+use super::node::{Ipc, OpenError, open_when_created, service_name, text};
 use crate::transport::TransportError;
+use crate::transport::pattern::{BUFFERS, DEPTH};
 use crate::transport::wait::{Patience, Stopped};
 
 /// In front of every message.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
 pub(super) struct Header {
-    /// Messages of this source, counting from 0.
+    /// Number of the exchange, counting from 0.
     pub sequence: u64,
 }
 
@@ -29,12 +30,31 @@ pub(super) struct Peer {
     pub cells: PeerCells,
     pub subscriber: Subscriber<Ipc, Values, Header>,
     pub notifier: Notifier<Ipc>,
-    /// Messages of this peer received so far.
-    pub received: u64,
-    /// Own messages that this peer had given back when last looked at.
+    /// The next message that this rank reads, if it has been found among those that it does not.
+    pub found: Option<ValueSample>,
+    /// What this peer's counter ([`PeerCells::consumed`]) said when last looked at.
     pub consumed: u64,
     _values: publish_subscribe::PortFactory<Ipc, Values, Header>,
     _wake: event::PortFactory<Ipc>,
+}
+
+impl Peer {
+    /// Looks for the message of exchange `expected` and forgets older ones, which this rank does not read. True if it is
+    /// there (in `found`).
+    pub(super) fn find(&mut self, rank: usize, source_rank: usize, expected: u64) -> Result<bool, TransportError> {
+        while self.found.is_none() {
+            let sample = self.subscriber.receive().map_err(|error| {
+                let message = format!("receive: {error:?}");
+                TransportError::Mechanism { rank, message }
+            })?;
+            let Some(sample) = sample else { return Ok(false) };
+            self.found = Some(sample).filter(|sample| sample.user_header().sequence >= expected);
+        }
+        match self.found.as_ref().map_or(expected, |sample| sample.user_header().sequence) {
+            got if got == expected => Ok(true),
+            got => Err(TransportError::OutOfOrder { rank, source_rank, expected, got }),
+        }
+    }
 }
 
 /// The error of a wait for `source_rank` that was given up.
@@ -65,7 +85,8 @@ pub(super) fn create_values(node: &Node<Ipc>, name: &str, ranks: usize, max_len:
         .subscriber_max_buffer_size(DEPTH)
         .subscriber_max_borrowed_samples(1)
         .history_size(0)
-        .enable_safe_overflow(false)
+        // A rank that reads nothing of a source leaves its messages lying; newer ones push them out.
+        .enable_safe_overflow(true)
         .create()
         .map_err(text("messages"))?;
     let publisher = service
@@ -73,7 +94,6 @@ pub(super) fn create_values(node: &Node<Ipc>, name: &str, ranks: usize, max_len:
         .initial_max_slice_len(max_len.max(1))
         .max_loaned_samples(1)
         .allocation_strategy(AllocationStrategy::Static)
-        // With credits no reader's buffer is ever full: a full one is an error, not something to wait for in here.
         .backpressure_strategy(BackpressureStrategy::DiscardData)
         .override_sample_preallocation(|_| BUFFERS)
         .create()
@@ -111,5 +131,5 @@ pub(super) fn open_peer(
     let wake = open_when_created(patience, "wake-up service", || node.service_builder(&wake_name).event().open())
         .map_err(not_opened)?;
     let notifier = wake.notifier_builder().create().map_err(|error| fail(format!("notifier: {error:?}")))?;
-    Ok(Peer { cells, subscriber, notifier, received: 0, consumed: 0, _values: values, _wake: wake })
+    Ok(Peer { cells, subscriber, notifier, found: None, consumed: 0, _values: values, _wake: wake })
 }
