@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Cursor, Read};
 use std::path::Path;
 
-/// Deflate makes at most this many bytes of one [RFC 1951].
+/// Deflate makes at most this many bytes of one, because no match is longer than 258 bytes and none takes less than 2 bits.
 const EXPANSION_MAX: u64 = 1032;
 
 /// A file as its parser sees it.

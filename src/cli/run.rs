@@ -260,7 +260,7 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
         note(untangled_line(done));
     }
     for line in &plan.scene.warnings {
-        eprintln!("warning: {line}");
+        note(format_args!("warning: {line}"));
     }
     for line in &plan.scene.left_out {
         note(format_args!("left out: {line}"));
