@@ -169,7 +169,7 @@ impl FormatList {
     }
 }
 
-fn positive_seconds(text: &str) -> Result<f64, String> {
+pub(super) fn positive_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds > 0.0 && seconds <= 1e9 => Ok(seconds),
         _ => Err("expected a number of seconds above 0, at most 1e9".to_string()),
@@ -250,9 +250,13 @@ pub fn defaults() -> RunOptions {
 /// # Errors
 /// Bad input, a run that failed, or one that a signal has stopped (exit code 128 + its number).
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
-    let (places, options) = resolve(&args)?;
+    let Resolved { places, options, recorded_scene } = resolve(&args)?;
     signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
-    let plan = RunPlan::new(&places.scene, &options).map_err(|error| match error {
+    let plan = match &recorded_scene {
+        Some(text) => RunPlan::of_text(text, &places.scene, &options),
+        None => RunPlan::new(&places.scene, &options),
+    };
+    let plan = plan.map_err(|error| match error {
         PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
         other => CliError::bad_input(other),
     })?;
@@ -277,6 +281,10 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     let summary = crate::coordinator::run(plan, &options, &places, &launch).map_err(|error| match error {
         RunError::BadInput(text) => CliError::bad_input(text),
         RunError::Failed(text) => CliError::failed(text),
+        RunError::Stopped(text) => {
+            note(text);
+            stopped()
+        }
     })?;
     let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
     note(format_args!(
@@ -286,14 +294,26 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
         summary.frames - 1,
         places.out.join("frames").display()
     ));
-    match signals::stop_requested().filter(|_| summary.stopped) {
-        Some(signal) => Err(CliError { exit_code: signal.exit_code(), message: String::new() }),
-        None => Ok(()),
-    }
+    if summary.stopped { Err(stopped()) } else { Ok(()) }
 }
 
-/// Scene, run directory and options; a resumed run takes from `run.toml` what the command line leaves open.
-fn resolve(args: &RunArgs) -> Result<(RunPlaces, RunOptions), CliError> {
+/// The end of a run that a signal has stopped; what there is to say has been said.
+fn stopped() -> CliError {
+    let exit_code = signals::stop_requested().map_or(1, |signal| signal.exit_code());
+    CliError { exit_code, message: String::new() }
+}
+
+/// What a command line asks for.
+struct Resolved {
+    places: RunPlaces,
+    options: RunOptions,
+    /// The scene's text as the run directory has it, if the run goes on with that.
+    recorded_scene: Option<String>,
+}
+
+/// Scene, run directory and options; a resumed run takes from `run.toml` what the command line leaves open, and goes on with
+/// the scene as it was: its file may have moved, changed or gone since.
+fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
     let existing = match (args.resume, args.overwrite) {
         (true, _) => Existing::Resume,
         (_, true) => Existing::Overwrite,
@@ -304,7 +324,12 @@ fn resolve(args: &RunArgs) -> Result<(RunPlaces, RunOptions), CliError> {
             args.scene.clone().ok_or_else(|| CliError::bad_input("a scene file is needed: loomtree run SCENE"))?;
         let stem = scene.file_stem().unwrap_or_default();
         let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(stem));
-        return Ok((RunPlaces { scene, out, existing }, args.options(defaults())));
+        if scene.to_str().is_none() {
+            let sentence = "its name is not UTF-8, which run.toml needs: rename the file, or give a link to it";
+            return Err(CliError::bad_input(format!("{}: {sentence}", scene.display())));
+        }
+        let (places, options) = (RunPlaces { scene, out, existing }, args.options(defaults()));
+        return Ok(Resolved { places, options, recorded_scene: None });
     }
     let out = match (&args.out, &args.scene) {
         (Some(out), _) => out.clone(),
@@ -317,6 +342,19 @@ fn resolve(args: &RunArgs) -> Result<(RunPlaces, RunOptions), CliError> {
         note(format_args!("warning: {sentence}"));
     }
     let recorded: RunOptions = manifest.flags().map_err(CliError::bad_input)?;
-    let scene = args.scene.clone().unwrap_or(manifest.scene_path);
-    Ok((RunPlaces { scene, out, existing }, args.options(recorded)))
+    let (scene, recorded_scene) = match &args.scene {
+        Some(scene) => (scene.clone(), None),
+        None => {
+            let now = std::fs::read_to_string(&manifest.scene_path);
+            if now.is_ok_and(|now| now != manifest.scene_text) {
+                let file = manifest.scene_path.display();
+                note(format_args!(
+                    "warning: {file} has changed since the run was started, which goes on with it as it was"
+                ));
+            }
+            (manifest.scene_path, Some(manifest.scene_text))
+        }
+    };
+    let (places, options) = (RunPlaces { scene, out, existing }, args.options(recorded));
+    Ok(Resolved { places, options, recorded_scene })
 }

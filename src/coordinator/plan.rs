@@ -15,7 +15,9 @@ use crate::model::{GlobalModel, RankModel};
 use crate::output::FrameFormat;
 use crate::partition::RowPartition;
 use crate::protocol::{BindCores, ExecutorChoice};
-use crate::scene::{Overrides, PreconditionerKind, Scene, SceneError, Untangling, load, load_untangled};
+use crate::scene::{
+    Overrides, PreconditionerKind, Scene, SceneError, Untangling, load, load_untangled, read_str,
+};
 use crate::solver::ExchangeMode;
 use crate::transport::{Machine, RANKS_MAX, STAMP_VALUES};
 
@@ -254,6 +256,16 @@ impl RunPlan {
             return RunPlan::of_scene(load(scene_path, &overrides)?, options);
         }
         let (scene, untangled) = load_untangled(scene_path, &overrides)?;
+        Ok(RunPlan { untangled, ..RunPlan::of_scene(scene, options)? })
+    }
+
+    /// As [`RunPlan::new`] for a text that was the file `scene_path`, whether or not that is still there.
+    pub fn of_text(text: &str, scene_path: &Path, options: &RunOptions) -> Result<RunPlan, PlanError> {
+        let overrides = Overrides { resolution: options.resolution, frames: options.frames };
+        if !options.untangle {
+            return RunPlan::of_scene(read_str(text, scene_path)?.at(&overrides)?, options);
+        }
+        let (scene, untangled) = read_str(text, scene_path)?.untangled_at(&overrides)?;
         Ok(RunPlan { untangled, ..RunPlan::of_scene(scene, options)? })
     }
 

@@ -10,9 +10,10 @@ use super::plan::{RunOptions, RunPlan};
 use super::session::StepDone;
 use crate::impact_zone::ZoneCounts;
 use crate::model::State;
+use crate::os::console::note;
 use crate::output::{
     Checkpoint, Existing, FrameRecord, FrameWriter, QueryRecord, RankEvents, ReportHeader, ReportWriter, RunDirectory,
-    RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint,
+    RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, take_up_formats,
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
@@ -152,6 +153,11 @@ impl Recorder {
         };
         self.report = Some(report.map_err(write_error)?);
         let first_frame = self.first.as_ref().map_or(0, |from| from.frame + 1);
+        if first_frame > 0 {
+            let sentences =
+                take_up_formats(&self.directory, &self.options.formats, first_frame).map_err(write_error)?;
+            sentences.iter().for_each(note);
+        }
         self.frames = Some(
             FrameWriter::with_parts(&self.directory, &self.options.formats, &scene.mesh, &scene.parts, first_frame)
                 .map_err(write_error)?,
@@ -276,6 +282,9 @@ impl Recorder {
     /// Writes the last good state as a checkpoint; says where, as the end of a sentence.
     pub fn keep_last_state(&mut self) -> Result<String, RecordError> {
         let Some(last) = &self.last else { return Ok(String::new()) };
+        if let Some(report) = &mut self.report {
+            report.save().map_err(write_error)?;
+        }
         let path = checkpoint::write(&self.directory.checkpoints(), last).map_err(write_error)?;
         Ok(format!("; the last good state (step {}) is kept in {}, continue with --resume", last.step, path.display()))
     }

@@ -17,6 +17,7 @@ pub mod plot;
 pub mod ply;
 mod read;
 mod report;
+mod take_up;
 mod timeline;
 mod trace;
 mod trace_read;
@@ -33,6 +34,7 @@ pub use read::{FrameSource, FramesError};
 pub use report::{
     FrameRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, Status, StepRecord,
 };
+pub use take_up::take_up_formats;
 pub use timeline::{Timeline, TimelineBox, timeline_svg, write_timeline};
 pub use trace::{RankEvents, TraceWriter};
 pub use trace_read::{TraceReadError, read_trace};

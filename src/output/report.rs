@@ -1,7 +1,7 @@
 //! `report.json`: what a run was, and what every step and frame of it cost and gave.
 //!
-//! The file is replaced as a whole, at most once a second and at the end: a crash leaves a valid report that lacks the
-//! last moments and says `running`.
+//! The file is replaced as a whole, at most once a second, before every checkpoint and at the end: a crash leaves a valid
+//! report that says `running` and lacks at most what came after the newest checkpoint.
 
 use std::fs;
 use std::io::{self, Write};
@@ -348,6 +348,11 @@ impl ReportWriter {
         if self.written.elapsed() < PAUSE {
             return Ok(());
         }
+        self.save()
+    }
+
+    /// Writes the file as it is. Before a checkpoint, so that no record up to it is lost with this process.
+    pub fn save(&mut self) -> Result<(), WriteError> {
         self.report.save(&self.path)?;
         self.written = Instant::now();
         Ok(())

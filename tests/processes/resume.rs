@@ -83,3 +83,57 @@ fn a_resume_that_does_not_fit_is_refused_and_changes_nothing() {
     assert!(!place.path("nowhere").exists());
     assert_eq!((place.hashes("out"), fs::read(place.path("out/run.toml")).expect("run.toml")), before);
 }
+
+/// A checkpoint may be newer than the last report that was due, and the coordinator may be killed right after it.
+#[test]
+fn a_killed_coordinator_leaves_no_hole_in_the_report() {
+    let place = Place::new();
+    place.write("flag.toml", flag(1000, 2, 1_000_000));
+    let mut running = place.start("run flag.toml --executor cpu --threads 1 --checkpoint-every 1 --out out");
+    running.wait_for_frame("out", 5);
+    signal(running.pid(), Signal::KILL);
+    running.wait();
+    let (_, frame, _) = place.newest_checkpoint("out");
+    let frames = frame + 3;
+    place.run(&format!("run --resume --out out --frames {frames}")).expect(0);
+    let report = place.report("out");
+    assert_eq!(place.hashes("out"), straight(&place, frames));
+    let steps: Vec<u64> =
+        report["steps"].as_array().expect("steps").iter().filter_map(|s| s["step"].as_u64()).collect();
+    assert_eq!(steps, (1..=u64::from(2 * frames)).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_moved_run_goes_on_without_its_scene_file() {
+    let place = Place::new();
+    place.write("flag.toml", flag(1000, 2, 3));
+    let expected = straight(&place, 6);
+    place.run("run flag.toml --executor cpu --out out").expect(0);
+    fs::rename(place.path("out"), place.path("moved")).expect("moves");
+    // Changed first, then gone.
+    place.write("flag.toml", flag(1000, 2, 3).replace("nylon", "cotton"));
+    place.run("run --resume --out moved --frames 5").expect(0).says(&["flag.toml has changed since"]);
+    fs::remove_file(place.path("flag.toml")).expect("removes");
+    place.run("run --resume --out moved --frames 6 --checkpoint-every 1 --workers 2").expect(0);
+    assert_eq!(place.hashes("moved"), expected);
+}
+
+#[test]
+fn a_resumed_run_takes_up_other_formats() {
+    let place = Place::new();
+    place.write("flag.toml", flag(500, 2, 3));
+    place.run("run flag.toml --executor cpu --out out").expect(0);
+    place
+        .run("run --resume --out out --frames 5 --format pc2,obj")
+        .expect(0)
+        .says(&["cloth.pc2: frames 0 to 3 converted", "obj files begin with frame 4; earlier frames are there as ply"]);
+    place.run("run flag.toml --executor cpu --out straight --frames 5 --format pc2,obj").expect(0);
+    let read = |path: &str| fs::read(place.path(path)).expect(path);
+    assert!(read("out/cloth.pc2") == read("straight/cloth.pc2"), "the same point cache");
+    assert!(read("out/frames/frame_000005.obj") == read("straight/frames/frame_000005.obj"));
+    // Frames that are not there cannot be converted.
+    place.run("run flag.toml --executor cpu --out holes").expect(0);
+    fs::remove_file(place.path("holes/frames/frame_000001.ply")).expect("removes");
+    let ended = place.run("run --resume --out holes --frames 5 --format pc2").expect(1);
+    assert!(ended.error().contains("frame 4 does not follow the 1 frames"), "{}", ended.story);
+}
