@@ -59,6 +59,9 @@ pub struct WorkerSetup {
     pub links: Option<RankLinks>,
 }
 
+/// Step in the heartbeat of a worker that solves a linear system.
+pub const SOLVING: u64 = u64::MAX;
+
 /// Coordinator -> worker.
 #[derive(Debug, Serialize, Deserialize)]
 pub enum ToWorker {

@@ -173,6 +173,7 @@ impl Worker {
             return self.inbox.interrupted(error.into());
         }
         let Some(ports) = &mut self.ports else { return Err(self.other("a solve without connections".into())) };
+        self.inbox.solving();
         let solved = solve_rank(&executor, ports.transport.as_mut(), system, exchange.mode, &exchange.queue, params);
         match solved {
             Ok(mut result) => {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::CliError;
-use super::run::{BindCoresArg, ExchangeArg, ExecutorArg, PreconditionerArg};
+use super::run::{BindCoresArg, ExchangeArg, ExecutorArg, PreconditionerArg, positive_seconds};
 use super::solve_report::{SolveFacts, report};
 use super::solve_trace::{SOLVES_MOST, TraceFolder};
 use crate::coordinator::plan::check_workers;
@@ -66,6 +66,9 @@ pub struct SolveArgs {
     /// ui.perfetto.dev) and report.json into this folder, which loomtree predict takes like a run directory
     #[arg(long, value_name = "DIR")]
     pub trace: Option<PathBuf>,
+    /// Seconds without a sign of life after which a worker counts as hung
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = positive_seconds)]
+    pub heartbeat: f64,
     /// Solve K times and time products on their own, for benchmarks; the median counts
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub repeat: u32,
@@ -172,13 +175,10 @@ impl SolveArgs {
             adapter: self.adapter,
             threads: self.threads.map(usize::from),
             bind_cores: self.bind_cores.into(),
-            silence: SILENCE_LIMIT,
+            silence: Duration::from_secs_f64(self.heartbeat),
         }
     }
 }
-
-/// Longest silence of a worker while it works without waiting for others.
-const SILENCE_LIMIT: Duration = Duration::from_secs(300);
 
 /// Finds out before a long solve that its result could not be written.
 fn check_solution(path: &std::path::Path) -> Result<(), CliError> {

@@ -8,12 +8,14 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use crate::protocol::{ToCoordinator, ToWorker};
+use crate::os::clock::AwakeClock;
+use crate::os::signals::{self, StopSignal};
+use crate::protocol::{SOLVING, ToCoordinator, ToWorker};
 use crate::step::Failure;
 use crate::transport::{
-    ControlCoordinator, ControlError, IceoryxCoordinator, Launcher, Life, Machine, MessageError, OneProcess,
-    ProcessLauncher, RunError, RunName, SharedMemoryMachine, Silence, ThreadConnect, ThreadJob, ThreadLauncher,
-    WorkerCommand, decode, encode, thread_channel,
+    ControlCoordinator, ControlError, Heartbeat, IceoryxCoordinator, Launcher, Life, Machine, MessageError, OneProcess,
+    ProcessLauncher, RunError, RunName, SetupTurn, SharedMemoryMachine, Silence, ThreadConnect, ThreadJob,
+    ThreadLauncher, WorkerCommand, decode, encode, thread_channel,
 };
 use crate::worker;
 
@@ -23,6 +25,11 @@ const FAREWELL: Duration = Duration::from_secs(2);
 const LOOK: Duration = Duration::from_millis(50);
 /// How long the other workers get to explain a failure better than the first report of it does.
 const ECHO: Duration = Duration::from_millis(500);
+
+/// Longest wait for an answer of workers that have not begun their first step: they may wait for each other for ever.
+const SETUP_MOST: Duration = Duration::from_secs(600);
+/// A worker that computes may be silent for this many times the limit: it is then taken to compute for ever.
+const COMPUTING_MOST: u32 = 30;
 
 /// Where the workers come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,13 +56,16 @@ impl Launch {
 #[derive(Debug, Error)]
 pub enum CrewError {
     /// A worker ended although nobody told it to.
-    #[error("worker {rank} ({who}) ended unexpectedly {place}")]
-    Died { rank: usize, who: String, place: String },
+    #[error("worker {rank} ({who}) ended unexpectedly {place}{}", how.as_ref().map_or(String::new(), |how| format!(", {how}")))]
+    Died { rank: usize, who: String, place: String, how: Option<String> },
     /// A worker gives no sign of life.
     #[error("worker {rank} ({who}) hangs {place}: no sign of life for {silence_s:.1} s")]
     Hung { rank: usize, who: String, place: String, silence_s: f64 },
+    /// A signal asked to stop before the first step: there is nothing to keep.
+    #[error("stopped by {0} before the first step")]
+    Stopped(StopSignal),
     /// A worker never came.
-    #[error("worker {rank} did not start within {waited_s:.0} s")]
+    #[error("worker {rank} was not set up within {waited_s:.0} s")]
     Missing { rank: usize, waited_s: f64 },
     /// A worker reported that it cannot go on.
     #[error("worker {rank}: {failure}")]
@@ -99,8 +109,10 @@ pub struct Crew {
     launcher: Box<dyn Launcher>,
     machine: Box<dyn Machine>,
     heartbeat_limit: Duration,
-    /// By rank.
-    silences: Vec<Silence>,
+    /// By rank: since the last sign of life, and since it was last seen to compute.
+    silences: Vec<[Silence; 2]>,
+    /// Kept until all workers have begun their first step.
+    turn: Option<SetupTurn>,
     /// By rank: has reported that it cannot go on, so its end is no news.
     gave_up: Vec<bool>,
     /// When the first such report came, and the one that explains most.
@@ -143,8 +155,9 @@ impl Crew {
         heartbeat_limit: Duration,
     ) -> Result<Crew, CrewError> {
         let ranks = control.ranks();
-        let (silences, gave_up) = (vec![Silence::default(); ranks], vec![false; ranks]);
-        let mut crew = Crew { control, launcher, machine, heartbeat_limit, silences, gave_up, reported: None };
+        let (silences, gave_up) = (vec![Default::default(); ranks], vec![false; ranks]);
+        let (turn, reported) = (None, None);
+        let mut crew = Crew { control, launcher, machine, heartbeat_limit, silences, turn, gave_up, reported };
         for rank in 0..ranks {
             crew.launcher.start(rank).map_err(|source| CrewError::Spawn { rank, source })?;
         }
@@ -154,6 +167,11 @@ impl Crew {
     /// Name of the run on this machine, if its workers are processes.
     pub fn run_name(&self) -> Option<&RunName> {
         self.launcher.run_name()
+    }
+
+    /// Keeps the turn to set up until all workers have begun their first step.
+    pub fn keep(&mut self, turn: SetupTurn) {
+        self.turn = Some(turn);
     }
 
     /// Number of workers.
@@ -179,9 +197,9 @@ impl Crew {
 
     /// Waits until everything sent to `rank` has been taken, so that large messages do not pile up.
     pub fn flush(&mut self, rank: usize, limit: Duration) -> Result<(), CrewError> {
-        let (start, all) = (Instant::now(), (0..self.ranks()).collect::<Vec<_>>());
+        let (mut clock, all) = (AwakeClock::start(), (0..self.ranks()).collect::<Vec<_>>());
         while !self.control.all_sent(rank) {
-            self.look_after(&all, start, limit)?;
+            self.look_after(&all, clock.elapsed(), limit)?;
             self.control.wait(LOOK)?;
         }
         Ok(())
@@ -195,7 +213,7 @@ impl Crew {
         mut take: impl FnMut(usize, ToCoordinator, &[&[u8]]) -> bool,
     ) -> Result<(), CrewError> {
         let mut missing: Vec<usize> = (0..self.ranks()).collect();
-        let start = Instant::now();
+        let mut clock = AwakeClock::start();
         loop {
             let mut taken = Vec::new();
             for &rank in &missing {
@@ -212,7 +230,7 @@ impl Crew {
             }
             missing.retain(|rank| !taken.contains(rank));
             // Who has answered may leave, if that was its last word.
-            self.look_after(&missing, start, limit)?;
+            self.look_after(&missing, clock.elapsed(), limit)?;
             if missing.is_empty() {
                 return Ok(());
             }
@@ -246,14 +264,22 @@ impl Crew {
         self.reported.take().map_or(Ok(()), |(_, error)| Err(error))
     }
 
-    /// Finds dead, hung and missing workers among `ranks`, and those that gave up.
-    fn look_after(&mut self, ranks: &[usize], start: Instant, limit: Duration) -> Result<(), CrewError> {
+    /// Finds dead, hung and missing workers among `ranks`, for which the caller has `waited`, and those that gave up.
+    fn look_after(&mut self, ranks: &[usize], waited: Duration, limit: Duration) -> Result<(), CrewError> {
+        if (0..self.ranks()).all(|rank| self.control.heartbeat(rank).step > 0) {
+            self.turn = None;
+        } else if let Some(signal) = signals::stop_requested() {
+            return Err(CrewError::Stopped(signal));
+        } else if waited > SETUP_MOST {
+            let rank = ranks.first().copied().unwrap_or(0);
+            return Err(CrewError::Missing { rank, waited_s: waited.as_secs_f64() });
+        }
         for rank in ranks.iter().copied().filter(|&rank| !self.gave_up[rank]).collect::<Vec<_>>() {
             let heartbeat = self.control.heartbeat(rank);
-            let place = if heartbeat.step == 0 {
-                "while setting up".to_string()
-            } else {
-                format!("in step {}", heartbeat.step)
+            let place = match heartbeat.step {
+                0 => "while setting up".to_string(),
+                SOLVING => "while solving".to_string(),
+                step => format!("in step {step}"),
             };
             if self.launcher.life(rank) == Life::Ended || self.control.has_ended(rank) {
                 // Its last words may be on the way.
@@ -265,22 +291,38 @@ impl Crew {
                 if self.gave_up[rank] {
                     continue;
                 }
-                return Err(CrewError::Died { rank, who: self.launcher.describe(rank), place });
+                let (who, how) = (self.launcher.describe(rank), self.launcher.end_of(rank));
+                return Err(CrewError::Died { rank, who, place, how });
             }
-            match self.silences[rank].of(heartbeat) {
+            match self.silence(rank, heartbeat, limit) {
                 Some(silence) if silence > limit => {
                     // It would not hear a farewell, and the others need not wait for it.
                     self.launcher.kill(rank);
                     let who = self.launcher.describe(rank);
                     return Err(CrewError::Hung { rank, who, place, silence_s: silence.as_secs_f64() });
                 }
-                None if start.elapsed() > limit.max(Duration::from_secs(60)) => {
-                    return Err(CrewError::Missing { rank, waited_s: start.elapsed().as_secs_f64() });
+                None if waited > limit.max(Duration::from_secs(60)) => {
+                    return Err(CrewError::Missing { rank, waited_s: waited.as_secs_f64() });
                 }
                 _ => {}
             }
         }
         self.verdict()
+    }
+
+    /// For how long a worker has been silent; zero while it computes, up to [`COMPUTING_MOST`] times the limit: some steps
+    /// are long, and a worker has no turn to give a sign of life in the middle of a kernel. None before it has connected.
+    fn silence(&mut self, rank: usize, heartbeat: Heartbeat, limit: Duration) -> Option<Duration> {
+        let [signs, work] = &mut self.silences[rank];
+        let silence = signs.of(heartbeat)?;
+        if silence <= limit / 4 {
+            return Some(silence);
+        }
+        let Some(ticks) = self.launcher.work_of(rank) else { return Some(silence) };
+        // It counts from the first look at it, a quarter of the limit after the last sign of life.
+        let idle = work.of(Heartbeat { counter: ticks + 1, step: 0 }).unwrap_or_default();
+        let computes = idle <= limit * 3 / 4 && silence <= limit.saturating_mul(COMPUTING_MOST);
+        Some(if computes { Duration::ZERO } else { silence })
     }
 
     /// Tells all workers to leave and makes sure that they have.

@@ -7,8 +7,8 @@
 //! With `loomtree run` it lives in that process and only the workers are children; `loomtree-coordinator` is the same code
 //! on its own. A coordinator in a third process would protect nothing more: workers watch the coordinator's process
 //! whatever its name, leave by themselves when it is gone, and the last one removes what the run has put on the machine.
-//! Not covered: a coordinator killed before it has started a worker leaves a few empty files (`loomtree doctor --clean`),
-//! and a worker that hangs while it is being set up is only noticed after five minutes.
+//! Not covered: a coordinator killed before it has started a worker leaves a few files, which go with the next run, and a
+//! worker that hangs while it is being set up is only noticed after five minutes.
 
 pub mod crew;
 pub mod plan;
@@ -42,6 +42,9 @@ pub enum RunError {
     /// It went wrong.
     #[error("{0}")]
     Failed(String),
+    /// A signal asked to stop while workers were being set up.
+    #[error("{0}")]
+    Stopped(String),
 }
 
 impl From<PlanError> for RunError {
@@ -122,6 +125,9 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
             let frames = done / settings.steps_per_frame + 1;
             return Ok(RunSummary { frames, steps, seconds_per_step: seconds / steps.max(1) as f64, stopped });
         }
+        Err(ShotError::Session { error: SessionError::Crew(stopped @ CrewError::Stopped(_)), .. }) => {
+            RunError::Stopped(stopped.to_string())
+        }
         Err(ShotError::Session { error, .. }) => {
             let text = error.sentence(&|vertex| plan.scene.vertex_name(vertex));
             if error.is_bad_input() { RunError::BadInput(text) } else { RunError::Failed(text) }
@@ -130,11 +136,16 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
     };
     let text = error.to_string();
     let kept = recorder.keep_last_state();
-    let _ = recorder.finish(Status::Failed(text.clone()));
+    let status = match &error {
+        RunError::Stopped(_) => Status::Stopped,
+        _ => Status::Failed(text.clone()),
+    };
+    let _ = recorder.finish(status);
     let kept = kept.map_err(|error| RunError::Failed(format!("{text}; and {error}")))?;
     Err(match error {
         RunError::BadInput(text) => RunError::BadInput(text),
         RunError::Failed(text) => RunError::Failed(format!("{text}{kept}")),
+        RunError::Stopped(text) => RunError::Stopped(format!("{text}{kept}")),
     })
 }
 

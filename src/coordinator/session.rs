@@ -13,11 +13,12 @@ use super::plan::{RunPlan, SessionOptions};
 use crate::linear_system::{BlockSystem, SolveParams, SolveResult};
 use crate::math::DIM;
 use crate::model::{NotFinite, RankModel, RankState, State};
+use crate::os::signals;
 use crate::partition::RowPartition;
 use crate::protocol::{ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
 use crate::step::{ExchangePlan, Failure, Imposed, StepStats};
 use crate::telemetry::Event;
-use crate::transport::{MachineError, RunName};
+use crate::transport::{MachineError, RunName, SetupTurn};
 
 /// Longest silence of a worker that reads its part or sets it up: much longer than any later one.
 const SETUP_LIMIT: Duration = Duration::from_secs(300);
@@ -123,7 +124,10 @@ impl Session {
     /// # Errors
     /// A worker cannot be started or the machine lacks a resource.
     pub fn assemble(place: SessionPlace, options: &SessionOptions, launch: &Launch) -> Result<Session, SessionError> {
-        let crew = Crew::assemble(options.workers, launch, options.silence)?;
+        // Given back when all workers have begun their first step; the free shared memory is looked at before that.
+        let turn = (*launch == Launch::Spawn).then(|| SetupTurn::wait(|| signals::stop_requested().is_some()));
+        let mut crew = Crew::assemble(options.workers, launch, options.silence)?;
+        turn.into_iter().for_each(|turn| crew.keep(turn));
         Ok(Session { crew, options: options.clone(), place, ports: None, loaded: None })
     }
 

@@ -2,10 +2,14 @@
 //! whoever can stop in an orderly way; the second ends the process at once. Nothing here knows what a run is.
 
 use std::io;
+use std::os::unix::process::ExitStatusExt;
+use std::process::ExitStatus;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+use signal_hook::consts::{
+    SIGABRT, SIGBUS, SIGFPE, SIGHUP, SIGILL, SIGINT, SIGKILL, SIGSEGV, SIGTERM, SIGXCPU, SIGXFSZ,
+};
 use signal_hook::iterator::Signals;
 
 use super::console::note;
@@ -39,6 +43,26 @@ impl std::fmt::Display for StopSignal {
 pub fn stop_requested() -> Option<StopSignal> {
     let number = REQUESTED.load(Ordering::Relaxed);
     (number != 0).then_some(StopSignal(number))
+}
+
+/// How a process has ended, as the end of a sentence, with what a signal usually means.
+pub fn describe_end(status: ExitStatus) -> String {
+    let Some(number) = status.signal() else {
+        return match status.code() {
+            Some(code) => format!("with exit code {code}"),
+            None => "for an unknown reason".to_string(),
+        };
+    };
+    let name = signal_hook::low_level::signal_name(number).map_or(format!("signal {number}"), str::to_string);
+    let meaning = match number {
+        SIGKILL => " (by hand, or by the system because memory ran out)",
+        SIGBUS => " (shared memory is full: enlarge /dev/shm; or a file that it had mapped was cut)",
+        SIGSEGV | SIGILL | SIGFPE | SIGABRT => " (a fault of this program or of a driver)",
+        SIGTERM | SIGINT | SIGHUP => " (somebody asked it to end)",
+        SIGXCPU => " (the limit on processor time, ulimit -t)",
+        _ => "",
+    };
+    format!("killed by {name}{meaning}")
 }
 
 /// From now on the first SIGINT (Ctrl-C), SIGTERM or SIGHUP is noted for [`stop_requested`], and the second ends the
@@ -93,6 +117,20 @@ mod tests {
         let codes = [SIGHUP, SIGINT, SIGTERM].map(|number| StopSignal(number).exit_code());
         assert_eq!(codes, [129, 130, 143]);
         assert_eq!(StopSignal(SIGHUP).to_string(), "SIGHUP");
+    }
+
+    #[test]
+    fn ends_are_named() {
+        let end = |raw: i32| describe_end(ExitStatus::from_raw(raw));
+        assert_eq!(
+            end(SIGBUS),
+            "killed by SIGBUS (shared memory is full: enlarge /dev/shm; or a file that it had mapped was cut)"
+        );
+        assert!(end(SIGKILL).starts_with("killed by SIGKILL (by hand, or by the system"));
+        // With a core dump; a signal without a meaning of its own; an exit code.
+        assert!(end(SIGSEGV | 0x80).starts_with("killed by SIGSEGV ("));
+        assert_eq!(end(signal_hook::consts::SIGUSR1), "killed by SIGUSR1");
+        assert_eq!(end(101 << 8), "with exit code 101");
     }
 
     #[test]

@@ -9,9 +9,11 @@
 //!
 //! Not promised: that the last message of a worker that leaves without [`ControlWorker::flush`] arrives.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use thiserror::Error;
+
+use crate::os::clock::AwakeClock;
 
 /// Why a control call failed.
 #[derive(Debug, Error)]
@@ -91,11 +93,12 @@ pub trait ControlWorker {
     fn receive(&mut self, timeout: Duration) -> Result<Option<Vec<u8>>, ControlError>;
 }
 
-/// For how long a worker's heart has stood still, as far as the calls of [`Silence::of`] saw.
+/// For how long a worker's heart has stood still, as far as the calls of [`Silence::of`] saw. A coordinator that was stopped
+/// itself has not listened, so that time does not count.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silence {
     /// Newest counter, and when it was first seen.
-    newest: Option<(u64, Instant)>,
+    newest: Option<(u64, AwakeClock)>,
 }
 
 impl Silence {
@@ -104,9 +107,9 @@ impl Silence {
         if heartbeat.counter == 0 {
             return None;
         }
-        let (_, since) = *match &mut self.newest {
+        let (_, since) = match &mut self.newest {
             Some(newest) if newest.0 == heartbeat.counter => newest,
-            newest => newest.insert((heartbeat.counter, Instant::now())),
+            newest => newest.insert((heartbeat.counter, AwakeClock::start())),
         };
         Some(since.elapsed())
     }

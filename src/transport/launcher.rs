@@ -31,6 +31,14 @@ pub trait Launcher {
     fn start(&mut self, rank: usize) -> io::Result<()>;
     /// Whether worker `rank` runs. Never waits.
     fn life(&mut self, rank: usize) -> Life;
+    /// How worker `rank` has ended, as the end of a sentence; none if that is not known.
+    fn end_of(&mut self, _rank: usize) -> Option<String> {
+        None
+    }
+    /// A number that grows while worker `rank` computes; none if that is not known.
+    fn work_of(&self, _rank: usize) -> Option<u64> {
+        None
+    }
     /// The worker as a user finds it on the machine, for messages: `process 4711`.
     fn describe(&self, rank: usize) -> String;
     /// Ends worker `rank` if it still runs, whether it listens or not. Does not wait for its end. A thread cannot be ended

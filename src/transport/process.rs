@@ -67,6 +67,19 @@ pub fn start_ticks(pid: u32) -> Option<u64> {
     parse_stat(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
 }
 
+/// Processor time that a process and its threads have used, in clock ticks. `None` as for [`start_ticks`].
+pub(super) fn cpu_ticks(pid: u32) -> Option<u64> {
+    parse_cpu(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
+}
+
+/// The sum of the times in user and kernel mode in a line of `/proc/PID/stat` (fields 14 and 15).
+fn parse_cpu(line: &str) -> Option<u64> {
+    let (_, fields) = line.rsplit_once(')')?;
+    let mut times = fields.split_whitespace().skip(11);
+    let user: u64 = times.next()?.parse().ok()?;
+    Some(user + times.next()?.parse::<u64>().ok()?)
+}
+
 /// The start time in a line of `/proc/PID/stat`, unless the state is dead or zombie. The name (field 2) may hold
 /// spaces and parentheses, so fields are counted from its last closing parenthesis.
 fn parse_stat(line: &str) -> Option<u64> {
@@ -97,6 +110,8 @@ mod tests {
         assert_eq!(parse_stat(&format!("42 (a name) S {rest}")), Some(987654));
         assert_eq!(parse_stat(&format!("42 (odd) name)) R {rest}")), Some(987654));
         assert_eq!(parse_stat(&format!("42 (gone) Z {rest}")), None);
+        assert_eq!(parse_cpu(&format!("42 (odd) name)) R {rest}")), Some(4 + 5));
+        assert_eq!(parse_cpu("42 (cut) R 1 2"), None);
         assert_eq!(parse_stat("42 (cut"), None);
         assert_eq!(parse_stat(""), None);
     }

@@ -7,7 +7,9 @@ use std::process::{Child, Command};
 
 use rustix::process::{Pid, Signal, kill_process};
 
+use super::process::cpu_ticks;
 use super::{Launcher, Life, Member, RunError, RunMember, RunName};
+use crate::os::signals;
 
 /// Makes the command that starts a worker of a run.
 pub type WorkerCommand = Box<dyn FnMut(&RunName, usize) -> io::Result<Command>>;
@@ -35,6 +37,11 @@ impl ProcessLauncher {
     /// The run.
     pub fn run(&self) -> &RunName {
         &self.run
+    }
+
+    fn pid(&self, rank: usize) -> Option<u32> {
+        let child = self.children.get(rank).and_then(Option::as_ref).map(Child::id);
+        child.or_else(|| self.member(rank).map(|member| member.pid))
     }
 
     /// The process of a worker that others have started; none if it has not registered (yet).
@@ -74,9 +81,17 @@ impl Launcher for ProcessLauncher {
         }
     }
 
+    fn end_of(&mut self, rank: usize) -> Option<String> {
+        let status = self.children.get_mut(rank)?.as_mut()?.try_wait().ok()??;
+        Some(signals::describe_end(status))
+    }
+
+    fn work_of(&self, rank: usize) -> Option<u64> {
+        cpu_ticks(self.pid(rank)?)
+    }
+
     fn describe(&self, rank: usize) -> String {
-        let child = self.children.get(rank).and_then(Option::as_ref).map(Child::id);
-        match child.or_else(|| self.member(rank).map(|member| member.pid)) {
+        match self.pid(rank) {
             Some(pid) => format!("process {pid}"),
             None => "unknown process".to_string(),
         }

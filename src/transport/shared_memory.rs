@@ -1,7 +1,8 @@
 //! Shared memory that a run needs: said before the start, reserved at the start. Without that a full `/dev/shm` shows up
 //! as SIGBUS at the first touch of a page, long after the start.
 
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::time::Duration;
 
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use thiserror::Error;
@@ -10,6 +11,8 @@ use super::RunName;
 use super::frames::FRAME_MAX;
 use super::pattern::BUFFERS;
 use super::run_name::SHARED_MEMORY_FOLDER;
+use crate::os::clock::AwakeClock;
+use crate::os::console::note;
 
 /// Why there is not enough shared memory.
 #[derive(Debug, Error)]
@@ -79,6 +82,40 @@ pub fn check_shared_memory(ranks: usize, max_len: usize, available: u64) -> Resu
     check(required_shared_memory_bytes(ranks, max_len), available)
 }
 
+/// How long a run waits for others that are setting up.
+const TURN_LIMIT: Duration = Duration::from_secs(60);
+
+/// The turn to set up a run. Between the check of the free shared memory and its reservation by all workers nobody else of
+/// this program may take some: what is free would be counted twice, and who comes last would die of SIGBUS.
+#[derive(Debug)]
+pub struct SetupTurn {
+    /// Holds the lock on the folder of the shared memory; none if it could not be had.
+    _lock: Option<File>,
+}
+
+impl SetupTurn {
+    /// Waits until no other run of this machine is setting up, at most a minute (one that hangs there must not hang all
+    /// others), and not after `stop` says so.
+    pub fn wait(stop: impl Fn() -> bool) -> SetupTurn {
+        let Ok(folder) = File::open(SHARED_MEMORY_FOLDER) else { return SetupTurn { _lock: None } };
+        let mut clock = AwakeClock::start();
+        let mut told = false;
+        loop {
+            match folder.try_lock() {
+                Ok(()) => return SetupTurn { _lock: Some(folder) },
+                Err(TryLockError::WouldBlock) if clock.elapsed() < TURN_LIMIT && !stop() => {
+                    if clock.elapsed() > Duration::from_secs(1) && !std::mem::replace(&mut told, true) {
+                        note("waiting for another run to set up");
+                    }
+                    std::thread::sleep(Duration::from_millis(10));
+                }
+                // Without a turn the run starts all the same: a lack of memory is then found later.
+                Err(_) => return SetupTurn { _lock: None },
+            }
+        }
+    }
+}
+
 /// Size and free bytes of the machine's shared memory.
 pub fn shared_memory_space() -> Result<(u64, u64), SharedMemoryError> {
     let space = statvfs(SHARED_MEMORY_FOLDER);
@@ -102,6 +139,18 @@ pub(super) fn reserve(run: &RunName) -> Result<(), SharedMemoryError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_run_sets_up_at_a_time() {
+        let turn = SetupTurn::wait(|| false);
+        assert!(turn._lock.is_some());
+        assert!(SetupTurn::wait(|| true)._lock.is_none(), "taken, and told not to wait");
+        let next = std::thread::spawn(|| SetupTurn::wait(|| false)._lock.is_some());
+        std::thread::sleep(Duration::from_millis(30));
+        assert!(!next.is_finished());
+        drop(turn);
+        assert!(next.join().unwrap());
+    }
 
     #[test]
     fn the_check_names_need_and_have() {

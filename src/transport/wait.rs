@@ -3,6 +3,8 @@
 
 use std::time::{Duration, Instant};
 
+use crate::os::clock::AwakeClock;
+
 use super::cores;
 
 /// Called at least every [`HOOK_INTERVAL`] while a rank waits: gives a sign of life, and returns true to give up
@@ -60,14 +62,14 @@ impl Patience {
 
     /// Begins a wait.
     pub(super) fn begin(&self) -> Wait {
-        Wait { start: Instant::now(), yields: 0 }
+        Wait { clock: AwakeClock::start(), yields: 0 }
     }
 
     /// One miss of `wait`: spins or yields and returns `None`, or returns how long the caller may sleep before it looks
     /// again.
     pub(super) fn miss(&mut self, wait: &mut Wait) -> Result<Option<Duration>, Stopped> {
         let now = Instant::now();
-        let waited = now - wait.start;
+        let waited = wait.clock.elapsed();
         if waited < self.spin {
             std::hint::spin_loop();
             return Ok(None);
@@ -92,7 +94,7 @@ impl Patience {
 
 /// A wait in progress.
 pub(super) struct Wait {
-    start: Instant,
+    clock: AwakeClock,
     yields: u32,
 }
 

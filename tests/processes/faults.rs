@@ -35,7 +35,7 @@ fn a_killed_worker_is_named_and_the_rest_stops() {
     println!("the run ended {:.3} s after the kill", start.elapsed().as_secs_f64());
     let error = ended.error();
     assert!(error.contains(&format!("worker 2 (process {worker}) ended unexpectedly in step ")), "{error}");
-    assert!(error.contains("continue with --resume"), "{error}");
+    assert!(error.contains(", killed by SIGKILL (by hand") && error.contains("continue with --resume"), "{error}");
     assert_resumable(&place, "worker 2");
 }
 

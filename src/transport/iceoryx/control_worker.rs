@@ -13,6 +13,7 @@ use iceoryx2::service::port_factory::{blackboard, event};
 use super::control::{Beat, KEY_CONSUMED, KEY_HEARTBEAT, KEY_PID, Names};
 use super::frame_ports::{FrameReceiver, FrameSender, FrameService, open_stream};
 use super::node::{Ipc, OpenError, create_node, open_when_created, text};
+use crate::os::clock::AwakeClock;
 use crate::transport::process::ProcessWatch;
 use crate::transport::wait::{Patience, Stopped};
 use crate::transport::{ControlError, ControlWorker, RANKS_MAX, RunName, shared_memory};
@@ -113,14 +114,14 @@ impl IceoryxWorker {
     }
 
     fn wait_until(&mut self, what: &'static str, done: impl Fn(&Self) -> bool) -> Result<(), ControlError> {
-        let start = Instant::now();
+        let mut clock = AwakeClock::start();
         loop {
             self.pump()?;
             if done(self) {
                 return Ok(());
             }
             self.check_coordinator()?;
-            let waited = start.elapsed();
+            let waited = clock.elapsed();
             if waited >= self.deadline {
                 return Err(ControlError::TimedOut { what, waited_s: waited.as_secs_f64() });
             }

@@ -96,6 +96,15 @@ pub(super) fn create_wake(node: &Node<Ipc>, name: &ServiceName, notifiers: usize
         .map_err(text("wake-up service"))
 }
 
+/// What the system says if this process may not open one more file.
+fn descriptor_shortage() -> Option<String> {
+    let error = std::fs::File::open("/dev/null").err()?;
+    [rustix::io::Errno::MFILE, rustix::io::Errno::NFILE]
+        .iter()
+        .any(|errno| error.raw_os_error() == Some(errno.raw_os_error()))
+        .then(|| error.to_string())
+}
+
 /// How opening what another process creates ended.
 pub(super) enum OpenError {
     /// It was not there in time, or the run was stopped.
@@ -116,6 +125,10 @@ pub(super) fn open_when_created<T, E: Debug>(
             Ok(opened) => return Ok(opened),
             Err(error) => format!("{error:?}"),
         };
+        // Under which of many names a lack of descriptors shows up here differs, and waiting does not help.
+        if let Some(shortage) = descriptor_shortage() {
+            return Err(OpenError::Failed(format!("{what}: {shortage}")));
+        }
         // Half-created services show up under many names; those that name a mismatch never go away.
         if ["Incompatible", "DoesNotSupport", "Exceeds", "VersionMismatch"].iter().any(|word| error.contains(word)) {
             return Err(OpenError::Failed(format!("{what}: {error}")));
