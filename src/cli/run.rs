@@ -14,7 +14,7 @@ use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest, parse_form
 use crate::protocol::{BindCores, ExecutorChoice};
 use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
-use crate::transport::{check_descriptors, remove_dead_runs};
+use crate::transport::{RANKS_MAX, check_descriptors, remove_dead_runs};
 
 /// Arguments of `loomtree run`.
 #[derive(Clone, Debug, clap::Args)]
@@ -251,7 +251,8 @@ pub fn defaults() -> RunOptions {
 /// Bad input, a run that failed, or one that a signal has stopped (exit code 128 + its number).
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     let Resolved { places, options, recorded_scene } = resolve(&args)?;
-    signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
+    // Before a plan is made, which may take a while; more workers than possible are refused there.
+    check_descriptors(options.workers.min(RANKS_MAX)).map_err(CliError::bad_input)?;
     let plan = match &recorded_scene {
         Some(text) => RunPlan::of_text(text, &places.scene, &options),
         None => RunPlan::new(&places.scene, &options),
@@ -269,7 +270,6 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     for line in &plan.scene.left_out {
         note(format_args!("left out: {line}"));
     }
-    check_descriptors(options.workers).map_err(CliError::bad_input)?;
     remove_dead_runs();
     let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
     note(format_args!(
@@ -278,6 +278,8 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
         options.workers,
         plan.transfers.kind.name()
     ));
+    // Up to here a signal ends the process as usual.
+    signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
     let summary = crate::coordinator::run(plan, &options, &places, &launch).map_err(|error| match error {
         RunError::BadInput(text) => CliError::bad_input(text),
         RunError::Failed(text) => CliError::failed(text),

@@ -15,9 +15,7 @@ use crate::model::{GlobalModel, RankModel};
 use crate::output::FrameFormat;
 use crate::partition::RowPartition;
 use crate::protocol::{BindCores, ExecutorChoice};
-use crate::scene::{
-    Overrides, PreconditionerKind, Scene, SceneError, Untangling, load, load_untangled, read_str,
-};
+use crate::scene::{Overrides, PreconditionerKind, Scene, SceneError, Untangling, load, load_untangled, read_str};
 use crate::solver::ExchangeMode;
 use crate::transport::{Machine, RANKS_MAX, STAMP_VALUES};
 

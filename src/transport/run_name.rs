@@ -308,10 +308,18 @@ pub struct FoundRun {
     pub shared_memory_bytes: u64,
 }
 
+/// Age from which on [`remove_dead_runs`] removes a run: until then its own processes, or a user who looks into what
+/// happened, may be at it.
+const SETTLED: Duration = Duration::from_secs(60);
+
 /// Removes what dead runs of the calling user have left, as far as that is possible: a coordinator that was killed before its
 /// first worker came has left nobody to do it.
 pub fn remove_dead_runs() {
-    for found in list_runs() {
+    let is_settled = |lock: &PathBuf| {
+        let made = fs::metadata(lock).and_then(|metadata| metadata.modified());
+        made.is_ok_and(|made| made.elapsed().is_ok_and(|age| age > SETTLED))
+    };
+    for found in list_runs().into_iter().filter(|found| found.run.locks().iter().any(is_settled)) {
         if let Err(error) = found.run.purge_if_last() {
             tracing::warn!("{error}");
         }
