@@ -1,6 +1,7 @@
 //! Messages between coordinator and workers. Headers are small; bulk data (elements, positions, events) travels beside
 //! them as arrays that no serializer touches (`transport::message`).
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::interconnect::RankLinks;
@@ -9,7 +10,7 @@ use crate::model::RankModel;
 use crate::step::{ExchangePlan, Failure, StepStats};
 
 /// Which executor a worker uses.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ExecutorChoice {
     /// A hardware GPU where there is one, else native code.
@@ -22,10 +23,10 @@ pub enum ExecutorChoice {
 }
 
 /// Whether ranks that share cores keep to one each.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum BindCores {
-    /// Ranks of one thread that share fewer cores evenly.
+    /// Workers of one thread that share fewer cores evenly do.
     #[default]
     Auto,
     /// The system decides.

@@ -558,9 +558,6 @@ impl Simulation {
 fn host_threads(executor: &Executor, ranks: usize) -> CpuExecutor {
     match executor {
         Executor::Cpu(cpu) => CpuExecutor::new(cpu.threads()),
-        Executor::Gpu(_) => {
-            let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
-            CpuExecutor::new((cores / ranks).max(1))
-        }
+        Executor::Gpu(_) => CpuExecutor::new((crate::transport::cores() / ranks).max(1)),
     }
 }

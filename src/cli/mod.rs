@@ -17,6 +17,7 @@ mod start_state;
 pub mod topology;
 pub mod worker;
 
+pub(crate) use crate::coordinator::options::count;
 use crate::os::console::{self, note};
 use crate::os::{limits, signals};
 
@@ -65,43 +66,6 @@ impl std::fmt::Display for CliError {
 }
 
 impl std::error::Error for CliError {}
-
-/// A count on the command line: `30000`, `30_000`, or with K, M or G (powers of 1000) behind it, as `1.2M`.
-pub(crate) fn count(text: &str) -> Result<u64, String> {
-    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let unit = match &text[digits.len()..] {
-        "" => 1.0,
-        "K" | "k" => 1e3,
-        "M" => 1e6,
-        "G" => 1e9,
-        _ => f64::NAN,
-    };
-    let number = digits.replace('_', "").parse::<f64>().unwrap_or(f64::NAN) * unit;
-    // Rounded, because 1.2 * 1e6 need not be whole in binary.
-    let count = number.round();
-    if (0.0..=1e15).contains(&count) && (number - count).abs() < 1e-6 * count.max(1.0) {
-        Ok(count as u64)
-    } else {
-        Err("expected a whole number, for example 30000, 500K or 1.2M".into())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::count;
-
-    #[test]
-    fn counts_may_have_a_unit() {
-        for (text, value) in
-            [("0", 0), ("30_000", 30_000), ("500K", 500_000), ("1.2M", 1_200_000), ("1G", 1_000_000_000)]
-        {
-            assert_eq!(count(text), Ok(value));
-        }
-        for text in ["", "M", "-1", "1.5", "1e", "1MB", "nan", "inf", "1 M", "99999999999G"] {
-            assert!(count(text).is_err(), "{text}");
-        }
-    }
-}
 
 /// Maps the result of a command to its exit code; prints the sentence of an error.
 pub fn exit_code(result: Result<(), CliError>) -> std::process::ExitCode {

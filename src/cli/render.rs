@@ -8,11 +8,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use clap::Args;
 
-use super::run::ExecutorArg;
 use super::{CliError, print};
 use crate::gpu::{Executor, GpuError};
 use crate::output::picture::{Coloring, PictureError, PictureOptions, UpAxis, draw_frames};
 use crate::output::{FrameSource, FramesError, Report, RunDirectory};
+use crate::protocol::ExecutorChoice;
 use crate::transport::cores;
 
 /// Draw shaded PNG pictures of a run's frames, and a contact sheet.
@@ -43,7 +43,7 @@ pub struct RenderArgs {
     pub elevation: Option<f32>,
     /// What draws: auto = a hardware GPU where there is one, else the processor.
     #[arg(long, value_enum, default_value = "auto")]
-    pub executor: ExecutorArg,
+    pub executor: ExecutorChoice,
     /// Adapter of the gpu executor (numbers: loomtree doctor) [default: the best one]
     #[arg(long, value_name = "I")]
     pub adapter: Option<usize>,
@@ -137,19 +137,19 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
 }
 
 /// What draws. Software adapters only on request: the native path is faster.
-fn open_executor(wanted: ExecutorArg, adapter: Option<usize>, threads: usize) -> Result<Executor, CliError> {
+fn open_executor(wanted: ExecutorChoice, adapter: Option<usize>, threads: usize) -> Result<Executor, CliError> {
     let executor = match wanted {
-        ExecutorArg::Cpu if adapter.is_some() => {
+        ExecutorChoice::Cpu if adapter.is_some() => {
             return Err(CliError::bad_input("--adapter names a device, so it cannot go with --executor cpu"));
         }
-        ExecutorArg::Cpu => Ok(Executor::cpu(threads)),
-        ExecutorArg::Gpu => Executor::gpu(adapter, 0),
-        ExecutorArg::Auto => Executor::auto(adapter, 0, threads),
+        ExecutorChoice::Cpu => Ok(Executor::cpu(threads)),
+        ExecutorChoice::Gpu => Executor::gpu(adapter, 0),
+        ExecutorChoice::Auto => Executor::auto(adapter, 0, threads),
     };
     match executor {
         Ok(executor) => Ok(executor),
         Err(error @ (GpuError::NoAdapter | GpuError::NoSuchAdapter { .. })) => Err(CliError::bad_input(error)),
-        Err(error) if wanted == ExecutorArg::Auto && adapter.is_none() => {
+        Err(error) if wanted == ExecutorChoice::Auto && adapter.is_none() => {
             tracing::warn!("{error}; drawing on the processor instead");
             Ok(Executor::cpu(threads))
         }

@@ -4,7 +4,6 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use clap::builder::PossibleValue;
 
 use super::{CliError, print_to};
 use crate::interconnect::{
@@ -46,16 +45,6 @@ pub enum ScheduleFormat {
     Text,
     /// {"gpus":n,"queues":[[{"source":t,"vector":v},..],..]}, of best also "pieces"
     Json,
-}
-
-impl ValueEnum for ScheduleKind {
-    fn value_variants<'a>() -> &'a [Self] {
-        &ScheduleKind::ALL
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.name()))
-    }
 }
 
 /// Runs the command; the result goes to stdout.

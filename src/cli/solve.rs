@@ -4,15 +4,18 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::CliError;
-use super::run::{BindCoresArg, ExchangeArg, ExecutorArg, PreconditionerArg, positive_seconds};
 use super::solve_report::{SolveFacts, report};
 use super::solve_trace::{SOLVES_MOST, TraceFolder};
+use crate::coordinator::options::positive_seconds;
 use crate::coordinator::plan::check_workers;
 use crate::coordinator::solve::{SolveOptions, SolvePlan, solve};
 use crate::coordinator::{CrewError, Launch, SessionError, SessionOptions};
 use crate::interconnect::ScheduleKind;
 use crate::linear_system::{SolveParams, read_right_hand_side, read_system};
 use crate::output::check_writable;
+use crate::protocol::{BindCores, ExecutorChoice};
+use crate::scene::PreconditionerKind;
+use crate::solver::ExchangeMode;
 use crate::step::Failure;
 use crate::transport::{check_descriptors, remove_dead_runs};
 
@@ -39,19 +42,19 @@ pub struct SolveArgs {
     pub solution: Option<PathBuf>,
     /// What a matrix-vector product exchanges: halo = only the rows that are read, full = whole sub-vectors (P-Cloth)
     #[arg(long, value_enum, default_value = "halo")]
-    pub exchange: ExchangeArg,
-    /// Order of the transfers; auto = the cheapest by the modelled cost
-    #[arg(long, default_value = "auto")]
+    pub exchange: ExchangeMode,
+    /// Order of the transfers
+    #[arg(long, value_enum, default_value_t)]
     pub schedule: ScheduleKind,
     /// Preconditioner; auto = the fastest for the executor and size
     #[arg(long, value_enum, default_value = "auto")]
-    pub preconditioner: PreconditionerArg,
+    pub preconditioner: PreconditionerKind,
     /// Topology file; workers sit on its first GPUs [default: a balanced binary tree]
     #[arg(long, value_name = "FILE")]
     pub topology: Option<PathBuf>,
     /// What runs the kernels; auto = a hardware GPU where there is one, else cpu
     #[arg(long, value_enum, default_value = "auto")]
-    pub executor: ExecutorArg,
+    pub executor: ExecutorChoice,
     /// Adapter of the gpu executor (numbers: loomtree doctor) [default: rank modulo adapters]
     #[arg(long, value_name = "I")]
     pub adapter: Option<usize>,
@@ -61,7 +64,7 @@ pub struct SolveArgs {
     /// Whether workers of one thread that share cores evenly (more workers than cores) keep to one core each; never = the
     /// system decides
     #[arg(long, value_enum, default_value = "auto")]
-    pub bind_cores: BindCoresArg,
+    pub bind_cores: BindCores,
     /// Record what the workers compute, transfer and wait for (with --repeat: in the first 20 solves) and write trace.json (for
     /// ui.perfetto.dev) and report.json into this folder, which loomtree predict takes like a run directory
     #[arg(long, value_name = "DIR")]
@@ -133,7 +136,7 @@ pub fn prepare(args: &SolveArgs) -> Result<SolvePlan, CliError> {
     let options = SolveOptions {
         workers: args.workers,
         topology: args.topology.clone(),
-        exchange: args.exchange.into(),
+        exchange: args.exchange,
         schedule: args.schedule,
         params: SolveParams {
             relative_tolerance: args.rtol,
@@ -141,7 +144,7 @@ pub fn prepare(args: &SolveArgs) -> Result<SolvePlan, CliError> {
             repeat: args.repeat,
             time_products: args.repeat > 1,
             host_threads: args.session().threads_of(1, LAUNCH.machine().as_ref()),
-            preconditioner: args.preconditioner.into(),
+            preconditioner: args.preconditioner,
             record_solves: if args.trace.is_some() { SOLVES_MOST } else { 0 },
         },
     };
@@ -154,7 +157,7 @@ fn facts(args: &SolveArgs, plan: &SolvePlan, trace: Option<TraceFolder>) -> Solv
         rows: plan.file_rows,
         block_rows: plan.partition.rows(),
         workers: args.workers,
-        exchange: args.exchange.into(),
+        exchange: args.exchange,
         schedule: plan.transfers.kind,
         rtol: args.rtol,
         max_iterations: args.max_iterations,
@@ -171,10 +174,10 @@ impl SolveArgs {
     fn session(&self) -> SessionOptions {
         SessionOptions {
             workers: self.workers,
-            executor: self.executor.into(),
+            executor: self.executor,
             adapter: self.adapter,
             threads: self.threads.map(usize::from),
-            bind_cores: self.bind_cores.into(),
+            bind_cores: self.bind_cores,
             silence: Duration::from_secs_f64(self.heartbeat),
         }
     }

@@ -11,6 +11,7 @@
 //! worker that hangs while it is being set up is only noticed after five minutes.
 
 pub mod crew;
+pub mod options;
 pub mod plan;
 mod progress;
 mod recorder;
@@ -21,7 +22,8 @@ pub mod solve;
 use thiserror::Error;
 
 pub use crew::{Crew, CrewError, Launch};
-pub use plan::{KeepStates, PlanError, RunOptions, RunPlan, SessionOptions};
+pub use options::{GivenOptions, KeepStates, RunOptions, SessionOptions};
+pub use plan::{PlanError, RunPlan};
 use progress::Progress;
 use recorder::Recorder;
 pub use recorder::{RecordError, RunPlaces};

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use super::plan::{RunOptions, RunPlan};
+use super::options::RunOptions;
+use super::plan::RunPlan;
 use super::session::StepDone;
 use crate::impact_zone::ZoneCounts;
 use crate::model::State;
@@ -155,11 +156,11 @@ impl Recorder {
         let first_frame = self.first.as_ref().map_or(0, |from| from.frame + 1);
         if first_frame > 0 {
             let sentences =
-                take_up_formats(&self.directory, &self.options.formats, first_frame).map_err(write_error)?;
+                take_up_formats(&self.directory, &self.options.formats.0, first_frame).map_err(write_error)?;
             sentences.iter().for_each(note);
         }
         self.frames = Some(
-            FrameWriter::with_parts(&self.directory, &self.options.formats, &scene.mesh, &scene.parts, first_frame)
+            FrameWriter::with_parts(&self.directory, &self.options.formats.0, &scene.mesh, &scene.parts, first_frame)
                 .map_err(write_error)?,
         );
         if self.options.keep_states.is_some() {

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 use super::crew::{Crew, CrewError, Launch};
-use super::plan::{RunPlan, SessionOptions};
+use super::options::SessionOptions;
+use super::plan::RunPlan;
 use crate::linear_system::{BlockSystem, SolveParams, SolveResult};
 use crate::math::DIM;
 use crate::model::{NotFinite, RankModel, RankState, State};

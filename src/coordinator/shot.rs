@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use super::crew::Launch;
-use super::plan::{RunPlan, SessionOptions};
+use super::options::SessionOptions;
+use super::plan::RunPlan;
 use super::session::{Next, Session, SessionError, SessionPlace, StepDone, Watch};
 use crate::model::State;
 use crate::os::signals;

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use super::crew::Launch;
-use super::plan::{PlanError, SessionOptions, check_workers, plan_transfers};
+use super::options::SessionOptions;
+use super::plan::{PlanError, check_workers, plan_transfers};
 use super::session::{Session, SessionError, SessionPlace};
 use crate::interconnect::{Plan, ScheduleKind};
 use crate::linear_system::{BlockSystem, SolveParams, SolveResult, locality_order, share_between_chunks};

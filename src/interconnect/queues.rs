@@ -9,9 +9,10 @@ use super::transfers::TransferPlan;
 use super::{QueueNode, Schedule};
 
 /// A way to make work queues.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ScheduleKind {
+    #[default]
     /// The cheapest of the others by the clock.
     Auto,
     /// The recursion of the paper, for powers of two [Li et al. 2020, Sec. 3.1.2].

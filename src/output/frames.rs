@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::RunDirectory;
@@ -64,16 +65,37 @@ impl fmt::Display for FrameFormat {
     }
 }
 
-/// Reads a comma-separated list such as `obj,ply`; each format counts once.
-pub fn parse_formats(list: &str) -> Result<Vec<FrameFormat>, FormatError> {
-    let mut formats = Vec::new();
-    for text in list.split(',') {
-        let format = text.parse()?;
-        if !formats.contains(&format) {
-            formats.push(format);
+/// A list of formats, in words separated by commas; each counts once.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct FormatList(pub Vec<FrameFormat>);
+
+impl FromStr for FormatList {
+    type Err = FormatError;
+    fn from_str(list: &str) -> Result<FormatList, FormatError> {
+        let mut formats = Vec::new();
+        for text in list.split(',') {
+            let format = text.parse()?;
+            if !formats.contains(&format) {
+                formats.push(format);
+            }
         }
+        Ok(FormatList(formats))
     }
-    Ok(formats)
+}
+
+impl TryFrom<String> for FormatList {
+    type Error = FormatError;
+    fn try_from(list: String) -> Result<FormatList, FormatError> {
+        list.parse()
+    }
+}
+
+impl From<FormatList> for String {
+    fn from(list: FormatList) -> String {
+        let names: Vec<String> = list.0.iter().map(FrameFormat::to_string).collect();
+        names.join(",")
+    }
 }
 
 /// Why a frame was not written. Frames written before are whole.

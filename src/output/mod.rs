@@ -26,7 +26,7 @@ pub use atomic::{WriteError, check_writable, write_atomically};
 pub use checkpoint::Checkpoint;
 pub use directory::{DirectoryError, Existing, RunDirectory};
 pub use frame_mesh::{FrameMesh, ReadError};
-pub use frames::{FormatError, FrameError, FrameFormat, FrameWriter, parse_formats};
+pub use frames::{FormatError, FormatList, FrameError, FrameFormat, FrameWriter};
 pub use hash::scene_fingerprint;
 pub use machine::Machine;
 pub use manifest::{Input, ManifestError, RunManifest};

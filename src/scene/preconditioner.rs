@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// What PCG multiplies the residual by.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum PreconditionerKind {
     /// The fastest one that the executor has, by the number of rows.

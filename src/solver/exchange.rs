@@ -13,10 +13,11 @@ use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Message, Neighbor, Pattern, Rows, Transport, TransportError};
 
 /// How SpMV gets the columns of other ranks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ExchangeMode {
     /// Only the rows that are read.
+    #[default]
     Halo,
     /// Whole sub-vectors, the paper's way [Li et al. 2020, Sec. 3.1].
     Full,

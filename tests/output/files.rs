@@ -231,11 +231,11 @@ fn an_unwritable_folder_is_named() {
 
 #[test]
 fn formats_are_read_or_explained() {
-    assert_eq!(parse_formats("ply, OBJ,ply"), Ok(vec![FrameFormat::Ply, FrameFormat::Obj]));
-    assert_eq!(parse_formats("pc2,usd"), Err(FormatError::Usd));
-    let unknown = parse_formats("stl").unwrap_err();
+    assert_eq!("ply, OBJ,ply".parse(), Ok(FormatList(vec![FrameFormat::Ply, FrameFormat::Obj])));
+    assert_eq!("pc2,usd".parse::<FormatList>(), Err(FormatError::Usd));
+    let unknown = "stl".parse::<FormatList>().unwrap_err();
     assert_eq!(unknown.to_string(), "--format \"stl\" is unknown; valid are obj, ply and pc2 (separated by commas)");
-    assert_eq!(parse_formats(""), Err(FormatError::Empty));
+    assert_eq!("".parse::<FormatList>(), Err(FormatError::Empty));
 }
 
 #[test]

@@ -1,17 +1,12 @@
 //! A whole run inside one process, its workers threads: the same bits, the same sentences as with processes.
 
-use loomtree::coordinator::{Launch, RunError, RunPlaces, RunPlan, RunSummary, run};
+use loomtree::coordinator::{Launch, RunError, RunOptions, RunPlaces, RunPlan, RunSummary, run};
 use loomtree::output::Existing;
 use loomtree::protocol::ExecutorChoice;
 use support::process::{Place, flag};
 
 fn on_threads(place: &Place, scene: &str, workers: usize, out: &str) -> Result<RunSummary, RunError> {
-    let options = loomtree::coordinator::RunOptions {
-        workers,
-        executor: ExecutorChoice::Cpu,
-        threads: Some(1),
-        ..loomtree::cli::run::defaults()
-    };
+    let options = RunOptions { workers, executor: ExecutorChoice::Cpu, threads: Some(1), ..RunOptions::default() };
     let places = RunPlaces { scene: place.path(scene), out: place.path(out), existing: Existing::Refuse };
     let plan = RunPlan::new(&places.scene, &options).expect("a plan");
     run(plan, &options, &places, &Launch::Threads)

@@ -26,7 +26,7 @@ fn options(workers: usize, triangles: u64) -> RunOptions {
         threads: Some(1),
         preconditioner: Some(PreconditionerKind::Schwarz),
         heartbeat_s: 60.0,
-        ..loomtree::cli::run::defaults()
+        ..RunOptions::default()
     }
 }
 

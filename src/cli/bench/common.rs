@@ -3,17 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use crate::cli::CliError;
-use crate::cli::run::ExecutorArg;
 use crate::gpu::Executor;
 use crate::interconnect::Topology;
-use crate::protocol::{BindCores, WorkerSetup};
+use crate::protocol::{BindCores, ExecutorChoice, WorkerSetup};
 
 /// Options that all benchmarks share.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Common {
     /// What runs the kernels
     #[arg(long, value_enum, default_value = "cpu")]
-    pub executor: ExecutorArg,
+    pub executor: ExecutorChoice,
     /// Threads of each worker on the cpu executor
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: u16,
@@ -26,7 +25,7 @@ impl Common {
     /// The executor that the options name, for one rank.
     pub fn executor(&self) -> Result<Executor, CliError> {
         let setup = WorkerSetup {
-            executor: self.executor.into(),
+            executor: self.executor,
             adapter: None,
             threads: self.threads as usize,
             bind_cores: BindCores::Auto,

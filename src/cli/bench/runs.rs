@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use super::common::{Common, median, worker_counts};
 use crate::cli::CliError;
 use crate::cli::predict::RecordedRun;
-use crate::cli::run::{ExchangeArg, PreconditionerArg, defaults};
 use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
 use crate::interconnect::{KernelTimes, Replay, ScheduleKind, Topology, plan};
 use crate::output::{Existing, Report, StepRecord};
+use crate::scene::PreconditionerKind;
+use crate::solver::ExchangeMode;
 
 /// Arguments of benchmarks of whole steps.
 #[derive(Clone, Debug, clap::Args)]
@@ -44,10 +45,10 @@ pub struct Settings {
     pub rounds: u32,
     /// What a product exchanges
     #[arg(long, value_enum, default_value = "halo")]
-    pub exchange: ExchangeArg,
+    pub exchange: ExchangeMode,
     /// Preconditioner of the solver [default: the scene's]; auto takes schwarz from a size on, which weak scaling may cross
     #[arg(long, value_enum)]
-    pub preconditioner: Option<PreconditionerArg>,
+    pub preconditioner: Option<PreconditionerKind>,
 }
 
 impl ScenesBench {
@@ -195,16 +196,16 @@ impl SceneBench {
             .map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
         let options = RunOptions {
             workers,
-            executor: self.settings.common.executor.into(),
+            executor: self.settings.common.executor,
             threads: Some(self.settings.common.threads as usize),
             resolution: Some(self.settings.resolution),
             frames: Some(1),
-            exchange: self.settings.exchange.into(),
-            preconditioner: self.settings.preconditioner.map(Into::into),
+            exchange: self.settings.exchange,
+            preconditioner: self.settings.preconditioner,
             checkpoint_every: 0,
             heartbeat_s: 600.0,
             trace_steps,
-            ..defaults()
+            ..RunOptions::default()
         };
         let mut plan = RunPlan::new(&self.scene, &options).map_err(CliError::bad_input)?;
         // One frame at the end, so that frames are not part of what is measured.
