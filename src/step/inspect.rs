@@ -43,11 +43,6 @@ impl Simulation {
         self.solver.preconditioner()
     }
 
-    /// Executor name, for reports.
-    pub fn executor_name(&self) -> String {
-        self.executor.name().to_string()
-    }
-
     /// Finds the vertex behind a failed solve and names what usually causes it.
     pub(super) fn explain(&self, step: u32, error: PcgError) -> Failure {
         let cause = match error {

@@ -7,11 +7,13 @@
 
 mod push;
 mod regions;
+mod tangle;
 mod targets;
 
 use super::{Group, GroupKind, crossings};
 use crate::math::{DVec3, Vec3};
 use regions::Shape;
+pub use tangle::Tangle;
 
 /// Most rounds of checking and pushing.
 const ROUNDS: usize = 200;
@@ -20,19 +22,6 @@ const PATIENCE: usize = 30;
 
 /// How far the way of a vertex goes towards the mean of its neighbours' where it is evened out.
 const SMOOTHING: f64 = 0.5;
-
-/// What may be moved, and how.
-#[derive(Clone, Copy, Debug)]
-pub struct Tangle<'a> {
-    /// Triangles of everything.
-    pub triangles: &'a [[u32; 3]],
-    /// What they belong to, ascending; as [`crossings`] has them.
-    pub groups: &'a [Group],
-    /// Whether each vertex may be moved; vertices of obstacles never are.
-    pub movable: &'a [bool],
-    /// Distance that is aimed at between what was pushed apart, metres. Above 0.
-    pub gap_m: f64,
-}
 
 /// How far it went.
 #[derive(Clone, Debug, PartialEq)]

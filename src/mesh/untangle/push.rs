@@ -1,8 +1,8 @@
 //! One round of pushing: who moves where. Every push moves two features apart along a line and is shared between them;
 //! a vertex goes the mean way of its pushes.
 
-use super::Tangle;
 use super::regions::{Hit, Region, Shape, at, edges_of, hits, normal, regions, through};
+use super::tangle::Tangle;
 use super::targets::Targets;
 use crate::math::{DVec3, Vec3};
 
