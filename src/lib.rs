@@ -1,7 +1,24 @@
 //! Loomtree: a distributed simulator for very large cloth.
 //!
-//! The order of the modules below is the flow of the data and the order of imports: a module uses only modules above
-//! it (`tests/tidy/` fails on an upward import). `ARCHITECTURE.md` draws the house.
+//! A scene is planned for a number of ranks. A session of workers (processes, or threads of this process) is loaded with
+//! the plan and advances the cloth step by step; its state has the same bits for any number of workers.
+//!
+//! ```
+//! use loomtree::{Launch, RunOptions, RunPlan, Session, SessionPlace};
+//!
+//! let options = RunOptions { workers: 2, resolution: Some(200), ..RunOptions::default() };
+//! let plan = RunPlan::new("scenes/flag.toml".as_ref(), &options)?;
+//! let mut session = Session::assemble(SessionPlace::ALONE, &options.session(), &Launch::Threads)?;
+//! session.load(&plan)?;
+//! session.advance(3, &mut ())?;
+//! println!("state after 3 steps: {}", session.state()?.hash());
+//! session.dismiss();
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! What is re-exported by name is the interface. The modules are public for the project's own tests and change without
+//! notice. Their order is the flow of the data and the order of imports: a module uses only modules above it
+//! (`tests/tidy/` fails on an upward import). `ARCHITECTURE.md` describes each.
 
 pub mod math;
 pub mod os;
@@ -29,6 +46,22 @@ pub mod protocol;
 pub mod worker;
 pub mod coordinator;
 pub mod cli;
+
+pub use collision::broad::{CollisionMesh, Split};
+pub use collision::{ContactParams, Detector};
+pub use coordinator::session::{Next, StepDone, Watch};
+pub use coordinator::solve::{SolveOptions, SolvePlan, solve};
+pub use coordinator::{
+    Launch, RunError, RunOptions, RunPlaces, RunPlan, RunSummary, Session, SessionError, SessionOptions, SessionPlace,
+    run,
+};
+pub use gpu::{CpuExecutor, Executor};
+pub use interconnect::{Schedule, ScheduleKind, Topology, plan as plan_schedule};
+pub use linear_system::{BlockSystem, SolveParams, SolveStats, parse_matrix_market, read_system};
+pub use mesh::TriangleMesh;
+pub use model::State;
+pub use scene::{Overrides, Scene, load as load_scene};
+pub use step::StepStats;
 
 #[cfg(test)]
 mod test_support;

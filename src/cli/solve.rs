@@ -32,10 +32,10 @@ pub struct SolveArgs {
     #[arg(long, short = 'n', value_name = "N", default_value_t = 1)]
     pub workers: usize,
     /// Relative residual |b - A x| / |b| to reach, checked in double precision
-    #[arg(long, value_name = "R", default_value_t = 0.01, value_parser = tolerance)]
+    #[arg(long, value_name = "R", default_value_t = SolveParams::default().relative_tolerance, value_parser = tolerance)]
     pub rtol: f64,
     /// Most PCG iterations
-    #[arg(long, value_name = "N", default_value_t = 2000)]
+    #[arg(long, value_name = "N", default_value_t = SolveParams::default().max_iterations)]
     pub max_iterations: u32,
     /// Write the solution as a Matrix Market array
     #[arg(long, value_name = "FILE")]

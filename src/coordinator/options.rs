@@ -137,6 +137,13 @@ pub struct SessionOptions {
     pub silence: Duration,
 }
 
+impl Default for SessionOptions {
+    /// What a run without options does.
+    fn default() -> SessionOptions {
+        RunOptions::default().session()
+    }
+}
+
 impl SessionOptions {
     /// Threads of each worker of `sessions` sessions side by side on `machine`.
     pub fn threads_of(&self, sessions: usize, machine: &dyn Machine) -> usize {

@@ -32,6 +32,19 @@ pub struct SolveOptions {
     pub params: SolveParams,
 }
 
+impl Default for SolveOptions {
+    /// One worker, halo exchange, the parameters of [`SolveParams::default`].
+    fn default() -> SolveOptions {
+        SolveOptions {
+            workers: 1,
+            topology: None,
+            exchange: ExchangeMode::Halo,
+            schedule: ScheduleKind::default(),
+            params: SolveParams::default(),
+        }
+    }
+}
+
 /// A solve that can start: everything that can be refused has been checked.
 pub struct SolvePlan {
     /// The matrix.

@@ -51,6 +51,21 @@ pub struct SolveParams {
     pub record_solves: u32,
 }
 
+impl Default for SolveParams {
+    /// One solve to a residual of 1 %, as in a step.
+    fn default() -> SolveParams {
+        SolveParams {
+            relative_tolerance: 0.01,
+            max_iterations: 2000,
+            repeat: 1,
+            time_products: false,
+            host_threads: 1,
+            preconditioner: PreconditionerKind::Auto,
+            record_solves: 0,
+        }
+    }
+}
+
 /// What came of it; the same on all ranks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SolveStats {
