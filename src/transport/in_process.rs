@@ -91,12 +91,7 @@ impl InProcessTransport {
             .collect()
     }
 
-    /// Called at least every 50 ms while waiting; true = give up.
-    pub fn set_on_wait(&mut self, on_wait: SendHook) {
-        self.on_wait = Some(on_wait);
-    }
-
-    /// The same rank with a hook of another type.
+    /// The same rank with a hook that is called at least every 50 ms while it waits; true = give up.
     pub fn with_hook<Hook>(self, on_wait: Hook) -> InProcessTransport<Hook> {
         let on_wait = Some(on_wait);
         InProcessTransport {
