@@ -5,7 +5,7 @@ use super::contact_fill_cpu;
 use super::layout::LANES;
 use super::sell::{BLOCK, SellMatrix};
 use crate::forces::CONTACT_RECORD_FLOATS;
-use crate::gpu::{DeviceVec, Executor, GpuExecutor, KernelSource, gpu_struct};
+use crate::gpu::{Binding, DeviceVec, Executor, GpuExecutor, KernelSource, gpu_struct};
 
 const TEXT: &str = include_str!("contact_fill.wgsl");
 static CONTACT_SUMS: KernelSource =
@@ -50,95 +50,72 @@ pub struct ContactSums<'a> {
 pub(super) struct ContactLists<'a> {
     pub offsets: &'a DeviceVec<u32>,
     pub entries: &'a DeviceVec<u32>,
-    pub positions: &'a DeviceVec<[u16; 4]>,
     /// Contributions of the row that has most.
     pub most: usize,
 }
 
-/// Fills `sums` and the values of `matrix`, padding included. `lanes`: segment of every lane of the matrix.
-pub(super) fn apply(
+/// Fills `sums`.
+pub(super) fn apply_sums(
     executor: &Executor,
     lists: &ContactLists<'_>,
     records: &DeviceVec<f32>,
-    lanes: &DeviceVec<[u32; 4]>,
-    matrix: &mut SellMatrix,
     sums: &mut DeviceVec<f32>,
 ) {
     match executor {
         Executor::Cpu(cpu) => {
             let (offsets, entries) = (lists.offsets.as_slice(), lists.entries.as_slice());
             contact_fill_cpu::contact_sums(cpu, offsets, entries, records.as_slice(), sums.as_mut_slice());
-            contact_fill_cpu::contact_blocks(
-                cpu,
-                offsets,
-                entries,
-                lists.positions.as_slice(),
-                records.as_slice(),
-                lanes.as_slice(),
-                matrix.slice_offsets.as_slice(),
-                matrix.values.as_mut_slice(),
-            );
         }
-        Executor::Gpu(gpu) => apply_on_device(gpu, lists, records, lanes, matrix, sums),
+        Executor::Gpu(gpu) => {
+            if blocks_per_pass(gpu, lists).is_none() {
+                return;
+            }
+            let rows = (sums.len() / SUMS) as u32;
+            for (pass, bound) in passes(gpu, rows, records) {
+                let bindings = [lists.offsets.binding(), lists.entries.binding(), bound, sums.binding_mut()];
+                gpu.run(&CONTACT_SUMS, &bindings, &pass, u64::from(rows));
+            }
+        }
     }
 }
 
-/// Fills `sums` alone, for products that need no matrix. Native executor only; a device never gets here.
-pub(super) fn apply_sums(
+/// Fills the values of `matrix`, padding included. `positions`: of the corners of every entry; `lanes`: segment of every lane
+/// of the matrix.
+pub(super) fn apply_blocks(
     executor: &Executor,
-    offsets: &DeviceVec<u32>,
-    entries: &DeviceVec<u32>,
-    records: &DeviceVec<f32>,
-    sums: &mut DeviceVec<f32>,
-) {
-    match executor {
-        Executor::Cpu(cpu) => contact_fill_cpu::contact_sums(
-            cpu,
-            offsets.as_slice(),
-            entries.as_slice(),
-            records.as_slice(),
-            sums.as_mut_slice(),
-        ),
-        Executor::Gpu(gpu) => gpu.stop("products without a stored matrix need the cpu executor".to_string()),
-    }
-}
-
-fn apply_on_device(
-    gpu: &GpuExecutor,
     lists: &ContactLists<'_>,
+    positions: &DeviceVec<[u16; 4]>,
     records: &DeviceVec<f32>,
     lanes: &DeviceVec<[u32; 4]>,
     matrix: &mut SellMatrix,
-    sums: &mut DeviceVec<f32>,
 ) {
-    // Turns of one block: a look at every contribution, nine components of those that count, reading and writing.
-    let turns_per_block = lists.most * (1 + BLOCK) + 2 * BLOCK + 1;
-    let blocks_max = TURNS_MAX / turns_per_block;
-    if blocks_max == 0 {
-        let most = lists.most;
-        gpu.stop(format!("a vertex has {most} contacts, more than the gpu executor takes: use the cpu executor"));
-        return;
+    match executor {
+        Executor::Cpu(cpu) => contact_fill_cpu::contact_blocks(
+            cpu,
+            lists.offsets.as_slice(),
+            lists.entries.as_slice(),
+            positions.as_slice(),
+            records.as_slice(),
+            lanes.as_slice(),
+            matrix.slice_offsets.as_slice(),
+            matrix.values.as_mut_slice(),
+        ),
+        Executor::Gpu(gpu) => blocks_on_device(gpu, lists, positions, records, lanes, matrix),
     }
+}
+
+fn blocks_on_device(
+    gpu: &GpuExecutor,
+    lists: &ContactLists<'_>,
+    positions: &DeviceVec<[u16; 4]>,
+    records: &DeviceVec<f32>,
+    lanes: &DeviceVec<[u32; 4]>,
+    matrix: &mut SellMatrix,
+) {
+    let Some(blocks_max) = blocks_per_pass(gpu, lists) else { return };
     let turns = matrix.longest_row.div_ceil(SHARE);
-    let contacts = records.len() / CONTACT_RECORD_FLOATS;
-    for window in gpu.windows(contacts, CONTACT_RECORD_FLOATS * size_of::<f32>()) {
-        let pass = ContactFillParams {
-            rows: (sums.len() / SUMS) as u32,
-            first_record: window.start as u32,
-            records: window.len() as u32,
-            first_pass: (window.start == 0).into(),
-            first_lane: 0,
-            lanes: 0,
-            first_slot: 0,
-            first_block: 0,
-            block_turns: 0,
-            padding0: 0,
-            padding1: 0,
-            padding2: 0,
-        };
-        let bound = records.window(window.start * CONTACT_RECORD_FLOATS, window.len() * CONTACT_RECORD_FLOATS);
-        let bindings = [lists.offsets.binding(), lists.entries.binding(), bound, sums.binding_mut()];
-        gpu.run(&CONTACT_SUMS, &bindings, &pass, u64::from(pass.rows));
+    let rows = (lists.offsets.len() - 1) as u32;
+    for (pass, bound) in passes(gpu, rows, records) {
         for part in &matrix.fill_parts {
             for first_turn in (0..turns).step_by(blocks_max) {
                 let params = ContactFillParams {
@@ -152,7 +129,7 @@ fn apply_on_device(
                 let bindings = [
                     lists.offsets.binding(),
                     lists.entries.binding(),
-                    lists.positions.binding(),
+                    positions.binding(),
                     bound,
                     lanes.binding(),
                     matrix.slice_offsets.binding(),
@@ -162,4 +139,42 @@ fn apply_on_device(
             }
         }
     }
+}
+
+/// Blocks that one invocation may fill; stops the device if a row has too many contributions.
+fn blocks_per_pass(gpu: &GpuExecutor, lists: &ContactLists<'_>) -> Option<usize> {
+    // Turns of one block: a look at every contribution, nine components of those that count, reading and writing.
+    let turns_per_block = lists.most * (1 + BLOCK) + 2 * BLOCK + 1;
+    let blocks_max = TURNS_MAX / turns_per_block;
+    if blocks_max == 0 {
+        let most = lists.most;
+        gpu.stop(format!("a vertex has {most} contacts, more than the gpu executor takes: use the cpu executor"));
+        return None;
+    }
+    Some(blocks_max)
+}
+
+/// The records in parts that the device can bind, in ascending order.
+fn passes<'a>(
+    gpu: &GpuExecutor,
+    rows: u32,
+    records: &'a DeviceVec<f32>,
+) -> impl Iterator<Item = (ContactFillParams, Binding<'a>)> {
+    gpu.windows(records.len() / CONTACT_RECORD_FLOATS, CONTACT_RECORD_FLOATS * size_of::<f32>()).map(move |window| {
+        let pass = ContactFillParams {
+            rows,
+            first_record: window.start as u32,
+            records: window.len() as u32,
+            first_pass: (window.start == 0).into(),
+            first_lane: 0,
+            lanes: 0,
+            first_slot: 0,
+            first_block: 0,
+            block_turns: 0,
+            padding0: 0,
+            padding1: 0,
+            padding2: 0,
+        };
+        (pass, records.window(window.start * CONTACT_RECORD_FLOATS, window.len() * CONTACT_RECORD_FLOATS))
+    })
 }

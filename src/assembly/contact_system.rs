@@ -7,6 +7,8 @@
 //! Bytes per contact: element 64, record 48, and for each of at most four own rows entry 4, positions 8, table 16; blocks of
 //! 40 bytes, up to 12 where no two contacts couple the same vertices, 4 in layered cloth. In all about 450.
 
+use std::ops::Range;
+
 use super::contact_fill::{self, ContactLists, ContactSums, SUMS};
 use super::contact_rows::ContactRows;
 use super::element_rows::RowLists;
@@ -45,8 +47,6 @@ pub struct ContactSystem {
     index: IndexFill,
     matrix: SellMatrix,
     kernel: Contact,
-    /// True: neither Index Table nor values are filled; products are made from [`ContactSystem::contact_records`].
-    pub matrix_free: bool,
 }
 
 impl ContactSystem {
@@ -65,7 +65,6 @@ impl ContactSystem {
             index: IndexFill::new(executor),
             matrix: SellMatrix::empty(executor, 0),
             kernel: Contact::new(executor),
-            matrix_free: false,
         }
     }
 
@@ -82,20 +81,8 @@ impl ContactSystem {
         numbering: &Numbering<'_>,
         elastic: &SellMatrix,
     ) -> Result<(), RowTooLong> {
-        self.elements.assign(executor, elements);
+        self.take(executor, elements, numbering.own.clone());
         if elements.is_empty() {
-            return Ok(());
-        }
-        let alone = CpuExecutor::new(1);
-        let threads = match executor {
-            Executor::Cpu(cpu) => cpu,
-            Executor::Gpu(_) => &alone,
-        };
-        self.rows.build(threads, numbering.own.clone(), elements);
-        self.slots.assign(executor, &self.rows.slots);
-        self.offsets.assign(executor, &self.rows.offsets);
-        self.entries.assign(executor, &self.rows.entries);
-        if self.matrix_free {
             return Ok(());
         }
         let count = self.rows.rows.len();
@@ -120,6 +107,23 @@ impl ContactSystem {
         Ok(())
     }
 
+    /// As [`ContactSystem::build`] without an Index Table: only the lists of what the rows `own` gather.
+    pub fn take(&mut self, executor: &Executor, elements: &[ContactElement], own: Range<usize>) {
+        self.elements.assign(executor, elements);
+        if elements.is_empty() {
+            return;
+        }
+        let alone = CpuExecutor::new(1);
+        let threads = match executor {
+            Executor::Cpu(cpu) => cpu,
+            Executor::Gpu(_) => &alone,
+        };
+        self.rows.build(threads, own, elements);
+        self.slots.assign(executor, &self.rows.slots);
+        self.offsets.assign(executor, &self.rows.offsets);
+        self.entries.assign(executor, &self.rows.entries);
+    }
+
     /// Element records from the velocities of all local vertices (xyz each); those of obstacles are the velocities of the
     /// coming step. `stiffness_ratio`: the contacts' stiffness over effective mass / step^2.
     pub fn records(&mut self, executor: &Executor, step_s: f32, stiffness_ratio: f32, velocities: &DeviceVec<f32>) {
@@ -129,22 +133,23 @@ impl ContactSystem {
 
     /// Values of the contact matrix, and what [`ContactSystem::sums`] hands to the elastic fill.
     pub fn fill(&mut self, executor: &Executor) {
+        self.fill_sums(executor);
+        if self.elements.is_empty() {
+            return;
+        }
+        let lists = ContactLists { offsets: &self.offsets, entries: &self.entries, most: self.rows.most() };
+        let (matrix, lanes) = (&mut self.matrix, self.index.lanes());
+        contact_fill::apply_blocks(executor, &lists, &self.positions, &self.records, lanes, matrix);
+    }
+
+    /// What [`ContactSystem::sums`] hands to the elastic fill, without values of a matrix.
+    pub fn fill_sums(&mut self, executor: &Executor) {
         if self.elements.is_empty() {
             return;
         }
         self.sums.resize(executor, self.rows.rows.len() * SUMS);
-        if self.matrix_free {
-            contact_fill::apply_sums(executor, &self.offsets, &self.entries, &self.records, &mut self.sums);
-            return;
-        }
-        let lists = ContactLists {
-            offsets: &self.offsets,
-            entries: &self.entries,
-            positions: &self.positions,
-            most: self.rows.most(),
-        };
-        let (matrix, lanes) = (&mut self.matrix, self.index.lanes());
-        contact_fill::apply(executor, &lists, &self.records, lanes, matrix, &mut self.sums);
+        let lists = ContactLists { offsets: &self.offsets, entries: &self.entries, most: self.rows.most() };
+        contact_fill::apply_sums(executor, &lists, &self.records, &mut self.sums);
     }
 
     /// What contacts add to the elastic system; None without contacts.
@@ -154,7 +159,7 @@ impl ContactSystem {
 
     /// Blocks off the diagonal; None without contacts.
     pub fn matrix(&self) -> Option<&SellMatrix> {
-        (!self.elements.is_empty() && !self.matrix_free).then_some(&self.matrix)
+        (!self.elements.is_empty()).then_some(&self.matrix)
     }
 
     /// The matrix of the step.

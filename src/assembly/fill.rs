@@ -5,8 +5,8 @@
 use std::borrow::Cow;
 
 use super::contact_fill::ContactSums;
-use super::element_rows::{ElementRows, RowLists};
-use super::fill_cpu::{self, FillInputs};
+use super::element_rows::ElementRows;
+use super::fill_cpu;
 use super::index_fill::{Elements, IndexFill, IndexRows, Kind, Numbering, RowTooLong};
 use super::layout::{LANES, Placement};
 use super::sell::{BLOCK, SellMatrix};
@@ -14,6 +14,7 @@ use crate::forces::{HINGE_RECORD_FLOATS, HingeElement, TRIANGLE_RECORD_FLOATS, T
 use crate::gpu::{DeviceVec, Executor, GpuExecutor, GpuStruct, KernelSource, gpu_struct};
 
 pub use super::fill_cpu::inverse_symmetric;
+pub(crate) use super::fill_cpu::{FillInputs, add_contacts, add_hinge, add_triangle};
 
 static FILL: KernelSource = KernelSource::new::<FillPass>("assembly/fill.wgsl", include_str!("fill.wgsl"), "fill")
     .with_libraries(&[include_str!("../forces/element.wgsl")])
@@ -137,23 +138,6 @@ impl FillTables {
         Ok((tables, matrix))
     }
 
-    /// Which triangles, and which hinges, an own row gathers.
-    pub fn lists(&self) -> [RowLists<'_>; 2] {
-        [
-            RowLists { offsets: &self.triangle_offsets, entries: &self.triangle_entries },
-            RowLists { offsets: &self.hinge_offsets, entries: &self.hinge_entries },
-        ]
-    }
-
-    /// Gives everything but the row lists up: then [`Fill::apply`] fills right-hand side
-    /// and preconditioner, but no matrix (cpu executor only).
-    pub fn keep_lists(&mut self, executor: &Executor) {
-        self.row_offsets = DeviceVec::zeros(executor, 0);
-        self.block_address = DeviceVec::zeros(executor, 0);
-        self.triangle_positions = DeviceVec::zeros(executor, 0);
-        self.hinge_positions = DeviceVec::zeros(executor, 0);
-    }
-
     /// Local columns of all blocks of `matrix`, row by row, ascending. From a device they are copied.
     pub fn local_columns(&self, executor: &Executor, matrix: &SellMatrix, numbering: &Numbering<'_>) -> Vec<u32> {
         let columns = matrix.columns.host(executor);
@@ -265,15 +249,7 @@ impl Fill {
                     contact_sums: contacts.sums.as_slice(),
                 };
                 let (rhs, inverse_diagonal) = (rhs.as_mut_slice(), inverse_diagonal.as_mut_slice());
-                match tables.row_offsets.is_empty() {
-                    true => fill_cpu::fill_diagonal(cpu, params, &inputs, rhs, inverse_diagonal),
-                    false => {
-                        fill_cpu::fill(cpu, params, &inputs, matrix.values.as_mut_slice(), rhs, inverse_diagonal);
-                    }
-                }
-            }
-            Executor::Gpu(gpu) if tables.row_offsets.is_empty() => {
-                gpu.stop("products without a stored matrix need the cpu executor".to_string());
+                fill_cpu::fill(cpu, params, &inputs, matrix.values.as_mut_slice(), rhs, inverse_diagonal);
             }
             Executor::Gpu(gpu) => apply_on_device(
                 gpu,

@@ -101,55 +101,21 @@ pub fn fill(
     });
 }
 
-/// As [`fill`] without a Value Table: right-hand side and inverted diagonal blocks, with the same bits.
-pub fn fill_diagonal(
-    cpu: &CpuExecutor,
-    params: &FillParams,
-    inputs: &FillInputs,
-    rhs: &mut [f32],
-    inverse_diagonal: &mut [f32],
-) {
-    let rhs_shared = Values(rhs.as_mut_ptr(), rhs.len());
-    cpu.for_ranges_mut(inverse_diagonal, 6, 64, |range, inverse| {
-        for (row, inverse) in range.zip(inverse.chunks_exact_mut(6)) {
-            // The diagonal block, and one that takes all others.
-            let mut blocks = [[0.0; BLOCK]; 2];
-            let mut force = Vec3::from(params.gravity) * inputs.masses[row];
-            let positions = |entry: u32| std::array::from_fn(|corner| u16::from(corner as u32 != entry & 3));
-            for i in inputs.triangle_offsets[row] as usize..inputs.triangle_offsets[row + 1] as usize {
-                let entry = inputs.triangle_entries[i];
-                add_triangle(inputs, entry, positions(entry), &mut blocks, &mut force);
-            }
-            for i in inputs.hinge_offsets[row] as usize..inputs.hinge_offsets[row + 1] as usize {
-                let entry = inputs.hinge_entries[i];
-                add_hinge(inputs, entry, positions(entry), &mut blocks, &mut force);
-            }
-            let [mut diagonal, _] = blocks;
-            for c in [0, 4, 8] {
-                diagonal[c] += inputs.masses[row];
-            }
-            let mut impulse = (force * params.step_s).to_array();
-            if let Some(&slot) = inputs.contact_slots.get(row)
-                && slot != NO_SLOT
-            {
-                add_contacts(inputs, slot as usize, &mut diagonal, &mut impulse);
-            }
-            for (c, value) in impulse.into_iter().enumerate() {
-                // SAFETY: the row's own entries.
-                unsafe { rhs_shared.set(row * 3 + c, value) };
-            }
-            inverse.copy_from_slice(&if inputs.pinned[row] != 0 { [0.0; 6] } else { inverse_symmetric(&diagonal) });
-        }
-    });
-}
-
-fn add_contacts(inputs: &FillInputs, slot: usize, diagonal: &mut [f32; BLOCK], impulse: &mut [f32; 3]) {
+/// Adds what the contacts of touched row `slot` sum up to.
+pub(crate) fn add_contacts(inputs: &FillInputs, slot: usize, diagonal: &mut [f32; BLOCK], impulse: &mut [f32; 3]) {
     let [xx, xy, xz, yy, yz, zz, x, y, z] = inputs.contact_sums.as_chunks::<SUMS>().0[slot];
     diagonal.iter_mut().zip([xx, xy, xz, xy, yy, yz, xz, yz, zz]).for_each(|(to, value)| *to += value);
     impulse.iter_mut().zip([x, y, z]).for_each(|(to, value)| *to += value);
 }
 
-fn add_triangle(inputs: &FillInputs, entry: u32, positions: [u16; 4], blocks: &mut [[f32; BLOCK]], force: &mut Vec3) {
+/// Adds what one corner of a triangle contributes to its row: blocks at `positions` of the corners, and the force.
+pub(crate) fn add_triangle(
+    inputs: &FillInputs,
+    entry: u32,
+    positions: [u16; 4],
+    blocks: &mut [[f32; BLOCK]],
+    force: &mut Vec3,
+) {
     let (e, a) = ((entry >> 2) as usize, (entry & 3) as usize);
     let r = &inputs.triangle_records[e * TRIANGLE_RECORD_FLOATS..][..TRIANGLE_RECORD_FLOATS];
     let weights = inputs.elements[e].corner_weights();
@@ -196,7 +162,14 @@ fn add_block(
     }
 }
 
-fn add_hinge(inputs: &FillInputs, entry: u32, positions: [u16; 4], blocks: &mut [[f32; BLOCK]], force: &mut Vec3) {
+/// As [`add_triangle`] for a hinge.
+pub(crate) fn add_hinge(
+    inputs: &FillInputs,
+    entry: u32,
+    positions: [u16; 4],
+    blocks: &mut [[f32; BLOCK]],
+    force: &mut Vec3,
+) {
     let (e, a) = ((entry >> 2) as usize, (entry & 3) as usize);
     let r = &inputs.hinge_records[e * HINGE_RECORD_FLOATS..][..HINGE_RECORD_FLOATS];
     let g = |corner: usize| Vec3::new(r[corner * 4], r[corner * 4 + 1], r[corner * 4 + 2]);

@@ -108,11 +108,6 @@ impl SellMatrix {
         }
     }
 
-    /// Gives pattern and values up; the number of rows stays.
-    pub fn clear(&mut self, executor: &Executor) {
-        *self = SellMatrix::empty(executor, self.rows);
-    }
-
     /// Makes room for `placement`. Columns are to be filled by the caller, then values, padding included; where the matrix
     /// had no memory before, both are zeros.
     pub(super) fn place(&mut self, executor: &Executor, placement: &Placement) {

@@ -80,12 +80,14 @@ enum Descent {
 /// The solver of one rank.
 pub struct Pcg {
     sums: IterationSums,
+    /// What the descents of the present solve have reached so far.
+    reached: Option<PcgInfo>,
 }
 
 impl Pcg {
     /// A solver for the ranks of `partition`.
     pub fn new(partition: &RowPartition) -> Pcg {
-        Pcg { sums: IterationSums::new(partition) }
+        Pcg { sums: IterationSums::new(partition), reached: None }
     }
 
     /// Solves A x = b for x = `vectors.x`. Pinned rows keep their start value.
@@ -106,10 +108,11 @@ impl Pcg {
         vectors: &mut PcgVectors,
         params: &PcgParams,
     ) -> Result<PcgInfo, PcgError> {
-        let (mut chosen, mut before) = (0, None);
+        let mut chosen = 0;
+        self.reached = None;
         loop {
             let preconditioner = &mut *preconditioners[chosen];
-            match self.descend(rank, operator, preconditioner, b, vectors, params, before)? {
+            match self.descend(rank, operator, preconditioner, b, vectors, params)? {
                 Descent::Done(info) => return Ok(info),
                 Descent::Broken { info, curvature, progress, rounding } => {
                     if progress > PROGRESS {
@@ -123,22 +126,22 @@ impl Pcg {
                             Err(PcgError::NotPositiveDefinite { iteration, curvature })
                         };
                     }
-                    before = Some(info);
+                    self.reached = Some(info);
                 }
             }
         }
     }
 
-    /// One descent from x. `before`: what other descents of this solve have reached.
+    /// One descent from x.
     ///
     /// Bytes per row and iteration that the kernels of one rank move, as a trace counts them: flag of 20,300 vertices, no
     /// contacts.
     /// ```text
-    ///                 Jacobi   chain sweep          sweep by color
-    /// w = A u           529     72, between chunks    529
-    /// w.u, P' w          24     24                     60
-    /// p, s, x, r        156    in M^-1 r              156
-    /// u = M^-1 r     in r -=   439, with w in chunks  620
+    ///              Jacobi      chain sweep                    sweep by color
+    /// w = A u      529         72 between chunks              529
+    /// w.u, P' w    24          24                             60
+    /// p, s, x, r   156         with u                         156
+    /// u = M^-1 r   with r      439, with w inside chunks      620
     /// ```
     /// Between ranks: the halo rows, 12 bytes each, and one all-gather of at most 54 numbers per rank; with a coarse level three
     /// more per own chunk.
@@ -150,9 +153,8 @@ impl Pcg {
         b: &DeviceVec<f32>,
         v: &mut PcgVectors,
         params: &PcgParams,
-        before: Option<PcgInfo>,
     ) -> Result<Descent, PcgError> {
-        let sums = &mut self.sums;
+        let (sums, before) = (&mut self.sums, self.reached);
         let (mut iteration, mut products) = before.map_or((0, 0), |info| (info.iterations, info.products));
         if params.nonzero_start || before.is_some() {
             // w = A x0, through u because only u has halo rows

@@ -8,13 +8,14 @@ use std::ops::Range;
 
 use crate::collision::broad::{BroadError, CollisionMesh, Split};
 use crate::collision::{ContactParams, Detector, DetectorError, Impact, RunsOn, merge_contacts, merge_impacts};
+use crate::context::RankContext;
 use crate::forces::{ContactElement, NO_VERTEX};
-use crate::gpu::{CpuExecutor, Executor};
+use crate::gpu::CpuExecutor;
 use crate::impact_zone::{self, ImpactZones, Moved, StepPositions, ZoneSettings};
 use crate::model::CollisionModel;
 use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::Obstacles;
-use crate::telemetry::{EventName, Recorder};
+use crate::telemetry::EventName;
 use crate::transport::{TracedTransport, Transport, share_lists, share_positions};
 
 use super::error::{Failure, Imposed, SetupError};
@@ -30,6 +31,11 @@ pub(super) struct Span {
 }
 
 impl Span {
+    /// Step `step`, counted from 1, of `step_s` seconds.
+    pub fn of_step(step: u32, step_s: f64) -> Span {
+        Span { start_s: (step - 1) as f64 * step_s, end_s: step as f64 * step_s, length_s: step_s }
+    }
+
     /// The two halves, in order.
     pub fn halves(self) -> [Span; 2] {
         let length_s = 0.5 * self.length_s;
@@ -161,17 +167,15 @@ impl Collisions {
     /// `own` (positions, velocities; xyz), and those it is heading for, and tells everybody who needs which rows.
     pub fn contacts(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
+        rank: &mut RankContext<'_>,
         own: (&[f32], &[f32]),
         gravity_m_s2: [f32; 3],
         span: Span,
         stats: &mut StepStats,
-        recorder: &mut Recorder,
     ) -> Result<RankContacts, Failure> {
         let clock = StageClock::start();
         let (query, share) = (EventName::ProximityQuery, EventName::SharePositions);
-        let mut traced = TracedTransport::new(transport, recorder, query, share);
+        let mut traced = TracedTransport::new(rank.transport, rank.recorder, query, share);
         if !self.state_known {
             share_positions(&mut traced, own.0, &mut self.x_t0, |rank| values_of(&self.partition, rank))?;
             self.state_known = true;
@@ -195,7 +199,7 @@ impl Collisions {
         share_positions(&mut traced, &ahead, &mut self.x_t1, |rank| values_of(&self.partition, rank))?;
         traced.shares(EventName::ShareQuery);
         let mut found = Vec::new();
-        let on = RunsOn::new(executor, &self.cpu);
+        let on = RunsOn::new(rank.executor, &self.cpu);
         let query = self
             .detector
             .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(&mut traced), &mut found)
@@ -205,9 +209,10 @@ impl Collisions {
         stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
         traced.finish(query.bytes);
         clock.lap(&mut stats.seconds.proximity);
-        transport.alive()?;
+        rank.transport.alive()?;
 
-        let mut traced = TracedTransport::new(transport, recorder, EventName::LocalContacts, EventName::ShareContacts);
+        let mut traced =
+            TracedTransport::new(rank.transport, rank.recorder, EventName::LocalContacts, EventName::ShareContacts);
         let elements = self.own_contacts(&mut traced, &found, stats)?;
         let contacts = self.localize(&mut traced, elements, span)?;
         traced.finish(0);
@@ -298,16 +303,14 @@ impl Collisions {
     /// nothing penetrates; in at most `rounds_most` rounds, twice as many while the impacts become few or half as many.
     pub fn resolve(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
+        rank: &mut RankContext<'_>,
         own: &[f32],
         rounds_most: u32,
         stats: &mut StepStats,
-        recorder: &mut Recorder,
     ) -> Result<Resolved, Failure> {
         let clock = StageClock::start();
         let (query, share) = (EventName::ContinuousQuery, EventName::SharePositions);
-        let mut traced = TracedTransport::new(transport, recorder, query, share);
+        let mut traced = TracedTransport::new(rank.transport, rank.recorder, query, share);
         share_positions(&mut traced, own, &mut self.x_t1, |rank| values_of(&self.partition, rank))?;
         traced.finish(0);
         stats.state_bytes += 4 * (self.partition.rows() * 3 - own.len()) as u64;
@@ -316,7 +319,7 @@ impl Collisions {
         let mut touched: Option<Vec<bool>> = None;
         let (mut most, mut last) = (0, usize::MAX);
         loop {
-            let impacts = self.impacts(executor, transport, touched.as_deref(), stats, recorder)?;
+            let impacts = self.impacts(rank, touched.as_deref(), stats)?;
             clock.lap(&mut stats.seconds.continuous);
             if impacts.is_empty() {
                 break;
@@ -329,7 +332,8 @@ impl Collisions {
                 return Ok(Resolved::Slow);
             }
             last = impacts.len();
-            let mut traced = TracedTransport::new(transport, recorder, EventName::ImpactZones, EventName::ShareMoved);
+            let mut traced =
+                TracedTransport::new(rank.transport, rank.recorder, EventName::ImpactZones, EventName::ShareMoved);
             let inverse_masses = &self.detector.params().inverse_masses_per_kg;
             let step = StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses };
             if let Err(impossible) = zones.add(&step, &impacts) {
@@ -337,7 +341,7 @@ impl Collisions {
                 return Ok(Resolved::Squeezed(self.imposed(&impossible.imposed)));
             }
             let share = zones.share(traced.rank(), traced.ranks());
-            let solved = zones.solve(executor, &self.cpu, &step, &share);
+            let solved = zones.solve(rank.executor, &self.cpu, &step, &share);
             stats.zones.iterations += solved.iterations;
             let mask = touched.get_or_insert_with(Vec::new);
             mask.clear();
@@ -383,16 +387,14 @@ impl Collisions {
     /// Impacts of all ranks, sorted, each once.
     fn impacts(
         &mut self,
-        executor: &Executor,
-        transport: &mut dyn Transport,
+        rank: &mut RankContext<'_>,
         touched: Option<&[bool]>,
         stats: &mut StepStats,
-        recorder: &mut Recorder,
     ) -> Result<Vec<Impact>, Failure> {
         let (query, share) = (EventName::ContinuousQuery, EventName::ShareQuery);
-        let mut traced = TracedTransport::new(transport, recorder, query, share);
+        let mut traced = TracedTransport::new(rank.transport, rank.recorder, query, share);
         let mut found = Vec::new();
-        let on = RunsOn::new(executor, &self.cpu);
+        let on = RunsOn::new(rank.executor, &self.cpu);
         let split = &mut Split::together(&mut traced);
         let query = self
             .detector

@@ -1,16 +1,15 @@
 //! What others may ask a simulation: its state, its memory, and why a solve failed.
 
-use super::{Failure, Simulation};
+use super::{Failure, RankCloth, Simulation};
 use crate::gpu::Executor;
 use crate::model::RankState;
 use crate::scene::PreconditionerKind;
 use crate::solver::PcgError;
-use crate::solver::comparison::MatrixFree;
 
 impl Simulation {
     /// State of the own rows; one wait for the executor if it has changed since the last time.
     pub fn state(&self) -> RankState {
-        self.own_state().as_ref().clone()
+        self.cloth.state.own(&self.executor).as_ref().clone()
     }
 
     /// Gives all of it up but the executor, for another simulation.
@@ -20,40 +19,32 @@ impl Simulation {
 
     /// Bytes of device memory (on the cpu executor: of host memory).
     pub fn memory_bytes(&self) -> u64 {
-        self.fabrics.bytes()
-            + self.triangles.bytes()
-            + self.hinges.bytes()
-            + self.triangle_records.bytes()
-            + self.hinge_records.bytes()
-            + self.masses.bytes()
-            + self.pinned.bytes()
-            + self.positions.bytes()
-            + self.velocities.bytes()
-            + self.fill_tables.bytes()
-            + self.matrix.bytes()
-            + self.contacts.bytes()
-            + self.rhs.bytes()
-            + self.inverse_diagonal.bytes()
-            + self.solver.bytes()
-            + self.matrix_free.as_ref().map_or(0, MatrixFree::bytes)
+        self.cloth.bytes()
     }
 
     /// The preconditioner in use.
     pub fn preconditioner(&self) -> PreconditionerKind {
-        self.solver.preconditioner()
+        self.cloth.solver.preconditioner()
+    }
+}
+
+impl RankCloth {
+    /// Device bytes of everything but collisions.
+    pub(super) fn bytes(&self) -> u64 {
+        self.elements.bytes() + self.state.bytes() + self.system.bytes() + self.matrix.bytes() + self.solver.bytes()
     }
 
     /// Finds the vertex behind a failed solve and names what usually causes it.
-    pub(super) fn explain(&self, step: u32, error: PcgError) -> Failure {
+    pub(super) fn explain(&self, executor: &Executor, step: u32, error: PcgError) -> Failure {
         let cause = match error {
             PcgError::Transport(error) => return error.into(),
             other => other.to_string(),
         };
-        if let Some(fault) = self.executor.take_fault() {
+        if let Some(fault) = executor.take_fault() {
             return Failure::in_step(step, fault);
         }
-        let own = self.own_state();
-        let rhs = self.rhs.read(&self.executor);
+        let own = self.state.own(executor);
+        let rhs = self.system.rhs.read(executor);
         let suspects = [
             ("position", &own.positions, "simulation.step_s or the start state"),
             ("velocity", &own.velocities, "simulation.step_s or air.wind"),
@@ -63,7 +54,7 @@ impl Simulation {
             if let Some(at) = values.iter().position(|v| !v.is_finite()) {
                 return Failure::NotFinite {
                     step,
-                    row: (self.rows_start + at / 3) as u32,
+                    row: (self.rows.start + at / 3) as u32,
                     quantity: quantity.into(),
                     cause,
                     suspect: suspect.into(),

@@ -1,76 +1,138 @@
-//! Host copy of the own rows' state. It is read from the executor once after each change, because on a device every read
-//! is a wait; later readers share it.
+//! Positions and velocities of a rank: on the executor for all local rows, and a host copy of the own rows. The copy is read
+//! once after each change, because on a device every read is a wait; later readers share it.
 
 use std::cell::RefCell;
+use std::ops::Range;
 use std::rc::Rc;
 
-use super::Simulation;
-use crate::gpu::ReadBatch;
+use super::collisions::Span;
+use crate::context::RankContext;
+use crate::gpu::{DeviceVec, Executor, ReadBatch};
+use crate::integrator::advance::Advance;
+use crate::integrator::pins::PinTargets;
+use crate::integrator::scatter::Scatter;
 use crate::math::DIM;
-use crate::model::RankState;
+use crate::model::{RankArrays, RankState};
+use crate::solver::{HaloExchange, TrafficCounter};
 use crate::telemetry::{Activity, EventName};
+use crate::transport::TransportError;
 
-/// What the host knows of the state that the executor holds.
-#[derive(Default)]
-pub(super) struct StateCopy(RefCell<Option<Rc<RankState>>>);
-
-impl StateCopy {
-    /// The executor's state is about to change.
-    pub fn forget(&self) {
-        self.0.take();
-    }
-
-    /// The executor's state is `state`, bit for bit.
-    pub fn is(&self, state: Rc<RankState>) {
-        self.0.replace(Some(state));
-    }
+/// The state that the executor holds.
+pub(super) struct StateVectors {
+    /// Metres, xyz of all local rows; then of the obstacle vertices that contacts touch.
+    pub positions: DeviceVec<f32>,
+    /// m/s, as `positions`.
+    pub velocities: DeviceVec<f32>,
+    /// Values of the own rows.
+    own: Range<usize>,
+    /// What the host knows of the own rows; none after a change.
+    copy: RefCell<Option<Rc<RankState>>>,
+    /// Bytes received since they were taken last.
+    traffic: TrafficCounter,
+    advance: Advance,
+    scatter: Scatter,
 }
 
-impl Simulation {
+impl StateVectors {
+    /// The state of `arrays`; `own`: own rows among the local ones.
+    pub fn new(executor: &Executor, arrays: &RankArrays, own: Range<usize>) -> StateVectors {
+        StateVectors {
+            positions: DeviceVec::upload(executor, &arrays.positions),
+            velocities: DeviceVec::upload(executor, &arrays.velocities),
+            own: own.start * 3..own.end * 3,
+            copy: RefCell::new(None),
+            traffic: TrafficCounter::default(),
+            advance: Advance::new(executor),
+            scatter: Scatter::new(executor),
+        }
+    }
+
     /// The state of the own rows; one wait for the executor if it has changed since the last time.
-    pub(super) fn own_state(&self) -> Rc<RankState> {
-        if let Some(known) = &*self.copy.0.borrow() {
+    pub fn own(&self, executor: &Executor) -> Rc<RankState> {
+        if let Some(known) = &*self.copy.borrow() {
             return Rc::clone(known);
         }
-        let mut state = RankState::zeros(self.own_rows);
+        let mut state = RankState::zeros(self.own.len() / DIM);
         let mut batch = ReadBatch::new();
-        batch.add(&self.positions, self.own_start, &mut state.positions);
-        batch.add(&self.velocities, self.own_start, &mut state.velocities);
-        batch.finish(&self.executor);
+        batch.add(&self.positions, self.own.start, &mut state.positions);
+        batch.add(&self.velocities, self.own.start, &mut state.velocities);
+        batch.finish(executor);
         let state = Rc::new(state);
-        self.copy.is(Rc::clone(&state));
+        self.copy.replace(Some(Rc::clone(&state)));
         state
     }
 
-    /// Goes on from `state`, the own rows of a state that every rank is given before the next step. Nothing that earlier
-    /// steps have left is used again: pins take hold anew, and collisions ask again where the cloth is.
-    pub fn set_state(&mut self, state: RankState) {
-        let values = self.own_rows * DIM;
-        assert_eq!((state.positions.len(), state.velocities.len()), (values, values), "the state of the own rows");
-        self.set_own_state(Rc::new(state));
-        self.pins.release_all();
-        self.pinned.fill_zero(&self.executor);
-        if let Some(collisions) = &mut self.collisions {
-            collisions.forget_state();
-        }
-        self.state_is_new = true;
-    }
-
-    /// The executor's state of the own rows becomes `state`.
-    pub(super) fn set_own_state(&mut self, state: Rc<RankState>) {
-        self.positions.write_range(&self.executor, self.own_start, &state.positions);
-        self.velocities.write_range(&self.executor, self.own_start, &state.velocities);
-        self.copy.is(state);
-    }
-
-    /// As [`Simulation::own_state`], within a step: what is read is recorded.
-    pub(super) fn recorded_state(&mut self) -> Rc<RankState> {
-        let known = self.copy.0.borrow().clone();
+    /// As [`StateVectors::own`], within a step: what is read is recorded.
+    pub fn recorded(&self, rank: &mut RankContext<'_>) -> Rc<RankState> {
+        let known = self.copy.borrow().clone();
         known.unwrap_or_else(|| {
-            let start = self.recorder.now();
-            let state = self.own_state();
-            self.recorder.end(EventName::ReadState, Activity::Transfer, start, state.bytes(), 0);
+            let start = rank.recorder.now();
+            let state = self.own(rank.executor);
+            rank.recorder.end(EventName::ReadState, Activity::Transfer, start, state.bytes(), 0);
             state
         })
+    }
+
+    /// The own rows become `state`.
+    pub fn set(&mut self, executor: &Executor, state: Rc<RankState>) {
+        self.positions.write_range(executor, self.own.start, &state.positions);
+        self.velocities.write_range(executor, self.own.start, &state.velocities);
+        self.copy.replace(Some(state));
+    }
+
+    /// Obstacle vertices (xyz) follow the `rows` local rows.
+    pub fn put_obstacles(&mut self, executor: &Executor, rows: usize, positions: &[f32], velocities: &[f32]) {
+        for (local, obstacles) in [(&mut self.positions, positions), (&mut self.velocities, velocities)] {
+            let local_len = rows * 3 + obstacles.len();
+            if local.len() < local_len {
+                local.resize(executor, local_len);
+            }
+            local.write_range(executor, rows * 3, obstacles);
+        }
+    }
+
+    /// Receives the halo rows.
+    pub fn exchange(&mut self, rank: &mut RankContext<'_>, halo: &mut HaloExchange) -> Result<(), TransportError> {
+        let start = rank.recorder.now();
+        halo.start(rank.executor, rank.transport, &[&self.positions, &self.velocities], rank.recorder)?;
+        let vectors = &mut [&mut self.positions, &mut self.velocities];
+        halo.finish(rank.executor, rank.transport, vectors, rank.recorder, &mut self.traffic)?;
+        rank.recorder.end(EventName::ExchangeState, Activity::Compute, start, 0, 0);
+        Ok(())
+    }
+
+    /// `velocity_changes` (own rows) becomes those of `targets`, zero elsewhere.
+    pub fn prescribe(&self, executor: &Executor, targets: &PinTargets, velocity_changes: &mut DeviceVec<f32>) {
+        velocity_changes.fill_zero(executor);
+        self.scatter.apply(executor, &targets.rows, &targets.velocity_changes, 0, velocity_changes);
+    }
+
+    /// v += `velocity_changes` (own rows), x += dt v; then pinned rows exactly.
+    pub fn advance(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        span: Span,
+        velocity_changes: &DeviceVec<f32>,
+        targets: &PinTargets,
+    ) {
+        let (executor, first) = (rank.executor, self.own.start);
+        let start = rank.recorder.before_kernels();
+        self.copy.take();
+        let (x, v) = (&mut self.positions, &mut self.velocities);
+        self.advance.advance(executor, span.length_s as f32, velocity_changes, first, v, x);
+        self.scatter.apply(executor, &targets.rows, &targets.velocities, first, v);
+        self.scatter.apply(executor, &targets.rows, &targets.positions, first, x);
+        let rows = self.own.len() as u64 / 3;
+        rank.recorder.end(EventName::Advance, Activity::Compute, start, rows * 60, rows * 9);
+    }
+
+    /// Bytes received by [`StateVectors::exchange`] since the last call.
+    pub fn take_received_bytes(&mut self) -> u64 {
+        std::mem::take(&mut self.traffic).received_bytes
+    }
+
+    /// Device bytes.
+    pub fn bytes(&self) -> u64 {
+        self.positions.bytes() + self.velocities.bytes()
     }
 }
