@@ -54,6 +54,7 @@ pub(super) fn contact_sums(cpu: &CpuExecutor, offsets: &[u32], entries: &[u32], 
 
 /// Blocks off the diagonal of every lane; padding becomes zero. Blocks (a, b) and (b, a) get the same products in the same
 /// order, so the matrix is symmetric bit for bit. Bytes per entry: 12 + 48 read; 36 per block written.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub(super) fn contact_blocks(
     cpu: &CpuExecutor,
     offsets: &[u32],

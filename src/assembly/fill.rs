@@ -212,6 +212,7 @@ impl Fill {
 
     /// Fills `matrix`, `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows). `contacts` are
     /// added to the diagonal blocks and the right-hand side of the rows that they touch.
+    #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
     pub fn apply(
         &self,
         executor: &Executor,
@@ -270,6 +271,7 @@ impl Fill {
     }
 }
 
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 fn apply_on_device(
     gpu: &GpuExecutor,
     params: &FillParams,

@@ -142,6 +142,7 @@ pub(crate) fn add_triangle(
 
 /// block += left x0' + right x1' + third x2' + identity I
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the vectors of one formula")]
 fn add_block(
     block: &mut [f32; BLOCK],
     left: Vec3,

@@ -288,6 +288,7 @@ impl IndexFill {
 
     /// Writes the columns of `placement` into `matrix`, which has room for them. With `row_offsets` (start of every row in
     /// pattern order) also the address of every block.
+    #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
     pub fn place(
         &mut self,
         executor: &Executor,

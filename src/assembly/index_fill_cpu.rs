@@ -174,6 +174,7 @@ fn measure(rows: &IndexRows, set: &RowSet, part_ends: &[u32], lengths: &mut [u32
 }
 
 /// Columns of every lane of the layout, and the address of every block where rows keep them.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub(super) fn index_place(
     cpu: &CpuExecutor,
     row_start: impl Fn(usize) -> usize + Sync,

@@ -29,6 +29,7 @@ impl Stretch {
     }
 
     /// Fills `records` from the state of `elements`. `positions`, `velocities`: xyz of every local vertex.
+    #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
     pub fn apply(
         &self,
         executor: &Executor,

@@ -25,6 +25,7 @@ struct Tables<'a> {
 
 /// y = A x (or y += A x with `accumulate`) for the rows in `slices`. Bytes: 40 per slot, 12 per row written, and the
 /// entries of x once if they stay in cache.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub fn spmv(
     cpu: &CpuExecutor,
     slices: Range<u32>,

@@ -97,6 +97,7 @@ struct Scratch {
 /// `update` = (alpha, beta): first p = u + beta p, s = w + beta s, x += alpha p, r -= alpha s (0 on pinned rows). Then u and w
 /// from r as in the description of the file; sums[chunk] = (r . u, r . r). `coarse`: three values per chunk.
 /// Bytes per row of a cloth: about 310 of blocks, 120 of vectors read, 72 written.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub fn sweep(
     cpu: &CpuExecutor,
     blocks: &Blocks,

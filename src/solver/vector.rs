@@ -143,6 +143,7 @@ impl VectorOps {
     }
 
     /// r = b - w (0 on pinned rows), u = inverse_diagonal * r; sums r . u and r . r.
+    #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
     pub fn start(
         &mut self,
         executor: &Executor,
@@ -183,6 +184,7 @@ impl VectorOps {
     }
 
     /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = inverse_diagonal * r; sums r . u and r . r.
+    #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
     pub fn update(
         &mut self,
         executor: &Executor,

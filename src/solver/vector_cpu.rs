@@ -75,6 +75,7 @@ pub fn dot(cpu: &CpuExecutor, chunk_rows: usize, w: &[f32], u: &[f32], sums: &mu
 }
 
 /// r = b - w (0 on pinned rows), u = inverse_diagonal * r, sums[chunk] = (r . u, r . r).
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub fn start(
     cpu: &CpuExecutor,
     chunk_rows: usize,
@@ -118,6 +119,7 @@ fn inverse_of(inverse_diagonal: &[f32], row: usize) -> &[f32; 6] {
 /// One fused vector pass of an iteration [Chronopoulos and Gear 1989]:
 /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = inverse_diagonal * r; sums[chunk] = (r . u, r . r).
 /// Pinned rows (zero inverse) keep r = u = 0. Bytes per row: 96 read, 60 written.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub fn update(
     cpu: &CpuExecutor,
     chunk_rows: usize,

@@ -84,6 +84,7 @@ fn bits([a, b, c]: [f32; 3], w: u32) -> [u32; 4] {
 }
 
 /// Box, cells and home of every triangle; residents per bucket.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub(super) fn count_residents(
     params: &HashParams,
     x_t0: &[f32],
@@ -193,6 +194,7 @@ pub(super) fn bucket_loads(params: &HashParams, counts: &[[u32; 4]], tests: &mut
 }
 
 /// The entries of a batch.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub(super) fn fill(
     params: &HashParams,
     boxes: &[[u32; 4]],

@@ -81,6 +81,7 @@ fn meets(params: &PairParams, boxes: &[[u32; 4]], [one, tag]: [u32; 2], [other, 
 }
 
 /// Pairs of triangles whose boxes overlap.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub(super) fn box_tests(
     params: &PairParams,
     test_starts: &[u32],
@@ -160,6 +161,7 @@ impl Hull {
 }
 
 /// Candidates of the pairs of triangles that were found.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub(super) fn feature_pairs(
     params: &PairParams,
     boxes: &[[u32; 4]],
