@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use super::coarse::{Coarse, GroupSums};
 use super::colored_cpu;
-use super::schwarz::RankPattern;
+use super::rank_pattern::RankPattern;
 use super::vector::{CHUNK_THREADS, ChunkSums, LIBRARIES};
 use crate::assembly::SellMatrix;
 use crate::assembly::sell::BLOCK;

@@ -11,6 +11,7 @@ use super::colored::Colored;
 use super::exchange::{ExchangeMode, HaloExchange, TrafficCounter};
 use super::operator::StoredMatrix;
 use super::preconditioner::Preconditioner;
+use super::rank_pattern::RankPattern;
 use super::sweep::Sweeps;
 use super::two_level::{ChainSweep, ColoredSweep};
 use super::vector::VectorOps;
@@ -27,17 +28,6 @@ use crate::transport::TransportError;
 const CHUNK_ROWS_MAX: usize = 1 << 16;
 /// Least relative tolerance of a descent for which `auto` takes it.
 const LEAST_TOLERANCE: f64 = 1e-4;
-
-/// Pattern of a rank's rows, as the matrix was laid out.
-#[derive(Clone, Copy)]
-pub struct RankPattern<'a> {
-    /// Start of each own row; one more than rows.
-    pub offsets: &'a [u32],
-    /// Local columns, ascending in a row.
-    pub columns: &'a [u32],
-    /// See [`crate::assembly::SellLayout::block_address`].
-    pub block_address: &'a [u32],
-}
 
 /// How the rows of a chunk are swept; both hold the matrix in the form that they multiply.
 enum Smoother {

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::coarse::{Coarse, GroupSums, add_block};
 use super::exchange::ExchangeMode;
-use super::schwarz::RankPattern;
+use super::rank_pattern::RankPattern;
 use super::sweep_cpu::{self, Blocks};
 use super::vector::{ChunkSums, PcgVectors};
 use super::vector_cpu::Shared;
