@@ -148,8 +148,10 @@ fn over_iceoryx<'a>(place: &'a Place, options: &SessionOptions) -> (Session, Run
     let session = Session::assemble(SessionPlace::ALONE, options, &Launch::Await).expect("a session");
     let run = session.run_name().expect("a run of processes").clone();
     let program = env!("CARGO_BIN_EXE_loomtree-worker");
+    // The run lies where this process makes it, not where programs of the place would.
+    let folder = std::env::temp_dir().display().to_string();
     let workers = (0..options.workers)
-        .map(|rank| place.start_program(program, &format!("--run {run} --rank {rank}"), &[]))
+        .map(|rank| place.start_program(program, &format!("--run {run} --rank {rank}"), &[("TMPDIR", &folder)]))
         .collect();
     (session, run, workers)
 }
