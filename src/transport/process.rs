@@ -31,6 +31,13 @@ impl ProcessWatch {
         self.pid
     }
 
+    /// True while the process is stopped (SIGSTOP, Ctrl-Z).
+    pub fn is_stopped(&self) -> bool {
+        let line = std::fs::read_to_string(format!("/proc/{}/stat", self.pid)).unwrap_or_default();
+        line.rsplit_once(')')
+            .is_some_and(|(_, fields)| matches!(fields.trim_start().as_bytes().first(), Some(b'T' | b't')))
+    }
+
     /// True once the process has ended, reaped or not. Never waits.
     pub fn has_ended(&self) -> bool {
         let Some(descriptor) = &self.descriptor else {
@@ -126,7 +133,13 @@ mod tests {
 
         let mut child = std::process::Command::new("sleep").arg("600").spawn().unwrap();
         let watches = [ProcessWatch::new(child.id()), without_descriptor(child.id())];
-        assert!(watches.iter().all(|watch| !watch.has_ended()));
+        assert!(watches.iter().all(|watch| !watch.has_ended() && !watch.is_stopped()));
+        let number = Pid::from_child(&child);
+        rustix::process::kill_process(number, rustix::process::Signal::STOP).unwrap();
+        while !watches[0].is_stopped() {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        assert!(!watches[0].has_ended());
         child.kill().unwrap();
         // Not reaped yet: a zombie has ended too.
         while watches.iter().any(|watch| !watch.has_ended()) {

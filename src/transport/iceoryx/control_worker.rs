@@ -122,10 +122,13 @@ impl IceoryxWorker {
             }
             self.check_coordinator()?;
             let waited = clock.elapsed();
-            if waited >= self.deadline {
+            // A coordinator that the user has stopped (Ctrl-Z) goes on some day.
+            if waited >= self.deadline && self.coordinator.is_stopped() {
+                clock = AwakeClock::start();
+            } else if waited >= self.deadline {
                 return Err(ControlError::TimedOut { what, waited_s: waited.as_secs_f64() });
             }
-            self.sleep(self.deadline - waited)?;
+            self.sleep(self.deadline.saturating_sub(waited))?;
         }
     }
 

@@ -1,7 +1,9 @@
 //! The iceoryx2 node of a process, with everything it creates confined to the run's folder and prefix.
 
 use std::fmt::Debug;
-use std::os::unix::fs::PermissionsExt;
+use std::fs::OpenOptions;
+use std::io::{ErrorKind, Write};
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
@@ -35,17 +37,31 @@ pub(super) fn create_node(run: &RunName, name: &str) -> Result<Node<Ipc>, String
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<Ipc>()
         .map_err(text("node"))?;
-    keep_private(run);
+    keep_private(run)?;
     Ok(node)
 }
 
 /// Takes the rights of other users on the run's shared memory away: iceoryx2 lets everybody write to its counter of nodes,
-/// and who shortens that file hangs the run.
-fn keep_private(run: &RunName) {
+/// and who shortens that file hangs the run. Who has it open already keeps that right, so a private copy takes its place;
+/// iceoryx2 opens the counter anew for every node.
+fn keep_private(run: &RunName) -> Result<(), String> {
     for (path, _) in run.shared_memory_files().iter().filter(|(path, _)| is_open_to_others(path)) {
-        // Another process of the run may be doing the same.
-        let _ = std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600));
+        let copy = path.with_extension("private");
+        let copied = std::fs::read(path).and_then(|bytes| {
+            if bytes.is_empty() {
+                return Err(std::io::Error::other("another user has emptied it"));
+            }
+            let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&copy)?;
+            file.write_all(&bytes)?;
+            std::fs::rename(&copy, path)
+        });
+        match copied {
+            // Another process of the run is doing the same.
+            Err(error) if matches!(error.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => {}
+            done => done.map_err(|error| format!("node: {}: {error}", path.display()))?,
+        }
     }
+    Ok(())
 }
 
 fn is_open_to_others(path: &std::path::Path) -> bool {
