@@ -12,6 +12,7 @@ use super::{CliError, print};
 use crate::gpu::{AdapterKind, AdapterSummary, Executor, adapters, bandwidth_gb_s};
 use crate::interconnect::{MAX_GPUS, Topology};
 use crate::output::write_atomically;
+use crate::transport::cores;
 
 /// Arguments of `loomtree topology`.
 #[derive(Clone, Debug, clap::Args)]
@@ -78,7 +79,7 @@ fn measured(device: Device) -> Option<f64> {
     /// Well above the last cache, and read and written in well under a second.
     const BYTES: usize = 256 << 20;
     let executor = match device {
-        Device::Processor => Executor::cpu(std::thread::available_parallelism().map_or(1, usize::from)),
+        Device::Processor => Executor::cpu(cores()),
         Device::Adapter(index) => Executor::gpu(Some(index), 0).ok()?,
     };
     bandwidth_gb_s(&executor, BYTES).ok().map(|measured| (measured.copy_gb_s * 10.0).round() / 10.0)

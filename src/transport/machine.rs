@@ -4,9 +4,10 @@
 use thiserror::Error;
 
 use super::{SharedMemoryError, check_shared_memory, shared_memory_space};
+use crate::interconnect::MAX_GPUS;
 
-/// Most ranks of a run.
-pub const RANKS_MAX: usize = 64;
+/// Most ranks of a run: one per GPU of the largest topology.
+pub const RANKS_MAX: usize = MAX_GPUS;
 
 /// Threads that this process may run at once.
 pub fn cores() -> usize {
