@@ -6,7 +6,7 @@ use std::os::unix::process::CommandExt;
 use std::process::{Command, ExitCode};
 
 /// Becomes `loomtree NAME ARGUMENTS`; returns only if that program cannot be started.
-pub fn become_command(name: &str) -> ExitCode {
+pub(crate) fn become_command(name: &str) -> ExitCode {
     let program = match std::env::current_exe() {
         Ok(path) => path.with_file_name("loomtree"),
         Err(error) => {

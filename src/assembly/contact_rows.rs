@@ -27,7 +27,7 @@ pub(super) struct ContactRows {
 impl ContactRows {
     /// Lists of the rows `own` (local vertices). Two passes over the contacts, in which every thread serves its own rows:
     /// about 130 bytes read per contact, thread and pass.
-    pub fn build(&mut self, cpu: &CpuExecutor, own: Range<usize>, contacts: &[ContactElement]) {
+    pub(super) fn build(&mut self, cpu: &CpuExecutor, own: Range<usize>, contacts: &[ContactElement]) {
         assert!(contacts.len() < super::ElementRows::ELEMENTS_MAX, "too many contacts on one rank");
         self.next.clear();
         self.next.resize(own.len(), 0);
@@ -79,13 +79,13 @@ impl ContactRows {
     }
 
     /// Bytes held.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         let words = [&self.slots, &self.rows, &self.offsets, &self.entries, &self.next].map(Vec::capacity);
         words.into_iter().sum::<usize>() as u64 * 4
     }
 
     /// Contributions of the row that has most.
-    pub fn most(&self) -> usize {
+    pub(super) fn most(&self) -> usize {
         self.offsets.windows(2).map(|pair| (pair[1] - pair[0]) as usize).max().unwrap_or(0)
     }
 }

@@ -9,7 +9,7 @@ use crate::gpu::CpuExecutor;
 use crate::math::{Mat3, Vec3};
 
 /// Inputs of the fill, in the order of the shader's bindings.
-pub struct FillInputs<'a> {
+pub(crate) struct FillInputs<'a> {
     pub row_offsets: &'a [u32],
     pub block_address: &'a [u32],
     pub triangle_offsets: &'a [u32],
@@ -46,7 +46,7 @@ impl Values {
 /// Fills the Value Table, the right-hand side dt*f (xyz per row) and the inverted diagonal blocks (xx, xy, xz, yy, yz, zz).
 /// Pinned rows get a zero inverse: that is how the solver knows them. Bytes per row of a cloth: about 1.2 KB of records
 /// read (shared with neighbouring rows in cache), 36 per block, 12 and 24 written.
-pub fn fill(
+pub(super) fn fill(
     cpu: &CpuExecutor,
     params: &FillParams,
     inputs: &FillInputs,

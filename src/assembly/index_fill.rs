@@ -92,7 +92,7 @@ pub(super) struct IndexRows {
 
 impl IndexRows {
     /// Where row `r` begins in the table; `kinds`: corners and list offsets.
-    pub fn start<'a>(&self, r: usize, kinds: impl Iterator<Item = (usize, &'a [u32])>) -> usize {
+    pub(super) fn start<'a>(&self, r: usize, kinds: impl Iterator<Item = (usize, &'a [u32])>) -> usize {
         let own = if self.own_column { r } else { 0 };
         own + kinds.map(|(corners, offsets)| corners * offsets[r] as usize).sum::<usize>()
     }
@@ -171,7 +171,7 @@ pub(super) struct IndexFill {
 
 impl IndexFill {
     /// Empty tables.
-    pub fn new(executor: &Executor) -> IndexFill {
+    pub(super) fn new(executor: &Executor) -> IndexFill {
         let empty = || DeviceVec::zeros(executor, 0);
         IndexFill {
             table: empty(),
@@ -186,7 +186,7 @@ impl IndexFill {
     }
 
     /// Device bytes.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         self.table.held_bytes()
             + self.lengths.held_bytes()
             + self.global_from_local.held_bytes()
@@ -197,7 +197,7 @@ impl IndexFill {
     ///
     /// # Errors
     /// A row has more columns than positions can name; its number among the `count` rows is in the error.
-    pub fn fill(
+    pub(super) fn fill(
         &mut self,
         executor: &Executor,
         numbering: &Numbering<'_>,
@@ -244,18 +244,18 @@ impl IndexFill {
     }
 
     /// Segments of the lanes that [`IndexFill::place`] placed last.
-    pub fn lanes(&self) -> &DeviceVec<[u32; 4]> {
+    pub(super) fn lanes(&self) -> &DeviceVec<[u32; 4]> {
         &self.lanes
     }
 
     /// Columns of row `r`.
-    pub fn length(&self, r: usize) -> usize {
+    pub(super) fn length(&self, r: usize) -> usize {
         self.host_lengths[r * self.parts..(r + 1) * self.parts].iter().map(|&n| (n & !REMOTE) as usize).sum()
     }
 
     /// The rows cut into the sections of the exchange mode. `own_row`: own row of every row of the tables; `late`: rows that
     /// belong to the second section of `halo` whatever their columns.
-    pub fn segments(
+    pub(super) fn segments(
         &self,
         numbering: &Numbering<'_>,
         count: usize,
@@ -289,7 +289,7 @@ impl IndexFill {
     /// Writes the columns of `placement` into `matrix`, which has room for them. With `row_offsets` (start of every row in
     /// pattern order) also the address of every block.
     #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
-    pub fn place(
+    pub(super) fn place(
         &mut self,
         executor: &Executor,
         rows: &IndexRows,

@@ -59,7 +59,7 @@ pub(super) struct Placement {
 
 impl Placement {
     /// Places the segments of each section: sorted by length within windows of [`SORT_WINDOW`], then cut into slices.
-    pub fn new(sections: &[Vec<Segment>]) -> Placement {
+    pub(super) fn new(sections: &[Vec<Segment>]) -> Placement {
         let mut placement = Placement { slice_offsets: vec![0], ..Default::default() };
         let mut order: Vec<u64> = Vec::new();
         for segments in sections {

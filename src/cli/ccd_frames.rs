@@ -21,7 +21,7 @@ use crate::transport::cores;
 
 /// A row of a table of pairs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TruePair {
+pub(super) struct TruePair {
     /// Line of the table, counting from 1.
     pub line: usize,
     /// Vertex and face corners, or two edges.
@@ -34,7 +34,7 @@ pub struct TruePair {
 
 /// What the command prints.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct FramesReport {
+pub(super) struct FramesReport {
     pub kind: &'static str,
     /// Rows of the table.
     pub pairs: usize,
@@ -64,7 +64,7 @@ pub struct FramesReport {
 ///
 /// # Errors
 /// A file cannot be read or does not fit the others (exit code 2), or a true pair is missed or found too late (exit code 1).
-pub fn write_frames(
+pub(super) fn write_frames(
     frames: [&Path; 2],
     pairs: &Path,
     kind: Option<CcdKind>,
@@ -231,7 +231,7 @@ impl Features {
 ///
 /// # Errors
 /// A column is missing or a row has no proper entry in it.
-pub fn parse_pairs(bytes: &[u8]) -> Result<(Vec<TruePair>, &'static str), CsvFault> {
+pub(super) fn parse_pairs(bytes: &[u8]) -> Result<(Vec<TruePair>, &'static str), CsvFault> {
     let mut lines = lines(bytes);
     let missing =
         |line, column: &str| CsvFault { line, what: format!("no column {column}; the first line names the columns") };

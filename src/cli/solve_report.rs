@@ -13,7 +13,7 @@ use crate::output::{ReportHeader, write_atomically};
 use crate::solver::ExchangeMode;
 
 /// What the report needs beyond the results.
-pub struct SolveFacts {
+pub(super) struct SolveFacts {
     pub(super) rows: usize,
     pub(super) block_rows: usize,
     pub(super) workers: usize,
@@ -44,7 +44,7 @@ impl SolveFacts {
 
 /// The JSON on stdout. The first six names are a contract.
 #[derive(Debug, Serialize)]
-pub struct SolveReport {
+pub(super) struct SolveReport {
     /// Rows of the matrix in the file.
     pub rows: usize,
     /// PCG iterations.
@@ -89,7 +89,7 @@ pub struct SolveReport {
 ///
 /// # Errors
 /// The solution cannot be written, or the solve did not converge.
-pub fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> Result<(), CliError> {
+pub(super) fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]) -> Result<(), CliError> {
     if let Some(path) = &facts.solution {
         let mut x: Vec<f64> = results.iter().flat_map(|result| result.x.iter().copied()).collect();
         debug_assert_eq!(x.len(), facts.block_rows * DIM);

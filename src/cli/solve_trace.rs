@@ -9,11 +9,11 @@ use crate::output::{RankEvents, ReportHeader, ReportWriter, Status, StepRecord, 
 use crate::step::StageSeconds;
 
 /// Solves of a repeated one whose events are kept: as many as steps of a run.
-pub const SOLVES_MOST: u32 = 20;
+pub(super) const SOLVES_MOST: u32 = 20;
 
 /// A folder that can be written to and holds no run.
 #[derive(Clone, Debug)]
-pub struct TraceFolder {
+pub(super) struct TraceFolder {
     path: PathBuf,
 }
 
@@ -22,7 +22,7 @@ impl TraceFolder {
     ///
     /// # Errors
     /// A file is in the way, the folder holds a run or a trace, or it cannot be written to.
-    pub fn new(path: &Path) -> Result<TraceFolder, CliError> {
+    pub(super) fn new(path: &Path) -> Result<TraceFolder, CliError> {
         let refused = |what: &str| CliError::bad_input(format!("--trace {}: {what}", path.display()));
         if path.exists() && !path.is_dir() {
             return Err(refused("is a file; name a folder"));
@@ -39,7 +39,7 @@ impl TraceFolder {
     ///
     /// # Errors
     /// A file cannot be written.
-    pub fn write(&self, header: ReportHeader, executor: &str, results: &[SolveResult]) -> Result<(), CliError> {
+    pub(super) fn write(&self, header: ReportHeader, executor: &str, results: &[SolveResult]) -> Result<(), CliError> {
         let written = self.write_report(header, executor, results).and_then(|()| self.write_trace(results));
         written.map_err(|error| CliError::bad_input(format!("--trace: {error}")))
     }

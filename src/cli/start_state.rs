@@ -19,7 +19,7 @@ pub(super) struct Places {
 
 impl Places {
     /// Beside a run directory, or where that has no place yet, in the working directory.
-    pub fn beside(out: &Path) -> Places {
+    pub(super) fn beside(out: &Path) -> Places {
         let place = |ending: &str| {
             let mut name = out.file_name().unwrap_or("run".as_ref()).to_os_string();
             name.push(ending);
@@ -31,7 +31,7 @@ impl Places {
     }
 
     /// The sentence of a refusal; writes the meshes if it is one of a start state.
-    pub fn refuse(&self, error: &mut SceneError) -> String {
+    pub(super) fn refuse(&self, error: &mut SceneError) -> String {
         let SceneError::Crossing { crossings, .. } = error else { return error.to_string() };
         let mut faults = Vec::new();
         if let Some(file) = &self.crossings {

@@ -11,7 +11,7 @@ pub(super) struct Around {
 }
 
 impl Around {
-    pub fn new(mesh: &CollisionMesh) -> Around {
+    pub(super) fn new(mesh: &CollisionMesh) -> Around {
         let mut first = vec![0; mesh.vertices + 1];
         for &vertex in mesh.triangles.as_flattened() {
             first[vertex as usize + 1] += 1;
@@ -31,23 +31,23 @@ impl Around {
     }
 
     /// Corners of the triangles around a vertex, in the order of the mesh.
-    pub fn faces<'a>(&'a self, mesh: &'a CollisionMesh, vertex: u32) -> impl Iterator<Item = [u32; 3]> + 'a {
+    pub(super) fn faces<'a>(&'a self, mesh: &'a CollisionMesh, vertex: u32) -> impl Iterator<Item = [u32; 3]> + 'a {
         let (start, end) = (self.first[vertex as usize], self.first[vertex as usize + 1]);
         self.triangles[start as usize..end as usize].iter().map(|&t| mesh.triangles[t as usize])
     }
 
     /// Vertices that share an edge with a vertex; most of them twice.
-    pub fn neighbors<'a>(&'a self, mesh: &'a CollisionMesh, vertex: u32) -> impl Iterator<Item = u32> + 'a {
+    pub(super) fn neighbors<'a>(&'a self, mesh: &'a CollisionMesh, vertex: u32) -> impl Iterator<Item = u32> + 'a {
         self.faces(mesh, vertex).flatten().filter(move |&other| other != vertex)
     }
 
     /// Third corners of the triangles at an edge.
-    pub fn opposite<'a>(&'a self, mesh: &'a CollisionMesh, [a, b]: [u32; 2]) -> impl Iterator<Item = u32> + 'a {
+    pub(super) fn opposite<'a>(&'a self, mesh: &'a CollisionMesh, [a, b]: [u32; 2]) -> impl Iterator<Item = u32> + 'a {
         self.faces(mesh, a).filter(move |face| face.contains(&b)).flatten().filter(move |&v| v != a && v != b)
     }
 
     /// Bytes of both lists; every rank holds them.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         4 * (self.first.len() + self.triangles.len()) as u64
     }
 }

@@ -49,7 +49,7 @@ pub(super) struct Pair {
 
 impl Pair {
     /// How much closer the closest points come along the normal on the way from `x` to `ahead`, metres.
-    pub fn approach(&self, x: &[f32], ahead: &[f32]) -> f32 {
+    pub(super) fn approach(&self, x: &[f32], ahead: &[f32]) -> f32 {
         let at = |x: &[f32], v: u32| Vec3::from_slice(&x[3 * v as usize..]);
         let present = self.vertices.iter().zip(self.weights).filter(|(v, _)| **v != NO_VERTEX);
         let parting = present.fold(Vec3::ZERO, |sum, (&v, weight)| sum + weight * (at(ahead, v) - at(x, v)));
@@ -67,13 +67,13 @@ pub(super) struct Surfaces<'a> {
 
 impl Surfaces<'_> {
     #[inline(always)]
-    pub fn at(&self, vertex: u32) -> Vec3 {
+    pub(super) fn at(&self, vertex: u32) -> Vec3 {
         Vec3::from_slice(&self.x[3 * vertex as usize..])
     }
 
     /// The pair of closest features of a stencil if it is a contact. Beyond `reach_m`, at least what counts as near for any
     /// pair of the stencil's vertices, there may be no answer.
-    pub fn closest(&self, candidate: &Candidate, reach_m: f32) -> Option<Pair> {
+    pub(super) fn closest(&self, candidate: &Candidate, reach_m: f32) -> Option<Pair> {
         let x = candidate.vertices.map(|v| self.at(v));
         if !candidate.is_vertex_face() {
             let (u, v) = (x[1] - x[0], x[3] - x[2]);

@@ -25,12 +25,12 @@ pub(super) struct Findings<T> {
 }
 
 impl<T> Findings<T> {
-    pub fn new() -> Findings<T> {
+    pub(super) fn new() -> Findings<T> {
         Findings { items: Vec::new(), tested: 0, smallest_gap_m: f32::INFINITY, ns: 0 }
     }
 
     /// Adds what another thread found.
-    pub fn append(&mut self, mut other: Findings<T>) {
+    pub(super) fn append(&mut self, mut other: Findings<T>) {
         if self.items.is_empty() {
             std::mem::swap(&mut self.items, &mut other.items);
         }

@@ -80,7 +80,7 @@ pub(super) struct Rules {
 impl Rules {
     /// # Errors
     /// The parameters do not have one value per vertex, or a value is negative or NaN.
-    pub fn new(mesh: &CollisionMesh, params: ContactParams) -> Result<Rules, DetectorError> {
+    pub(super) fn new(mesh: &CollisionMesh, params: ContactParams) -> Result<Rules, DetectorError> {
         check(mesh, &params)?;
         let limit = |&altitude_m: &f32| params.thickness_m.min(0.5 * altitude_m.max(0.0));
         let within_piece_m: Vec<f32> = params.smallest_altitudes_m.iter().map(limit).collect();
@@ -103,14 +103,14 @@ impl Rules {
     }
 
     /// Bytes of the lists, one value of each per vertex.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         4 * (self.params.friction.len() + self.params.inverse_masses_per_kg.len() + self.pieces.len()) as u64
             + 12 * self.within_piece_m.len() as u64
     }
 
     /// A distance that no contact of a candidate exceeds, [`WIDER`] so that rounded tests miss none.
     #[inline(always)]
-    pub fn reach_m(&self, candidate: &Candidate) -> f32 {
+    pub(super) fn reach_m(&self, candidate: &Candidate) -> f32 {
         let [a, b, c, d] = candidate.vertices.map(|v| v as usize);
         let limit = |v: usize| self.within_piece_m[v];
         let reach_m = match candidate.is_vertex_face() {
@@ -133,12 +133,12 @@ impl Rules {
     }
 
     /// True if a pair is closer than its thickness, or will be once it has come closer by `approach_m`.
-    pub fn is_near(&self, pair: &Pair, approach_m: f32) -> bool {
+    pub(super) fn is_near(&self, pair: &Pair, approach_m: f32) -> bool {
         pair.distance_m - approach_m.max(0.0) < self.thickness_m(pair)
     }
 
     /// The element of a contact; none if nothing in it can move.
-    pub fn element(&self, pair: &Pair) -> Option<ContactElement> {
+    pub(super) fn element(&self, pair: &Pair) -> Option<ContactElement> {
         let mut mobility = 0.0;
         for (&vertex, weight) in pair.vertices.iter().zip(pair.weights) {
             if vertex != NO_VERTEX {

@@ -41,19 +41,19 @@ pub(super) struct Searches {
 }
 
 impl Searches {
-    pub fn new(native: Broad) -> Searches {
+    pub(super) fn new(native: Broad) -> Searches {
         Searches { native, device: None }
     }
 
     /// Bytes of what follows from the mesh alone.
-    pub fn mesh_bytes(&self) -> u64 {
+    pub(super) fn mesh_bytes(&self) -> u64 {
         self.native.mesh_bytes() + self.device.as_ref().map_or(0, DeviceBroad::mesh_bytes)
     }
 
     /// As [`Broad::search`]; what the filter drops may be missing. A search among touched vertices is native: it costs a look
     /// at every triangle and the work near a few vertices, less than asking a device. So is one that does not fit a device,
     /// which is the same decision on all ranks.
-    pub fn search<S: Sink>(
+    pub(super) fn search<S: Sink>(
         &mut self,
         on: RunsOn,
         search: &Search,

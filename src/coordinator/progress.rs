@@ -8,14 +8,14 @@ use crate::os::console::note;
 use crate::step::StepStats;
 
 /// Progress of a run.
-pub struct Progress {
+pub(super) struct Progress {
     bar: Option<ProgressBar>,
     frames: u32,
 }
 
 impl Progress {
     /// Progress of `frames` frames of which `done` are there already.
-    pub fn new(frames: u32, done: u32) -> Progress {
+    pub(super) fn new(frames: u32, done: u32) -> Progress {
         let bar = std::io::stderr().is_terminal().then(|| {
             let bar = ProgressBar::new(frames as u64).with_position(done as u64);
             if let Ok(style) = ProgressStyle::with_template("{bar:40} frame {pos}/{len}  {msg}  left {eta}") {
@@ -28,7 +28,7 @@ impl Progress {
     }
 
     /// A frame is written.
-    pub fn frame(&self, frame: u32, step: u32, stats: &StepStats, hash: &str, seconds_per_step: f64) {
+    pub(super) fn frame(&self, frame: u32, step: u32, stats: &StepStats, hash: &str, seconds_per_step: f64) {
         let mut work = format!("{} iterations, ", stats.iterations);
         if stats.contacts > 0 || stats.zones.zones > 0 {
             work += &format!("{} contacts, {} zones, ", stats.contacts, stats.zones.zones);
@@ -44,7 +44,7 @@ impl Progress {
     }
 
     /// The run is over.
-    pub fn end(&self) {
+    pub(super) fn end(&self) {
         if let Some(bar) = &self.bar {
             bar.finish();
         }

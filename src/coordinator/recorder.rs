@@ -47,7 +47,7 @@ fn write_error(error: impl Display) -> RecordError {
 }
 
 /// Writes a run's files.
-pub struct Recorder {
+pub(super) struct Recorder {
     directory: RunDirectory,
     made: MadeFolders,
     manifest: Option<RunManifest>,
@@ -68,7 +68,7 @@ pub struct Recorder {
 
 impl Recorder {
     /// Prepares the run directory; with [`Existing::Resume`] also returns the checkpoint to go on from.
-    pub fn open(
+    pub(super) fn open(
         plan: &RunPlan,
         options: &RunOptions,
         places: &RunPlaces,
@@ -119,7 +119,7 @@ impl Recorder {
 
     /// The workers of a session are there. The first of them start recipe, report, trace and frames; before this nothing is
     /// written.
-    pub fn begin(&mut self, plan: &RunPlan, session: usize, ready: &[WorkerReady]) -> Result<(), RecordError> {
+    pub(super) fn begin(&mut self, plan: &RunPlan, session: usize, ready: &[WorkerReady]) -> Result<(), RecordError> {
         if self.report.is_some() {
             return self.begin_trace(session, ready);
         }
@@ -189,7 +189,7 @@ impl Recorder {
     }
 
     /// A step is done on all ranks of a session.
-    pub fn step(&mut self, plan: &RunPlan, session: usize, done: &StepDone) -> Result<(), RecordError> {
+    pub(super) fn step(&mut self, plan: &RunPlan, session: usize, done: &StepDone) -> Result<(), RecordError> {
         let settings = &plan.scene.settings;
         let StepDone { ranks, events, wall_s, .. } = done;
         let first = ranks[0];
@@ -240,7 +240,7 @@ impl Recorder {
 
     /// Takes the state after a step, in any order: writes it as a frame if one ends there (then returns its hash), keeps it if
     /// that is wanted, and remembers it as the last good state if no frame before it is missing.
-    pub fn state(&mut self, plan: &RunPlan, step: u32, state: State) -> Result<Option<String>, RecordError> {
+    pub(super) fn state(&mut self, plan: &RunPlan, step: u32, state: State) -> Result<Option<String>, RecordError> {
         let settings = &plan.scene.settings;
         let frame = step / settings.steps_per_frame;
         let time_s = step as f64 * settings.step_s;
@@ -281,7 +281,7 @@ impl Recorder {
     }
 
     /// Writes the last good state as a checkpoint; says where, as the end of a sentence.
-    pub fn keep_last_state(&mut self) -> Result<String, RecordError> {
+    pub(super) fn keep_last_state(&mut self) -> Result<String, RecordError> {
         let Some(last) = &self.last else { return Ok(String::new()) };
         if let Some(report) = &mut self.report {
             report.save().map_err(write_error)?;
@@ -291,7 +291,7 @@ impl Recorder {
     }
 
     /// Writes the final report.
-    pub fn finish(self, status: Status) -> Result<(), RecordError> {
+    pub(super) fn finish(self, status: Status) -> Result<(), RecordError> {
         match self.report {
             Some(report) => report.finish(status).map(|_| ()).map_err(write_error),
             None => Ok(()),

@@ -56,7 +56,7 @@ pub fn bend_energy(fabrics: &[FabricTable], element: &HingeElement, frozen_angle
 }
 
 /// Fills `records` (16 floats per hinge; layout in `bend`). Bytes per hinge: 48 element + 96 state read, 64 written.
-pub fn bend(
+pub(super) fn bend(
     cpu: &CpuExecutor,
     params: &StepParams,
     fabrics: &[FabricTable],

@@ -40,7 +40,7 @@ pub fn contact_energy(element: &ContactElement, positions: [Vec3; 4]) -> f64 {
 
 /// Fills `records` (12 floats per contact; layout in `contact`). Bytes per contact: 64 element + 48 velocities read, 48
 /// written.
-pub fn contact(
+pub(super) fn contact(
     cpu: &CpuExecutor,
     step_s: f32,
     stiffness_ratio: f32,

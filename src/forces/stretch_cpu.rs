@@ -65,7 +65,7 @@ fn positive_part(uu: f32, uv: f32, vv: f32) -> [f32; 3] {
 }
 
 /// Fills `records` (24 floats per triangle; layout in `stretch`). Bytes per triangle: 48 element + 72 state read, 96 written.
-pub fn stretch(
+pub(super) fn stretch(
     cpu: &CpuExecutor,
     params: &StepParams,
     fabrics: &[FabricTable],

@@ -8,7 +8,7 @@ use crate::scene::Fabric;
 use crate::test_support::seeded::Seeded;
 
 /// An isotropic fabric: Young's modulus times thickness `eh` (N/m), Poisson's ratio `nu`, bending sample `bending` (N m).
-pub fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
+pub(super) fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
     let c = eh / (1.0 - nu * nu);
     // Energy k3/2 E_uv^2 with E_uv counted once: k3 = 4 G h.
     let row = [c, nu * c, c, 2.0 * eh / (1.0 + nu)];

@@ -7,7 +7,7 @@ use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
 use super::layout::{self, GpuStruct, StructLayout};
 
 /// Text in front of every kernel.
-pub const PRELUDE: &str = include_str!("prelude.wgsl");
+pub(super) const PRELUDE: &str = include_str!("prelude.wgsl");
 /// One entry point of a WGSL file. Make it a `static`: an executor compiles each one once.
 pub struct KernelSource {
     pub(super) name: &'static str,

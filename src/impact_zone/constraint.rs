@@ -45,7 +45,7 @@ pub(super) fn all_met<'a>(
 
 impl Constraint {
     /// Distance of the parts at positions `x`, as the constraint sees it.
-    pub fn gap_m(&self, x: [DVec3; 4]) -> f64 {
+    pub(super) fn gap_m(&self, x: [DVec3; 4]) -> f64 {
         self.normal.dot((0..4).map(|i| x[i] * self.weights[i]).sum())
     }
 
@@ -53,7 +53,7 @@ impl Constraint {
     ///
     /// Up to the time of impact the parts are apart, so the offset of their closest points there points to the side they
     /// came from, however they turned since the start. It is taken as late as it exceeds rounding.
-    pub fn of_impact(impact: &Impact, x_t0: [DVec3; 4], x_t1: [DVec3; 4]) -> Constraint {
+    pub(super) fn of_impact(impact: &Impact, x_t0: [DVec3; 4], x_t1: [DVec3; 4]) -> Constraint {
         let (candidate, kind) = (impact.candidate, impact.candidate.kind());
         let toi = f64::from(impact.toi).clamp(0.0, 1.0);
         for part in LOOK_BACK {

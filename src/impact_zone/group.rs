@@ -8,19 +8,19 @@ pub(super) struct DisjointSets {
 
 impl DisjointSets {
     /// `count` sets of one number each.
-    pub fn new(count: usize) -> DisjointSets {
+    pub(super) fn new(count: usize) -> DisjointSets {
         DisjointSets { parent: (0..count as u32).collect() }
     }
 
     /// One more set; its only number.
-    pub fn push(&mut self) -> u32 {
+    pub(super) fn push(&mut self) -> u32 {
         let made = self.parent.len() as u32;
         self.parent.push(made);
         made
     }
 
     /// The smallest number of the set of `i`.
-    pub fn root(&mut self, mut i: u32) -> u32 {
+    pub(super) fn root(&mut self, mut i: u32) -> u32 {
         while self.parent[i as usize] != i {
             let above = self.parent[self.parent[i as usize] as usize];
             self.parent[i as usize] = above;
@@ -30,7 +30,7 @@ impl DisjointSets {
     }
 
     /// Joins the sets of `a` and `b`.
-    pub fn join(&mut self, a: u32, b: u32) {
+    pub(super) fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.root(a), self.root(b));
         self.parent[a.max(b) as usize] = a.min(b);
     }

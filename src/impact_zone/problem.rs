@@ -6,7 +6,7 @@ use std::ops::Range;
 use crate::math::DVec3;
 
 /// In place of a vertex that cannot move.
-pub const IMMOVABLE: u32 = u32::MAX;
+pub(super) const IMMOVABLE: u32 = u32::MAX;
 
 /// A constraint `normal . sum(weights[i] * d[vertices[i]]) >= target` on displacements d.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -18,13 +18,13 @@ pub(super) struct RigidMotion {
 
 impl RigidMotion {
     /// The motion that leaves every point where it is.
-    pub const STILL: RigidMotion = RigidMotion { rotation: DMat3::IDENTITY, from: DVec3::ZERO, to: DVec3::ZERO };
+    pub(super) const STILL: RigidMotion = RigidMotion { rotation: DMat3::IDENTITY, from: DVec3::ZERO, to: DVec3::ZERO };
 
-    pub fn apply(&self, x: DVec3) -> DVec3 {
+    pub(super) fn apply(&self, x: DVec3) -> DVec3 {
         if self.is_still() { x } else { self.rotation * (x - self.from) + self.to }
     }
 
-    pub fn is_still(&self) -> bool {
+    pub(super) fn is_still(&self) -> bool {
         self.rotation == DMat3::IDENTITY && self.from == self.to
     }
 }

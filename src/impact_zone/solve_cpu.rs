@@ -27,7 +27,7 @@ struct Changes {
 
 /// Sweeps over the rows of a zone until a sweep over all of them changes no gap by more than the tolerance, or `iterations`
 /// times.
-pub fn solve(batch: &ZoneBatch, zone: usize, iterations: u32) -> ZoneResult {
+pub(super) fn solve(batch: &ZoneBatch, zone: usize, iterations: u32) -> ZoneResult {
     let (tolerance, zone) = (batch.tolerances[zone], &batch.zones[zone]);
     let mut descent = Descent::new(batch, zone);
     let all: Vec<u32> = (0..zone.rows).collect();

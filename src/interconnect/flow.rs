@@ -11,12 +11,12 @@ pub(super) struct FlowGraph {
 }
 
 impl FlowGraph {
-    pub fn new(nodes: usize) -> FlowGraph {
+    pub(super) fn new(nodes: usize) -> FlowGraph {
         FlowGraph { to: Vec::new(), left: Vec::new(), arcs: vec![Vec::new(); nodes] }
     }
 
     /// Joins two nodes with a capacity for each direction.
-    pub fn link(&mut self, a: usize, b: usize, forward: f64, backward: f64) {
+    pub(super) fn link(&mut self, a: usize, b: usize, forward: f64, backward: f64) {
         self.arcs[a].push(self.to.len());
         self.to.push(b);
         self.left.push(forward);
@@ -26,7 +26,7 @@ impl FlowGraph {
     }
 
     /// Pushes as much as possible from `source` to `sink`; capacities up to `least` count as none. Returns how much.
-    pub fn maximum_flow(&mut self, source: usize, sink: usize, least: f64) -> f64 {
+    pub(super) fn maximum_flow(&mut self, source: usize, sink: usize, least: f64) -> f64 {
         let mut total = 0.0;
         loop {
             let levels = self.levels(source, least);
@@ -45,7 +45,7 @@ impl FlowGraph {
     }
 
     /// Nodes that `source` still reaches.
-    pub fn source_side(&self, source: usize, least: f64) -> Vec<bool> {
+    pub(super) fn source_side(&self, source: usize, least: f64) -> Vec<bool> {
         self.levels(source, least).iter().map(|level| *level != usize::MAX).collect()
     }
 

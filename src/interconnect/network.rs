@@ -22,7 +22,7 @@ pub(super) struct Channels {
 
 impl Channels {
     /// Channel of a link in a direction: 2 link (forward, or half duplex) or 2 link + 1.
-    pub fn of(topology: &Topology) -> Channels {
+    pub(super) fn of(topology: &Topology) -> Channels {
         let (gpus, links) = (topology.gpus(), topology.links());
         let capacity = links.iter().flat_map(|link| [link.bandwidth_gb_s * 1e9; 2]).collect();
         let (mut paths, mut latencies_s) = (Vec::with_capacity(gpus * gpus), Vec::with_capacity(gpus * gpus));
@@ -40,12 +40,12 @@ impl Channels {
     }
 
     /// Channels from GPU to GPU.
-    pub fn path(&self, from: usize, to: usize) -> &[u32] {
+    pub(super) fn path(&self, from: usize, to: usize) -> &[u32] {
         &self.paths[from * self.gpus + to]
     }
 
     /// Sum of the latencies of a path, seconds.
-    pub fn latency_s(&self, from: usize, to: usize) -> f64 {
+    pub(super) fn latency_s(&self, from: usize, to: usize) -> f64 {
         self.latencies_s[from * self.gpus + to]
     }
 }
@@ -71,20 +71,20 @@ pub(super) struct Network<'a> {
 }
 
 impl<'a> Network<'a> {
-    pub fn new(channels: &'a Channels) -> Network<'a> {
+    pub(super) fn new(channels: &'a Channels) -> Network<'a> {
         let count = channels.capacity.len();
         Network { channels, flows: Vec::new(), stale: false, free: vec![0.0; count], takers: vec![0; count] }
     }
 
     /// Starts a flow at `now_s`, which must not lie before any earlier call. A flow without bytes or links ends at once.
-    pub fn start(&mut self, id: usize, from: usize, to: usize, bytes: f64, now_s: f64) {
+    pub(super) fn start(&mut self, id: usize, from: usize, to: usize, bytes: f64, now_s: f64) {
         let pair = from * self.channels.gpus + to;
         self.flows.push(Flow { id, pair, left: bytes, since_s: now_s, rate: 0.0, end_s: f64::INFINITY });
         self.stale = true;
     }
 
     /// When the next flow ends, if nothing starts before.
-    pub fn next_end_s(&mut self, now_s: f64) -> f64 {
+    pub(super) fn next_end_s(&mut self, now_s: f64) -> f64 {
         if self.stale {
             self.share(now_s);
         }
@@ -92,7 +92,7 @@ impl<'a> Network<'a> {
     }
 
     /// Takes out the flows that have ended by `now_s`, in the order in which they were started.
-    pub fn ended(&mut self, now_s: f64, ended: &mut Vec<usize>) {
+    pub(super) fn ended(&mut self, now_s: f64, ended: &mut Vec<usize>) {
         ended.clear();
         self.flows.retain(|flow| {
             let done = flow.end_s <= now_s * SAME;

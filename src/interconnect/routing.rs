@@ -22,7 +22,7 @@ impl Routes {
     /// Finds for every pair the widest path (largest bandwidth of its narrowest link), among those the one with fewest
     /// links, among those the first in file order. GPUs with a link between them never go through a third one. Err: two
     /// GPUs without a path.
-    pub fn find(graph: &Graph) -> Result<Routes, (usize, usize)> {
+    pub(super) fn find(graph: &Graph) -> Result<Routes, (usize, usize)> {
         let mut widths: Vec<f64> = graph.links.iter().map(|link| link.bandwidth_gb_s).collect();
         widths.sort_by(|a, b| b.total_cmp(a));
         widths.dedup();
@@ -60,7 +60,7 @@ impl Routes {
     }
 
     /// The links from `from` to `to` in order.
-    pub fn path(&self, from: usize, to: usize) -> &[Hop] {
+    pub(super) fn path(&self, from: usize, to: usize) -> &[Hop] {
         assert!(from < self.gpus && to < self.gpus, "no path from GPU {from} to {to} of {}", self.gpus);
         &self.paths[from * self.gpus + to]
     }

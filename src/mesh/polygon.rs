@@ -31,12 +31,12 @@ pub(super) struct Cut {
 }
 
 impl Faces {
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.ends.len()
     }
 
     /// Adds a face of the corners that were pushed since the last one.
-    pub fn close(&mut self, line: u64) -> Result<(), String> {
+    pub(super) fn close(&mut self, line: u64) -> Result<(), String> {
         let end = u32::try_from(self.corners.len()).ok().filter(|&end| end < u32::MAX);
         self.ends.push(end.ok_or("more than 4294967294 corners of faces")?);
         self.lines.push(u32::try_from(line).unwrap_or(u32::MAX));
@@ -44,12 +44,12 @@ impl Faces {
     }
 
     /// Line of the face with a corner.
-    pub fn line_of(&self, corner: usize) -> u64 {
+    pub(super) fn line_of(&self, corner: usize) -> u64 {
         self.lines[self.ends.partition_point(|&end| end as usize <= corner)].into()
     }
 
     /// Cuts every face. Vertices are checked here, because faces may stand before them.
-    pub fn cut(&self, positions: &[Vec3]) -> Result<Cut, ParseFault> {
+    pub(super) fn cut(&self, positions: &[Vec3]) -> Result<Cut, ParseFault> {
         let mut cut = Cut { triangles: Vec::with_capacity(self.len()), starts: Vec::with_capacity(self.len() + 1) };
         let (mut start, mut points, mut pieces) = (0, Vec::new(), Vec::new());
         for (face, &end) in self.ends.iter().enumerate() {

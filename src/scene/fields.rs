@@ -21,7 +21,7 @@ pub(super) struct Source<'a> {
 
 impl Source<'_> {
     /// The fault at a byte of the text.
-    pub fn error(&self, offset: Option<usize>, field: &str, what: impl Into<String>) -> SceneError {
+    pub(super) fn error(&self, offset: Option<usize>, field: &str, what: impl Into<String>) -> SceneError {
         self.place(offset, field).error(what)
     }
 
@@ -44,7 +44,11 @@ pub(super) struct Fields<'a> {
 
 impl<'a> Fields<'a> {
     /// The document itself.
-    pub fn root(source: &'a Source<'a>, table: &'a DeTable<'a>, known: &[&str]) -> Result<Fields<'a>, SceneError> {
+    pub(super) fn root(
+        source: &'a Source<'a>,
+        table: &'a DeTable<'a>,
+        known: &[&str],
+    ) -> Result<Fields<'a>, SceneError> {
         Fields { source, path: String::new(), offset: None, table: Some(table) }.only(known)
     }
 
@@ -65,12 +69,12 @@ impl<'a> Fields<'a> {
     }
 
     /// A fault of the table as a whole.
-    pub fn error(&self, what: impl Into<String>) -> SceneError {
+    pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
         self.source.error(self.offset, &self.path, what)
     }
 
     /// A fault of a field that may be absent.
-    pub fn error_at(&self, key: &str, what: impl Into<String>) -> SceneError {
+    pub(super) fn error_at(&self, key: &str, what: impl Into<String>) -> SceneError {
         match self.get(key) {
             Some(value) => value.error(what),
             None => self.source.error(self.offset, &self.name_of(key), what),
@@ -78,7 +82,7 @@ impl<'a> Fields<'a> {
     }
 
     /// Where a field stands that may be absent.
-    pub fn place_at(&self, key: &str) -> Place {
+    pub(super) fn place_at(&self, key: &str) -> Place {
         match self.get(key) {
             Some(value) => value.place(),
             None => self.source.place(self.offset, &self.name_of(key)),
@@ -86,18 +90,18 @@ impl<'a> Fields<'a> {
     }
 
     /// The field, if it is there.
-    pub fn get(&self, key: &str) -> Option<Value<'a>> {
+    pub(super) fn get(&self, key: &str) -> Option<Value<'a>> {
         let value = self.table?.get(key)?;
         Some(Value { source: self.source, name: self.name_of(key), value })
     }
 
     /// The field; a fault if it is absent.
-    pub fn required(&self, key: &str) -> Result<Value<'a>, SceneError> {
+    pub(super) fn required(&self, key: &str) -> Result<Value<'a>, SceneError> {
         self.get(key).ok_or_else(|| self.error_at(key, "is missing"))
     }
 
     /// The field read by `read`, if it is there.
-    pub fn optional<T>(
+    pub(super) fn optional<T>(
         &self,
         key: &str,
         read: impl FnOnce(&Value<'a>) -> Result<T, SceneError>,
@@ -106,7 +110,7 @@ impl<'a> Fields<'a> {
     }
 
     /// The field read by `read`, or `default`.
-    pub fn or<T>(
+    pub(super) fn or<T>(
         &self,
         key: &str,
         default: T,
@@ -116,7 +120,7 @@ impl<'a> Fields<'a> {
     }
 
     /// The table under `key`; an empty one if it is absent.
-    pub fn table(&self, key: &str, known: &[&str]) -> Result<Fields<'a>, SceneError> {
+    pub(super) fn table(&self, key: &str, known: &[&str]) -> Result<Fields<'a>, SceneError> {
         match self.get(key) {
             Some(value) => value.table(known),
             None => Ok(Fields { source: self.source, path: self.name_of(key), offset: self.offset, table: None }),
@@ -124,7 +128,7 @@ impl<'a> Fields<'a> {
     }
 
     /// The `[[key]]` tables; none if they are absent.
-    pub fn tables(&self, key: &str, known: &[&str]) -> Result<Vec<Fields<'a>>, SceneError> {
+    pub(super) fn tables(&self, key: &str, known: &[&str]) -> Result<Vec<Fields<'a>>, SceneError> {
         match self.get(key) {
             Some(value) => value.array()?.iter().map(|entry| entry.table(known)).collect(),
             None => Ok(Vec::new()),
@@ -141,12 +145,12 @@ pub(super) struct Value<'a> {
 
 impl<'a> Value<'a> {
     /// A fault of this value.
-    pub fn error(&self, what: impl Into<String>) -> SceneError {
+    pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
         self.place().error(what)
     }
 
     /// Where it stands.
-    pub fn place(&self) -> Place {
+    pub(super) fn place(&self) -> Place {
         self.source.place(Some(self.value.span().start), &self.name)
     }
 
@@ -170,7 +174,7 @@ impl<'a> Value<'a> {
     }
 
     /// A finite number that f32 can hold.
-    pub fn number(&self) -> Result<f64, SceneError> {
+    pub(super) fn number(&self) -> Result<f64, SceneError> {
         match self.as_f64() {
             Some(number) if (number as f32).is_finite() => Ok(number),
             _ => self.expected("a finite number"),
@@ -178,7 +182,7 @@ impl<'a> Value<'a> {
     }
 
     /// A number above 0.
-    pub fn positive(&self) -> Result<f64, SceneError> {
+    pub(super) fn positive(&self) -> Result<f64, SceneError> {
         match self.as_f64() {
             Some(number) if number > 0.0 && (number as f32).is_finite() => Ok(number),
             _ => self.expected("a number above 0"),
@@ -186,7 +190,7 @@ impl<'a> Value<'a> {
     }
 
     /// A number of at least 0.
-    pub fn not_negative(&self) -> Result<f64, SceneError> {
+    pub(super) fn not_negative(&self) -> Result<f64, SceneError> {
         match self.as_f64() {
             Some(number) if number >= 0.0 && (number as f32).is_finite() => Ok(number),
             _ => self.expected("a number of at least 0"),
@@ -194,7 +198,7 @@ impl<'a> Value<'a> {
     }
 
     /// A whole number in a range.
-    pub fn whole(&self, range: std::ops::RangeInclusive<u64>) -> Result<u64, SceneError> {
+    pub(super) fn whole(&self, range: std::ops::RangeInclusive<u64>) -> Result<u64, SceneError> {
         let number = match self.value.get_ref() {
             DeValue::Integer(number) => u64::from_str_radix(number.as_str(), number.radix()).ok(),
             _ => None,
@@ -206,7 +210,7 @@ impl<'a> Value<'a> {
     }
 
     /// A text that is not empty.
-    pub fn text(&self) -> Result<&'a str, SceneError> {
+    pub(super) fn text(&self) -> Result<&'a str, SceneError> {
         match self.value.get_ref() {
             DeValue::String(text) if !text.is_empty() => Ok(text),
             _ => self.expected("a text"),
@@ -214,14 +218,14 @@ impl<'a> Value<'a> {
     }
 
     /// One of the named choices.
-    pub fn choice<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, SceneError> {
+    pub(super) fn choice<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, SceneError> {
         let names: Vec<&str> = choices.iter().map(|choice| choice.0).collect();
         let found = self.value.get_ref().as_str().and_then(|text| choices.iter().find(|choice| choice.0 == text));
         found.map_or_else(|| self.expected(&format!("one of {}", names.join(", "))), |choice| Ok(choice.1))
     }
 
     /// The entries of an array; their names carry an index where there is more than one.
-    pub fn array(&self) -> Result<Vec<Value<'a>>, SceneError> {
+    pub(super) fn array(&self) -> Result<Vec<Value<'a>>, SceneError> {
         let DeValue::Array(entries) = self.value.get_ref() else {
             return self.expected("an array");
         };
@@ -233,7 +237,7 @@ impl<'a> Value<'a> {
     }
 
     /// Exactly `N` finite numbers.
-    pub fn numbers<const N: usize>(&self) -> Result<[f64; N], SceneError> {
+    pub(super) fn numbers<const N: usize>(&self) -> Result<[f64; N], SceneError> {
         let entries = match self.value.get_ref() {
             DeValue::Array(_) => self.array()?,
             _ => Vec::new(),
@@ -243,18 +247,18 @@ impl<'a> Value<'a> {
     }
 
     /// A vector `[x, y, z]`.
-    pub fn vector(&self) -> Result<DVec3, SceneError> {
+    pub(super) fn vector(&self) -> Result<DVec3, SceneError> {
         Ok(DVec3::from(self.numbers::<3>()?))
     }
 
     /// A rotation `[degrees, axis x, axis y, axis z]`.
-    pub fn rotation(&self) -> Result<DQuat, SceneError> {
+    pub(super) fn rotation(&self) -> Result<DQuat, SceneError> {
         let (axis, degrees) = self.turn()?;
         Ok(DQuat::from_axis_angle(axis, degrees.to_radians()))
     }
 
     /// A rotation as unit axis and degrees.
-    pub fn turn(&self) -> Result<(DVec3, f64), SceneError> {
+    pub(super) fn turn(&self) -> Result<(DVec3, f64), SceneError> {
         let [degrees, x, y, z] = self.numbers::<4>()?;
         let axis = DVec3::new(x, y, z).try_normalize();
         let axis = axis.ok_or_else(|| self.error("the axis of `[degrees, x, y, z]` must not be zero"))?;
@@ -262,7 +266,7 @@ impl<'a> Value<'a> {
     }
 
     /// True or false.
-    pub fn boolean(&self) -> Result<bool, SceneError> {
+    pub(super) fn boolean(&self) -> Result<bool, SceneError> {
         match self.value.get_ref() {
             DeValue::Boolean(value) => Ok(*value),
             _ => self.expected("true or false"),
@@ -270,7 +274,7 @@ impl<'a> Value<'a> {
     }
 
     /// A table that has `known` fields only.
-    pub fn table(&self, known: &[&str]) -> Result<Fields<'a>, SceneError> {
+    pub(super) fn table(&self, known: &[&str]) -> Result<Fields<'a>, SceneError> {
         let DeValue::Table(table) = self.value.get_ref() else {
             return self.expected("a table");
         };
@@ -279,12 +283,12 @@ impl<'a> Value<'a> {
     }
 
     /// Whether this is an array, of numbers or of anything else.
-    pub fn is_array(&self) -> bool {
+    pub(super) fn is_array(&self) -> bool {
         self.value.get_ref().is_array()
     }
 
     /// Whether this is a text.
-    pub fn is_text(&self) -> bool {
+    pub(super) fn is_text(&self) -> bool {
         self.value.get_ref().is_str()
     }
 }

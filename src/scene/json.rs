@@ -65,15 +65,15 @@ pub(super) struct Json<'a> {
 }
 
 impl<'a> Json<'a> {
-    pub fn root(file: &'a Path, value: &'a Value) -> Json<'a> {
+    pub(super) fn root(file: &'a Path, value: &'a Value) -> Json<'a> {
         Json { file, name: String::new(), value }
     }
 
-    pub fn error(&self, what: impl Into<String>) -> SceneError {
+    pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
         self.place().error(what)
     }
 
-    pub fn place(&self) -> Place {
+    pub(super) fn place(&self) -> Place {
         Place { path: self.file.into(), line: None, field: self.name.clone() }
     }
 
@@ -82,17 +82,17 @@ impl<'a> Json<'a> {
     }
 
     /// The field, if it is there and not null.
-    pub fn get(&self, key: &str) -> Option<Json<'a>> {
+    pub(super) fn get(&self, key: &str) -> Option<Json<'a>> {
         let value = self.value.get(key).filter(|value| !value.is_null())?;
         Some(Json { file: self.file, name: self.named(key), value })
     }
 
-    pub fn required(&self, key: &str) -> Result<Json<'a>, SceneError> {
+    pub(super) fn required(&self, key: &str) -> Result<Json<'a>, SceneError> {
         let missing = || Json { file: self.file, name: self.named(key), value: self.value }.error("is missing");
         self.get(key).ok_or_else(missing)
     }
 
-    pub fn or<T>(
+    pub(super) fn or<T>(
         &self,
         key: &str,
         default: T,
@@ -102,37 +102,37 @@ impl<'a> Json<'a> {
     }
 
     /// The entries of the array under `key`; none if it is absent.
-    pub fn entries(&self, key: &str) -> Result<Vec<Json<'a>>, SceneError> {
+    pub(super) fn entries(&self, key: &str) -> Result<Vec<Json<'a>>, SceneError> {
         self.or(key, Vec::new(), |value| value.array())
     }
 
-    pub fn array(&self) -> Result<Vec<Json<'a>>, SceneError> {
+    pub(super) fn array(&self) -> Result<Vec<Json<'a>>, SceneError> {
         let entries = self.value.as_array().ok_or_else(|| self.error("must be an array"))?;
         let entry = |(i, value)| Json { file: self.file, name: format!("{}[{i}]", self.name), value };
         Ok(entries.iter().enumerate().map(entry).collect())
     }
 
-    pub fn text(&self) -> Result<&'a str, SceneError> {
+    pub(super) fn text(&self) -> Result<&'a str, SceneError> {
         self.value.as_str().filter(|text| !text.is_empty()).ok_or_else(|| self.error("must be a text"))
     }
 
-    pub fn number(&self) -> Result<f64, SceneError> {
+    pub(super) fn number(&self) -> Result<f64, SceneError> {
         let number = self.value.as_f64().filter(|&number| (number as f32).is_finite());
         number.ok_or_else(|| self.error("must be a finite number"))
     }
 
-    pub fn positive(&self) -> Result<f64, SceneError> {
+    pub(super) fn positive(&self) -> Result<f64, SceneError> {
         let number = self.value.as_f64().filter(|&number| number > 0.0 && (number as f32).is_finite());
         number.ok_or_else(|| self.error("must be a number above 0"))
     }
 
-    pub fn not_negative(&self) -> Result<f64, SceneError> {
+    pub(super) fn not_negative(&self) -> Result<f64, SceneError> {
         let number = self.value.as_f64().filter(|&number| number >= 0.0 && (number as f32).is_finite());
         number.ok_or_else(|| self.error("must be a number of at least 0"))
     }
 
     /// A whole number from `least` to u32's largest. json5 may hand out whole numbers as floats.
-    pub fn whole(&self, least: u32) -> Result<u32, SceneError> {
+    pub(super) fn whole(&self, least: u32) -> Result<u32, SceneError> {
         let number =
             self.value.as_f64().filter(|&n| n.fract() == 0.0 && n >= f64::from(least) && n <= f64::from(u32::MAX));
         number.map(|n| n as u32).ok_or_else(|| self.error(format!("must be a whole number of at least {least}")))
@@ -143,12 +143,12 @@ impl<'a> Json<'a> {
         numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()
     }
 
-    pub fn vector(&self) -> Result<DVec3, SceneError> {
+    pub(super) fn vector(&self) -> Result<DVec3, SceneError> {
         self.numbers::<3>().map(DVec3::from).ok_or_else(|| self.error("must be an array of 3 numbers"))
     }
 
     /// `R` rows of `C` numbers.
-    pub fn table<const R: usize, const C: usize>(&self) -> Result<[[f64; C]; R], SceneError> {
+    pub(super) fn table<const R: usize, const C: usize>(&self) -> Result<[[f64; C]; R], SceneError> {
         let rows =
             self.value.as_array().map(|rows| rows.iter().map(|value| Json { value, ..self.clone() }.numbers::<C>()));
         let rows = rows.and_then(|rows| rows.collect::<Option<Vec<[f64; C]>>>()).and_then(|rows| rows.try_into().ok());
@@ -156,7 +156,7 @@ impl<'a> Json<'a> {
     }
 
     /// ARCSim's rotation: `[degrees, axis x, y, z]`.
-    pub fn rotation(&self) -> Result<DQuat, SceneError> {
+    pub(super) fn rotation(&self) -> Result<DQuat, SceneError> {
         let Some([degrees, x, y, z]) = self.numbers::<4>() else {
             return Err(self.error("must be an array `[degrees, axis x, axis y, axis z]`"));
         };

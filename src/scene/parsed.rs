@@ -28,7 +28,7 @@ pub(super) struct Place {
 
 impl Place {
     /// The refusal of what stands here.
-    pub fn error(&self, what: impl Into<String>) -> SceneError {
+    pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
         SceneError::Field { path: self.path.clone(), line: self.line, field: self.field.clone(), what: what.into() }
     }
 
@@ -190,7 +190,7 @@ impl ParsedScene {
 }
 
 impl ClothSource {
-    pub fn sheet(&self) -> Option<&SheetSource> {
+    pub(super) fn sheet(&self) -> Option<&SheetSource> {
         match &self.shape {
             Shape::Sheet(sheet) => Some(sheet),
             Shape::Mesh(_) => None,

@@ -28,7 +28,7 @@ pub(super) struct Placement {
 
 impl Placement {
     /// Moves a mesh to its place.
-    pub fn place(&self, mesh: &mut TriangleMesh) {
+    pub(super) fn place(&self, mesh: &mut TriangleMesh) {
         self.move_points(&mut mesh.positions);
         if self.scale != 1.0 {
             mesh.material_uv.iter_mut().flatten().for_each(|uv| *uv *= self.scale as f32);
@@ -36,7 +36,7 @@ impl Placement {
     }
 
     /// Moves points to their place.
-    pub fn move_points(&self, points: &mut [Vec3]) {
+    pub(super) fn move_points(&self, points: &mut [Vec3]) {
         for p in points {
             *p = (self.rotation * (p.as_dvec3() * self.scale) + self.translation_m).as_vec3();
         }

@@ -49,7 +49,7 @@ pub(super) enum Spread {
 
 impl PinSource {
     /// The vertices of the piece that the pin selects; at least one.
-    pub fn vertices(&self, piece: &Piece) -> Result<Vec<u32>, SceneError> {
+    pub(super) fn vertices(&self, piece: &Piece) -> Result<Vec<u32>, SceneError> {
         let name = &piece.source.name;
         let sheet = || {
             let what = format!("`{name}` is a mesh; only a sheet has corners and edges");
@@ -90,7 +90,7 @@ impl PinSource {
     }
 
     /// The pin of one vertex of the scene's mesh.
-    pub fn hold(&self, vertex: u32) -> Pin {
+    pub(super) fn hold(&self, vertex: u32) -> Pin {
         Pin { vertex, motion: self.motion, start_s: self.start_s, end_s: self.end_s }
     }
 }

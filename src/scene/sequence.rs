@@ -22,7 +22,7 @@ pub(super) struct Pattern {
 
 impl Pattern {
     /// None if the text has no number or more than one, or a `%` that is none.
-    pub fn parse(text: &str) -> Option<Pattern> {
+    pub(super) fn parse(text: &str) -> Option<Pattern> {
         let (before, rest) = text.split_once('%')?;
         let (width, after) = rest.split_once('d')?;
         let digits = width.strip_prefix('0').unwrap_or(if width.is_empty() { "1" } else { "x" });
@@ -32,7 +32,7 @@ impl Pattern {
     }
 
     /// The name with this number.
-    pub fn name(&self, number: u32) -> String {
+    pub(super) fn name(&self, number: u32) -> String {
         format!("{}{number:0width$}{}", self.before, self.after, width = self.width)
     }
 
@@ -40,7 +40,7 @@ impl Pattern {
     ///
     /// # Errors
     /// There is none, or a number between the first and the last is missing; half a sentence.
-    pub fn files(&self, scene: &Path) -> Result<Vec<PathBuf>, String> {
+    pub(super) fn files(&self, scene: &Path) -> Result<Vec<PathBuf>, String> {
         let beside = scene.parent().unwrap_or(Path::new(""));
         let found =
             [beside, Path::new("")].into_iter().map(|root| (root, self.numbers(root))).find(|(_, n)| !n.is_empty());
@@ -70,7 +70,7 @@ impl Pattern {
     }
 
     /// The first number from `least` on that has a file below a folder.
-    pub fn next_from(&self, root: &Path, least: u32) -> Option<u32> {
+    pub(super) fn next_from(&self, root: &Path, least: u32) -> Option<u32> {
         self.numbers(root).into_iter().find(|&number| number >= least)
     }
 

@@ -137,7 +137,7 @@ pub(super) struct Start<'a> {
 
 impl Start<'_> {
     /// Sees to it that nothing crosses: moves the cloth if `state` says so.
-    pub fn settle(&self, merged: &mut Merged, state: &mut StartState) -> Result<(), Box<Crossings>> {
+    pub(super) fn settle(&self, merged: &mut Merged, state: &mut StartState) -> Result<(), Box<Crossings>> {
         if !self.settings.collisions {
             return Ok(());
         }

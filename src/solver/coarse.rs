@@ -63,7 +63,7 @@ pub(super) struct Coarse {
 }
 
 impl Coarse {
-    pub fn new(partition: &RowPartition, rank: usize) -> Coarse {
+    pub(super) fn new(partition: &RowPartition, rank: usize) -> Coarse {
         let (chunks, own) = (partition.chunks(), partition.chunks_of(rank));
         let groups = (partition.rows() / GROUP_ROWS).max(1);
         // The order is halved between chunks: only groups of a power of two of them are compact.
@@ -84,12 +84,16 @@ impl Coarse {
     }
 
     /// Group of a chunk, in the entries.
-    pub fn group(&self, chunk: usize) -> usize {
+    pub(super) fn group(&self, chunk: usize) -> usize {
         chunk / self.per_group
     }
 
     /// Factors P' A P. `entries`: of every own chunk.
-    pub fn set_up(&mut self, transport: &mut dyn Transport, entries: &[GroupSums]) -> Result<(), TransportError> {
+    pub(super) fn set_up(
+        &mut self,
+        transport: &mut dyn Transport,
+        entries: &[GroupSums],
+    ) -> Result<(), TransportError> {
         let mut own = Vec::new();
         for (chunk, entries) in self.own.clone().zip(entries) {
             for (group, block) in entries {
@@ -119,7 +123,7 @@ impl Coarse {
     }
 
     /// Begins a solve with the residual's sums over all chunks, three values each.
-    pub fn start(&mut self, chunk_sums: &[f64]) {
+    pub(super) fn start(&mut self, chunk_sums: &[f64]) {
         self.image.fill(0.0);
         self.residual.fill(0.0);
         self.add_chunks(chunk_sums, |coarse, at, v| coarse.residual[at] += v);
@@ -127,7 +131,7 @@ impl Coarse {
     }
 
     /// s = w + beta s, r -= alpha s, then the next correction. `chunk_sums`: of w, over all chunks.
-    pub fn update(&mut self, chunk_sums: &[f64], alpha: f64, beta: f64) {
+    pub(super) fn update(&mut self, chunk_sums: &[f64], alpha: f64, beta: f64) {
         self.image.iter_mut().for_each(|s| *s *= beta);
         self.add_chunks(chunk_sums, |coarse, at, v| coarse.image[at] += v);
         for (r, s) in self.residual.iter_mut().zip(&self.image) {

@@ -162,7 +162,7 @@ fn color_rows(pattern: &RankPattern, rows: Range<usize>, inside: &Range<usize>) 
 
 impl Colored {
     /// Tables for a pattern whose blocks inside chunks are symmetric.
-    pub fn new(
+    pub(super) fn new(
         executor: &Executor,
         partition: &RowPartition,
         plan: &HaloPlan,
@@ -220,7 +220,12 @@ impl Colored {
 
     /// Copies the values of `matrix` and adds them up by chunk and group; `flags`: a local vector, zero on pinned rows. Bytes per
     /// row of a cloth: about 1,600.
-    pub fn take_over(&mut self, executor: &Executor, matrix: &SellMatrix, flags: &DeviceVec<f32>) -> Vec<GroupSums> {
+    pub(super) fn take_over(
+        &mut self,
+        executor: &Executor,
+        matrix: &SellMatrix,
+        flags: &DeviceVec<f32>,
+    ) -> Vec<GroupSums> {
         match executor {
             Executor::Cpu(_) => {
                 let blocks = self.blocks.as_mut_slice();
@@ -278,7 +283,7 @@ impl Colored {
 
     /// u from r and the coarse correction (three values per own chunk); sums r . u and r . r. Bytes per row of a cloth: about
     /// 600.
-    pub fn sweep(
+    pub(super) fn sweep(
         &mut self,
         executor: &Executor,
         inverse_diagonal: &DeviceVec<f32>,
@@ -324,7 +329,7 @@ impl Colored {
 
     /// Sums w . u and w of every chunk; zeroes w on pinned rows. Then all sums: (r . u, r . r, w . u) per own chunk, and those
     /// of w, three per chunk. NaN after a fault of the device.
-    pub fn sums(
+    pub(super) fn sums(
         &mut self,
         executor: &Executor,
         inverse_diagonal: &DeviceVec<f32>,
@@ -358,7 +363,7 @@ impl Colored {
     }
 
     /// Device bytes of the tables and of the second copy of the matrix.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         self.sources.bytes()
             + self.block_rows.bytes()
             + self.layout.block_columns.bytes()
@@ -373,18 +378,18 @@ impl Colored {
     }
 
     /// Floating-point operations of a sweep.
-    pub fn sweep_flops(&self) -> u64 {
+    pub(super) fn sweep_flops(&self) -> u64 {
         (self.layout.block_columns.len() * 18 + self.layout.rows * 100) as u64
     }
 
     /// Bytes that a sweep moves.
-    pub fn sweep_bytes(&self) -> u64 {
+    pub(super) fn sweep_bytes(&self) -> u64 {
         (self.layout.block_columns.len() * (BLOCK * 4 + 4) + self.layout.rows * 100) as u64
     }
 
     /// Colour of every own row. Native executor only.
     #[cfg(test)]
-    pub fn colors_of_rows(&self) -> Vec<u32> {
+    pub(super) fn colors_of_rows(&self) -> Vec<u32> {
         let starts = self.color_starts.as_slice().chunks(self.colors + 1);
         let mut colors = vec![0; self.layout.rows];
         for (color, range) in starts.flat_map(|of_chunk| of_chunk.windows(2).enumerate()) {

@@ -12,7 +12,7 @@ gpu_struct! {
 
 /// The gather kernel on one executor, for fixed rows.
 #[derive(Default)]
-pub struct Gather {
+pub(super) struct Gather {
     /// Rows and message on a device; made on first use, as large as it takes.
     device: Option<(DeviceVec<u32>, DeviceVec<f32>)>,
 }
@@ -20,7 +20,7 @@ pub struct Gather {
 impl Gather {
     /// message[row of `rows`][vector] = the row's three values. Own rows begin at row `first` of the vectors; the rows must be
     /// the same in every call.
-    pub fn apply(
+    pub(super) fn apply(
         &mut self,
         executor: &Executor,
         rows: &[u32],

@@ -26,7 +26,7 @@ struct Tables<'a> {
 /// y = A x (or y += A x with `accumulate`) for the rows in `slices`. Bytes: 40 per slot, 12 per row written, and the
 /// entries of x once if they stay in cache.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
-pub fn spmv(
+pub(super) fn spmv(
     cpu: &CpuExecutor,
     slices: Range<u32>,
     accumulate: bool,
@@ -68,7 +68,7 @@ mod avx2 {
     /// # Safety
     /// The processor has AVX2; columns of the slices are within x, rows within y and not worked on by another thread.
     #[target_feature(enable = "avx2")]
-    pub unsafe fn multiply(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
+    pub(super) unsafe fn multiply(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
         // Gathers read four floats per column; that of the last column would end past x.
         let last = (tables.x.len() / 3).saturating_sub(1) as u32;
         for slice in slices {

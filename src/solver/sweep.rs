@@ -52,7 +52,7 @@ struct OuterBlock {
 
 impl Sweeps {
     /// Tables for a pattern. `mode` and `queue` are those of the products.
-    pub fn new(
+    pub(super) fn new(
         executor: &Executor,
         partition: &RowPartition,
         plan: &HaloPlan,
@@ -119,7 +119,7 @@ impl Sweeps {
     }
 
     /// Copies the values and adds them up by chunk and group.
-    pub fn take_over(&mut self, cpu: &CpuExecutor, values: &[f32], flags: &[f32]) -> Vec<GroupSums> {
+    pub(super) fn take_over(&mut self, cpu: &CpuExecutor, values: &[f32], flags: &[f32]) -> Vec<GroupSums> {
         self.pinned.clear();
         self.pinned.extend((0..self.rows as u32).filter(|&row| flags[(self.own_start + row as usize) * 3] == 0.0));
         let mut entries: Vec<GroupSums> = vec![Vec::new(); self.residual_sums.len()];
@@ -193,12 +193,12 @@ impl Sweeps {
     }
 
     /// The blocks between chunks: what is left to multiply after [`Sweeps::sweep`].
-    pub fn outer(&self) -> &SellMatrix {
+    pub(super) fn outer(&self) -> &SellMatrix {
         &self.outer
     }
 
     /// [`sweep_cpu::sweep`] on the vectors of a solve.
-    pub fn sweep(
+    pub(super) fn sweep(
         &mut self,
         cpu: &CpuExecutor,
         correction: &[f32],
@@ -232,7 +232,7 @@ impl Sweeps {
     }
 
     /// Sums (r . u, r . r, w . u) per own chunk, and those of w, three per chunk; zeroes w on pinned rows.
-    pub fn sums(
+    pub(super) fn sums(
         &mut self,
         cpu: &CpuExecutor,
         w: &mut DeviceVec<f32>,
@@ -251,7 +251,7 @@ impl Sweeps {
     }
 
     /// Bytes of the tables and of the second copy of the matrix.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         let words = self.upper_offsets.len()
             + self.upper_source.len()
             + self.upper.len()
@@ -262,12 +262,12 @@ impl Sweeps {
     }
 
     /// Floating-point operations of a sweep.
-    pub fn sweep_flops(&self) -> u64 {
+    pub(super) fn sweep_flops(&self) -> u64 {
         (self.upper_columns.len() * 54 + self.rows * 100) as u64
     }
 
     /// Bytes that a sweep moves.
-    pub fn sweep_bytes(&self) -> u64 {
+    pub(super) fn sweep_bytes(&self) -> u64 {
         (self.upper.len() * 4 + self.upper_columns.len() * 2 + self.rows * (4 + 48 + 192)) as u64
     }
 }

@@ -12,9 +12,9 @@ use super::vector_cpu::{Shared, dot_tile};
 use crate::gpu::CpuExecutor;
 
 /// Over-relaxation of the sweep [Young 1954]; measured in docs/performance.md.
-pub const RELAXATION: f32 = 1.5;
+pub(super) const RELAXATION: f32 = 1.5;
 /// Factor on the sweep's result beside the coarse correction.
-pub const SCALE: f32 = 1.0;
+pub(super) const SCALE: f32 = 1.0;
 /// Rows per sum in f32.
 const TILE: usize = 64;
 /// Values of a cache line.
@@ -22,7 +22,7 @@ const LINE: usize = 16;
 
 /// The blocks inside chunks, in the order of the own rows.
 #[derive(Clone, Copy)]
-pub struct Blocks<'a> {
+pub(super) struct Blocks<'a> {
     /// Rows per chunk.
     pub chunk_rows: usize,
     /// Start of each row's blocks above the diagonal; one more than rows.
@@ -98,7 +98,7 @@ struct Scratch {
 /// from r as in the description of the file; sums[chunk] = (r . u, r . r). `coarse`: three values per chunk.
 /// Bytes per row of a cloth: about 310 of blocks, 120 of vectors read, 72 written.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
-pub fn sweep(
+pub(super) fn sweep(
     cpu: &CpuExecutor,
     blocks: &Blocks,
     update: Option<(f32, f32)>,
@@ -200,7 +200,7 @@ mod avx2 {
     use super::RowKernel;
 
     /// Used inside functions that have AVX2 only.
-    pub struct Vectors;
+    pub(super) struct Vectors;
 
     impl RowKernel for Vectors {
         #[inline(always)]
@@ -354,7 +354,7 @@ fn times(block: &[f32; 6], v: &[f32; 4]) -> [f32; 3] {
 
 /// After w has the products with R: w = 0 on the `pinned` rows (ascending), sums[chunk] = (w . u, sums of x, y, z of w).
 /// Bytes per row: 24.
-pub fn product_sums(
+pub(super) fn product_sums(
     cpu: &CpuExecutor,
     chunk_rows: usize,
     pinned: &[u32],

@@ -59,7 +59,7 @@ impl Shared {
 }
 
 /// sums[chunk] = (w . u) over the chunk's rows.
-pub fn dot(cpu: &CpuExecutor, chunk_rows: usize, w: &[f32], u: &[f32], sums: &mut [f64]) {
+pub(super) fn dot(cpu: &CpuExecutor, chunk_rows: usize, w: &[f32], u: &[f32], sums: &mut [f64]) {
     cpu.for_ranges_mut(sums, 1, 1, |range, sums| {
         for (chunk, sum) in range.zip(sums) {
             let end = ((chunk + 1) * chunk_rows * 3).min(w.len());
@@ -76,7 +76,7 @@ pub fn dot(cpu: &CpuExecutor, chunk_rows: usize, w: &[f32], u: &[f32], sums: &mu
 
 /// r = b - w (0 on pinned rows), u = inverse_diagonal * r, sums[chunk] = (r . u, r . r).
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
-pub fn start(
+pub(super) fn start(
     cpu: &CpuExecutor,
     chunk_rows: usize,
     b: &[f32],
@@ -120,7 +120,7 @@ fn inverse_of(inverse_diagonal: &[f32], row: usize) -> &[f32; 6] {
 /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = inverse_diagonal * r; sums[chunk] = (r . u, r . r).
 /// Pinned rows (zero inverse) keep r = u = 0. Bytes per row: 96 read, 60 written.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
-pub fn update(
+pub(super) fn update(
     cpu: &CpuExecutor,
     chunk_rows: usize,
     alpha: f32,

@@ -32,12 +32,12 @@ pub(super) struct Span {
 
 impl Span {
     /// Step `step`, counted from 1, of `step_s` seconds.
-    pub fn of_step(step: u32, step_s: f64) -> Span {
+    pub(super) fn of_step(step: u32, step_s: f64) -> Span {
         Span { start_s: (step - 1) as f64 * step_s, end_s: step as f64 * step_s, length_s: step_s }
     }
 
     /// The two halves, in order.
-    pub fn halves(self) -> [Span; 2] {
+    pub(super) fn halves(self) -> [Span; 2] {
         let length_s = 0.5 * self.length_s;
         let middle_s = self.start_s + length_s;
         [Span { end_s: middle_s, length_s, ..self }, Span { start_s: middle_s, length_s, ..self }]
@@ -89,7 +89,7 @@ impl Collisions {
     ///
     /// # Errors
     /// The model's lists do not fit each other.
-    pub fn new(
+    pub(super) fn new(
         cpu: CpuExecutor,
         partition: RowPartition,
         plan: HaloPlan,
@@ -140,12 +140,12 @@ impl Collisions {
     }
 
     /// The state is no longer the end of the step before.
-    pub fn forget_state(&mut self) {
+    pub(super) fn forget_state(&mut self) {
         self.state_known = false;
     }
 
     /// Bytes held besides the tables of queries: mesh, positions, masses.
-    pub fn mesh_bytes(&self) -> u64 {
+    pub(super) fn mesh_bytes(&self) -> u64 {
         4 * (self.x_t0.len() + self.x_t1.len() + self.model.arrays.masses.len()) as u64
     }
 
@@ -165,7 +165,7 @@ impl Collisions {
 
     /// Obstacles at both ends of `span`, pinned vertices; finds the contacts of the state at its start, whose own rows are
     /// `own` (positions, velocities; xyz), and those it is heading for, and tells everybody who needs which rows.
-    pub fn contacts(
+    pub(super) fn contacts(
         &mut self,
         rank: &mut RankContext<'_>,
         own: (&[f32], &[f32]),
@@ -301,7 +301,7 @@ impl Collisions {
 
     /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones until
     /// nothing penetrates; in at most `rounds_most` rounds, twice as many while the impacts become few or half as many.
-    pub fn resolve(
+    pub(super) fn resolve(
         &mut self,
         rank: &mut RankContext<'_>,
         own: &[f32],

@@ -27,7 +27,7 @@ pub(super) struct Elements {
 }
 
 impl Elements {
-    pub fn new(executor: &Executor, arrays: &RankArrays) -> Elements {
+    pub(super) fn new(executor: &Executor, arrays: &RankArrays) -> Elements {
         Elements {
             fabrics: DeviceVec::upload(executor, &arrays.fabrics),
             triangles: DeviceVec::upload(executor, &arrays.triangles),
@@ -40,7 +40,7 @@ impl Elements {
     }
 
     /// The records of `state` for a step over `span`.
-    pub fn fill_records(&mut self, executor: &Executor, settings: &Settings, span: Span, state: &StateVectors) {
+    pub(super) fn fill_records(&mut self, executor: &Executor, settings: &Settings, span: Span, state: &StateVectors) {
         let params = |count: usize| StepParams {
             step_s: span.length_s as f32,
             air_density: settings.air_density_kg_m3 as f32,
@@ -57,17 +57,17 @@ impl Elements {
     }
 
     /// Bytes that [`Elements::fill_records`] moves.
-    pub fn moved_bytes(&self) -> u64 {
+    pub(super) fn moved_bytes(&self) -> u64 {
         self.triangles.bytes() + self.hinges.bytes() + self.triangle_records.bytes() + self.hinge_records.bytes()
     }
 
     /// Floating-point operations of [`Elements::fill_records`], about.
-    pub fn flops(&self) -> u64 {
+    pub(super) fn flops(&self) -> u64 {
         self.triangles.len() as u64 * 300 + self.hinges.len() as u64 * 200
     }
 
     /// Device bytes.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         self.fabrics.bytes() + self.moved_bytes()
     }
 }

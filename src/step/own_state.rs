@@ -35,7 +35,7 @@ pub(super) struct StateVectors {
 
 impl StateVectors {
     /// The state of `arrays`; `own`: own rows among the local ones.
-    pub fn new(executor: &Executor, arrays: &RankArrays, own: Range<usize>) -> StateVectors {
+    pub(super) fn new(executor: &Executor, arrays: &RankArrays, own: Range<usize>) -> StateVectors {
         StateVectors {
             positions: DeviceVec::upload(executor, &arrays.positions),
             velocities: DeviceVec::upload(executor, &arrays.velocities),
@@ -48,7 +48,7 @@ impl StateVectors {
     }
 
     /// The state of the own rows; one wait for the executor if it has changed since the last time.
-    pub fn own(&self, executor: &Executor) -> Rc<RankState> {
+    pub(super) fn own(&self, executor: &Executor) -> Rc<RankState> {
         if let Some(known) = &*self.copy.borrow() {
             return Rc::clone(known);
         }
@@ -63,7 +63,7 @@ impl StateVectors {
     }
 
     /// As [`StateVectors::own`], within a step: what is read is recorded.
-    pub fn recorded(&self, rank: &mut RankContext<'_>) -> Rc<RankState> {
+    pub(super) fn recorded(&self, rank: &mut RankContext<'_>) -> Rc<RankState> {
         let known = self.copy.borrow().clone();
         known.unwrap_or_else(|| {
             let start = rank.recorder.now();
@@ -74,14 +74,14 @@ impl StateVectors {
     }
 
     /// The own rows become `state`.
-    pub fn set(&mut self, executor: &Executor, state: Rc<RankState>) {
+    pub(super) fn set(&mut self, executor: &Executor, state: Rc<RankState>) {
         self.positions.write_range(executor, self.own.start, &state.positions);
         self.velocities.write_range(executor, self.own.start, &state.velocities);
         self.copy.replace(Some(state));
     }
 
     /// Obstacle vertices (xyz) follow the `rows` local rows.
-    pub fn put_obstacles(&mut self, executor: &Executor, rows: usize, positions: &[f32], velocities: &[f32]) {
+    pub(super) fn put_obstacles(&mut self, executor: &Executor, rows: usize, positions: &[f32], velocities: &[f32]) {
         for (local, obstacles) in [(&mut self.positions, positions), (&mut self.velocities, velocities)] {
             let local_len = rows * 3 + obstacles.len();
             if local.len() < local_len {
@@ -92,7 +92,11 @@ impl StateVectors {
     }
 
     /// Receives the halo rows.
-    pub fn exchange(&mut self, rank: &mut RankContext<'_>, halo: &mut HaloExchange) -> Result<(), TransportError> {
+    pub(super) fn exchange(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        halo: &mut HaloExchange,
+    ) -> Result<(), TransportError> {
         let start = rank.recorder.now();
         halo.start(rank.executor, rank.transport, &[&self.positions, &self.velocities], rank.recorder)?;
         let vectors = &mut [&mut self.positions, &mut self.velocities];
@@ -102,13 +106,13 @@ impl StateVectors {
     }
 
     /// `velocity_changes` (own rows) becomes those of `targets`, zero elsewhere.
-    pub fn prescribe(&self, executor: &Executor, targets: &PinTargets, velocity_changes: &mut DeviceVec<f32>) {
+    pub(super) fn prescribe(&self, executor: &Executor, targets: &PinTargets, velocity_changes: &mut DeviceVec<f32>) {
         velocity_changes.fill_zero(executor);
         self.scatter.apply(executor, &targets.rows, &targets.velocity_changes, 0, velocity_changes);
     }
 
     /// v += `velocity_changes` (own rows), x += dt v; then pinned rows exactly.
-    pub fn advance(
+    pub(super) fn advance(
         &mut self,
         rank: &mut RankContext<'_>,
         span: Span,
@@ -127,12 +131,12 @@ impl StateVectors {
     }
 
     /// Bytes received by [`StateVectors::exchange`] since the last call.
-    pub fn take_received_bytes(&mut self) -> u64 {
+    pub(super) fn take_received_bytes(&mut self) -> u64 {
         std::mem::take(&mut self.traffic).received_bytes
     }
 
     /// Device bytes.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         self.positions.bytes() + self.velocities.bytes()
     }
 }

@@ -43,7 +43,7 @@ pub(super) struct System {
 }
 
 impl System {
-    pub fn new(executor: &Executor, masses: &[f32]) -> System {
+    pub(super) fn new(executor: &Executor, masses: &[f32]) -> System {
         let rows = masses.len();
         System {
             contacts: ContactSystem::new(executor),
@@ -55,7 +55,7 @@ impl System {
     }
 
     /// Device bytes.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         self.contacts.bytes()
             + self.masses.bytes()
             + self.pinned.bytes()
@@ -74,7 +74,7 @@ pub(super) struct ColumnOrder {
 }
 
 impl ColumnOrder {
-    pub fn new(partition: &RowPartition, exchange: &ExchangePlan) -> ColumnOrder {
+    pub(super) fn new(partition: &RowPartition, exchange: &ExchangePlan) -> ColumnOrder {
         ColumnOrder {
             rows_of: (0..partition.ranks()).map(|rank| partition.rows_of(rank)).collect(),
             order: exchange.queue.iter().map(|node| node.vector).collect(),
@@ -83,7 +83,7 @@ impl ColumnOrder {
     }
 
     /// The numbering of the local rows of `plan`.
-    pub fn numbering<'a>(&'a self, plan: &'a HaloPlan) -> Numbering<'a> {
+    pub(super) fn numbering<'a>(&'a self, plan: &'a HaloPlan) -> Numbering<'a> {
         Numbering {
             own: plan.own.clone(),
             columns: plan.local_rows,
@@ -150,7 +150,7 @@ impl Assembled {
     ///
     /// # Errors
     /// A vertex is coupled to more others than a row can hold.
-    pub fn new(
+    pub(super) fn new(
         executor: &Executor,
         arrays: &RankArrays,
         elements: &Elements,
@@ -168,12 +168,12 @@ impl Assembled {
     }
 
     /// Slots over stored blocks.
-    pub fn padding_ratio(&self) -> f64 {
+    pub(super) fn padding_ratio(&self) -> f64 {
         self.elastic.padding_ratio()
     }
 
     /// The Schwarz preconditioner of this pattern.
-    pub fn schwarz(
+    pub(super) fn schwarz(
         &self,
         executor: &Executor,
         partition: &RowPartition,

@@ -94,13 +94,13 @@ impl Membership {
     ///
     /// # Errors
     /// The path that failed, and what the system said.
-    pub fn join(paths: &[PathBuf; 2]) -> Result<Membership, (PathBuf, io::Error)> {
+    pub(super) fn join(paths: &[PathBuf; 2]) -> Result<Membership, (PathBuf, io::Error)> {
         let open = |path: &PathBuf| join(path).map_err(|error| (path.clone(), error));
         Ok(Membership { _locks: [open(&paths[0])?, open(&paths[1])?] })
     }
 
     /// Of locks that are held already.
-    pub fn of(locks: [File; 2]) -> Membership {
+    pub(super) fn of(locks: [File; 2]) -> Membership {
         Membership { _locks: locks }
     }
 }

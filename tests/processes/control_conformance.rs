@@ -13,16 +13,16 @@ use loomtree::transport::{
 use super::transport_control::Process;
 
 /// Generous: it only turns a deadlock into a failure.
-pub const WATCHDOG: Duration = Duration::from_secs(300);
+pub(crate) const WATCHDOG: Duration = Duration::from_secs(300);
 /// Environment variable that makes a child of this test binary do a worker's or a coordinator's part.
-pub const ROLE: &str = "LOOMTREE_TEST_ROLE";
+pub(crate) const ROLE: &str = "LOOMTREE_TEST_ROLE";
 /// How long a silent worker gives no sign of life.
 const SILENT: Duration = Duration::from_millis(400);
 /// Between two looks.
 const LOOK: Duration = Duration::from_millis(5);
 
 /// Runs `test` and fails if it takes longer than the watchdog allows.
-pub fn watched(test: impl FnOnce() + Send + 'static) {
+pub(crate) fn watched(test: impl FnOnce() + Send + 'static) {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
         let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(test));
@@ -33,7 +33,7 @@ pub fn watched(test: impl FnOnce() + Send + 'static) {
     }
 }
 
-pub fn bytes(len: usize, seed: usize) -> Vec<u8> {
+pub(crate) fn bytes(len: usize, seed: usize) -> Vec<u8> {
     (0..len).map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(seed * 97) >> 7) as u8).collect()
 }
 
@@ -158,7 +158,7 @@ impl Mechanism for Processes {
 }
 
 /// This test binary as a child with `role` = what it does, run, rank.
-pub fn child_command(role: &str) -> Command {
+pub(crate) fn child_command(role: &str) -> Command {
     let mut command = Command::new(std::env::current_exe().expect("the test binary"));
     let (_, module) = module_path!().split_once("::").expect("a module of the test binary");
     command.args([&format!("{module}::child_process"), "--exact", "--nocapture", "--test-threads=1"]);

@@ -10,14 +10,14 @@ use loomtree::transport::{
 };
 
 /// Most values of a message in these tests.
-pub const MAX_LEN: usize = 5000;
+pub(crate) const MAX_LEN: usize = 5000;
 /// Generous: it only turns a deadlock into a failure.
-pub const WATCHDOG: Duration = Duration::from_secs(300);
+pub(crate) const WATCHDOG: Duration = Duration::from_secs(300);
 /// Deadline of a wait that is expected to end well.
-pub const PATIENT: Duration = Duration::from_secs(120);
+pub(crate) const PATIENT: Duration = Duration::from_secs(120);
 
 /// How a group of ranks is started: each rank's program runs on its own thread and gets its transport.
-pub trait Group {
+pub(crate) trait Group {
     /// Runs `program` on every rank with `deadline` per wait; returns what each returned, by rank.
     fn run<T: Send + 'static>(
         ranks: usize,
@@ -26,10 +26,10 @@ pub trait Group {
     ) -> Vec<T>;
 }
 
-pub type Job<T> = Box<dyn FnOnce() -> T + Send>;
+pub(crate) type Job<T> = Box<dyn FnOnce() -> T + Send>;
 
 /// Runs one closure per rank on threads and collects the results; fails if they take longer than the watchdog allows.
-pub fn on_threads<T: Send + 'static>(jobs: Vec<Job<T>>) -> Vec<T> {
+pub(crate) fn on_threads<T: Send + 'static>(jobs: Vec<Job<T>>) -> Vec<T> {
     let (sender, receiver) = mpsc::channel();
     let count = jobs.len();
     for (rank, job) in jobs.into_iter().enumerate() {
@@ -50,7 +50,7 @@ pub fn on_threads<T: Send + 'static>(jobs: Vec<Job<T>>) -> Vec<T> {
     results.into_iter().flatten().collect()
 }
 
-pub struct Threads;
+pub(crate) struct Threads;
 
 impl Group for Threads {
     fn run<T: Send + 'static>(
@@ -67,7 +67,7 @@ impl Group for Threads {
     }
 }
 
-pub struct Emulated;
+pub(crate) struct Emulated;
 
 impl Group for Emulated {
     fn run<T: Send + 'static>(
@@ -88,7 +88,7 @@ impl Group for Emulated {
     }
 }
 
-pub struct Iceoryx;
+pub(crate) struct Iceoryx;
 
 impl Group for Iceoryx {
     fn run<T: Send + 'static>(
@@ -111,7 +111,7 @@ impl Group for Iceoryx {
     }
 }
 
-pub fn options(rank: usize, ranks: usize, deadline: Duration) -> IceoryxOptions {
+pub(crate) fn options(rank: usize, ranks: usize, deadline: Duration) -> IceoryxOptions {
     IceoryxOptions { rank, ranks, epoch: 0, max_len: MAX_LEN, deadline, on_wait: Box::new(|| false) }
 }
 

@@ -12,10 +12,10 @@ use loomtree::transport::{
 use super::control_conformance::{WATCHDOG, bytes, child_command, watched};
 
 /// A child process of this test, killed when it is dropped.
-pub struct Process(Child);
+pub(crate) struct Process(Child);
 
 impl Process {
-    pub fn start(role: &str) -> Process {
+    pub(crate) fn start(role: &str) -> Process {
         Process(child_command(role).spawn().expect("a child process"))
     }
 }

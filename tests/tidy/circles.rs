@@ -25,7 +25,7 @@ type Edge = (String, String);
 /// files and its sub-folders, and the file that declares them (`mod.rs` or its namesake beside the folder). What a file
 /// re-exports (`pub use`) belongs to the file that it comes from. A native twin `x_cpu.rs` may use its wrapper `x.rs`.
 /// Circles in the folders `allowed` (as module paths, `a::b`) are left out.
-pub fn circles(files: &[Source], allowed: &[&str]) -> Vec<String> {
+pub(crate) fn circles(files: &[Source], allowed: &[&str]) -> Vec<String> {
     let modules = modules(files);
     let mut graphs: BTreeMap<Path, BTreeMap<Edge, String>> = BTreeMap::new();
     for (own, module) in &modules {
@@ -59,7 +59,7 @@ pub fn circles(files: &[Source], allowed: &[&str]) -> Vec<String> {
 }
 
 /// Folders of `allowed` that have no circle.
-pub fn needless(files: &[Source], allowed: &[&str]) -> Vec<String> {
+pub(crate) fn needless(files: &[Source], allowed: &[&str]) -> Vec<String> {
     let found = circles(files, &[]);
     let has_one = |folder: &&&str| {
         let start = format!("src/{}: ", folder.replace("::", "/"));

@@ -9,29 +9,29 @@ const FOLDERS: [&str; 10] =
 
 /// A text file of the project; `path` is relative to the root, with slashes.
 #[derive(Clone)]
-pub struct Source {
+pub(crate) struct Source {
     pub path: String,
     pub text: String,
 }
 
 impl Source {
-    pub fn new(path: &str, text: &str) -> Source {
+    pub(crate) fn new(path: &str, text: &str) -> Source {
         Source { path: path.into(), text: text.into() }
     }
 
-    pub fn has_extension(&self, extension: &str) -> bool {
+    pub(crate) fn has_extension(&self, extension: &str) -> bool {
         self.path.ends_with(extension)
     }
 
     /// A finding at byte `at`.
-    pub fn finding(&self, at: usize, what: &str) -> String {
+    pub(crate) fn finding(&self, at: usize, what: &str) -> String {
         let line = self.text[..at.min(self.text.len())].matches('\n').count() + 1;
         format!("{}:{line}: {what}", self.path)
     }
 }
 
 /// Rust text with comments, strings and characters replaced by blanks; line ends and lengths stay.
-pub fn blank(text: &str) -> String {
+pub(crate) fn blank(text: &str) -> String {
     let bytes = text.as_bytes();
     let mut out = bytes.to_vec();
     let mut i = 0;
@@ -89,7 +89,7 @@ fn end_of_token(bytes: &[u8], i: usize) -> usize {
     i
 }
 
-pub fn is_word(byte: u8) -> bool {
+pub(crate) fn is_word(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || byte == b'_'
 }
 
@@ -103,7 +103,7 @@ fn quoted(rest: &[u8], quote: u8) -> usize {
 }
 
 /// All text of the project. Files that are not UTF-8 are not text.
-pub fn project() -> Vec<Source> {
+pub(crate) fn project() -> Vec<Source> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut paths: Vec<PathBuf> = children(root).into_iter().filter(|path| path.is_file()).collect();
     let mut folders: Vec<PathBuf> = FOLDERS.iter().map(|folder| root.join(folder)).collect();
@@ -124,7 +124,7 @@ fn children(folder: &Path) -> Vec<PathBuf> {
     fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
 }
 
-pub fn text_of(path: &str) -> String {
+pub(crate) fn text_of(path: &str) -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path))
         .unwrap_or_else(|error| panic!("{path}: {error}"))
 }

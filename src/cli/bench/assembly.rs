@@ -7,7 +7,7 @@ use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::output::StepRecord;
 
-pub fn run(bench: &SceneBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &SceneBench) -> Result<(), CliError> {
     let (size, all) = bench.run()?;
     let title = format!("measured: assembly per step, {}", bench.title(size));
     let columns = vec![

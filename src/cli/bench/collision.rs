@@ -7,7 +7,7 @@ use crate::cli::CliError;
 use crate::output::{QueryRecord, StepRecord};
 
 /// Prints the tables of collision detection and of impact zones for a scene.
-pub fn run(bench: &SceneBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &SceneBench) -> Result<(), CliError> {
     let (size, all) = bench.run()?;
     let out = bench.settings.common.out.as_deref();
     collision_table(bench, size, &all).finish(out, Some(("workers", "speedup")))?;

@@ -9,7 +9,7 @@ use crate::protocol::{BindCores, ExecutorChoice, WorkerSetup};
 
 /// Options that all benchmarks share.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Common {
+pub(super) struct Common {
     /// What runs the kernels
     #[arg(long, value_enum, default_value = "cpu")]
     pub executor: ExecutorChoice,
@@ -23,7 +23,7 @@ pub struct Common {
 
 impl Common {
     /// The executor that the options name, for one rank.
-    pub fn executor(&self) -> Result<Executor, CliError> {
+    pub(super) fn executor(&self) -> Result<Executor, CliError> {
         let setup = WorkerSetup {
             executor: self.executor,
             adapter: None,
@@ -42,19 +42,19 @@ impl Common {
 }
 
 /// The middle value; the upper one of two; NaN without values. Sorts them.
-pub fn median(values: &mut [f64]) -> f64 {
+pub(super) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// The machine of modeled figures: that of a topology file, or a balanced tree for `gpus` ranks.
-pub fn machine(file: Option<&Path>, gpus: usize) -> Result<Topology, CliError> {
+pub(super) fn machine(file: Option<&Path>, gpus: usize) -> Result<Topology, CliError> {
     let made = || Topology::default_for(gpus).map_err(CliError::bad_input);
     file.map_or_else(made, |file| Topology::read(file).map_err(CliError::bad_input))
 }
 
 /// Parses a number above 0 and below a million.
-pub fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value < 1e6 => Ok(value),
         _ => Err("expected a positive number".to_string()),
@@ -62,7 +62,7 @@ pub fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// Parses a number of workers.
-pub fn worker_counts(text: &str) -> Result<usize, String> {
+pub(super) fn worker_counts(text: &str) -> Result<usize, String> {
     match text.parse::<usize>() {
         Ok(n) if (1..=crate::transport::RANKS_MAX).contains(&n) => Ok(n),
         _ => Err(format!("expected numbers of workers from 1 to {}, separated by commas", crate::transport::RANKS_MAX)),

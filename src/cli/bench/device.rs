@@ -7,7 +7,7 @@ use crate::gpu::bandwidth_gb_s;
 
 /// Arguments of `loomtree bench device`.
 #[derive(Clone, Debug, clap::Args)]
-pub struct DeviceBench {
+pub(super) struct DeviceBench {
     #[command(flatten)]
     common: Common,
     /// Bytes of the arrays, MiB; well above the caches
@@ -15,7 +15,7 @@ pub struct DeviceBench {
     megabytes: u64,
 }
 
-pub fn run(bench: &DeviceBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &DeviceBench) -> Result<(), CliError> {
     let executor = bench.common.executor()?;
     let measured = bandwidth_gb_s(&executor, (bench.megabytes as usize) << 20)
         .map_err(|error| CliError::failed(error.to_string()))?;

@@ -10,7 +10,7 @@ use crate::interconnect::{Demand, DeviceModel, ProductKernels, ScheduleKind, Top
 
 /// Arguments of `loomtree bench interconnect`.
 #[derive(Clone, Debug, clap::Args)]
-pub struct InterconnectBench {
+pub(super) struct InterconnectBench {
     /// Machines (topology files)
     #[arg(
         long,
@@ -51,7 +51,7 @@ struct Speedups {
     halo: f64,
 }
 
-pub fn run(bench: &InterconnectBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &InterconnectBench) -> Result<(), CliError> {
     for file in &bench.topology {
         let machine = Topology::read(file).map_err(CliError::bad_input)?;
         for &efficiency in &bench.efficiency {

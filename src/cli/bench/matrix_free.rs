@@ -18,7 +18,7 @@ use crate::transport::{SoloTransport, Transport};
 
 /// Arguments of `loomtree bench matrix-free`.
 #[derive(Clone, Debug, clap::Args)]
-pub struct MatrixFreeBench {
+pub(super) struct MatrixFreeBench {
     #[command(flatten)]
     common: Common,
     /// Scene
@@ -44,7 +44,7 @@ pub struct MatrixFreeBench {
     topology: Option<PathBuf>,
 }
 
-pub fn run(bench: &MatrixFreeBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &MatrixFreeBench) -> Result<(), CliError> {
     let machine = machine(bench.topology.as_deref(), 1)?;
     let out = bench.common.out.as_deref();
     let (measured, modeled) = tables(bench, &machine)?;

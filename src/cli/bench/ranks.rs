@@ -14,7 +14,7 @@ use crate::step::{ExchangePlan, Simulation};
 use crate::transport::{InProcessTransport, SoloTransport, Transport, cores};
 
 /// A scene in a state, and the step that comes next.
-pub struct ModelState {
+pub(super) struct ModelState {
     /// The cloth in that state; its preconditioner is block Jacobi.
     pub model: GlobalModel,
     /// Number of the step.
@@ -26,7 +26,7 @@ pub struct ModelState {
 impl ModelState {
     /// Advances `model` until at least `contacts_per_vertex` act, or by `steps_max` steps, with all cores: threads change no
     /// bit.
-    pub fn in_contact(
+    pub(super) fn in_contact(
         mut model: GlobalModel,
         common: &Common,
         contacts_per_vertex: f64,
@@ -52,13 +52,13 @@ impl ModelState {
     }
 
     /// One rank that holds everything, in this state.
-    pub fn one_rank(&self, common: &Common) -> Result<Simulation, CliError> {
+    pub(super) fn one_rank(&self, common: &Common) -> Result<Simulation, CliError> {
         alone(&self.model, common)
     }
 
     /// Assembles the matrix of the step on `queues.len()` ranks and calls `with` on each of them, all at once. Results in the
     /// order of the ranks.
-    pub fn on_ranks<T: Send>(
+    pub(super) fn on_ranks<T: Send>(
         &self,
         common: &Common,
         mode: ExchangeMode,
@@ -106,12 +106,12 @@ fn split(model: &GlobalModel, ranks: usize) -> Result<Vec<RankModel>, CliError> 
 }
 
 /// Length of what began and ended.
-pub fn seconds_of((start, end): &(Instant, Instant)) -> f64 {
+pub(super) fn seconds_of((start, end): &(Instant, Instant)) -> f64 {
     (*end - *start).as_secs_f64()
 }
 
 /// Median seconds from the earliest start to the latest end over the ranks.
-pub fn median_s(times: &[Vec<(Instant, Instant)>]) -> f64 {
+pub(super) fn median_s(times: &[Vec<(Instant, Instant)>]) -> f64 {
     let rounds = times.iter().map(Vec::len).min().unwrap_or(0);
     let mut seconds: Vec<f64> = (0..rounds)
         .filter_map(|round| {

@@ -13,7 +13,7 @@ use crate::solver::ExchangeMode;
 
 /// Arguments of benchmarks of whole steps.
 #[derive(Clone, Debug, clap::Args)]
-pub struct ScenesBench {
+pub(super) struct ScenesBench {
     /// Scenes to run, separated by commas or each with a --scene of its own; of several, each has its tables, and files named
     /// after it
     #[arg(long, value_delimiter = ',', default_value = "scenes/flag.toml")]
@@ -28,7 +28,7 @@ pub struct ScenesBench {
 
 /// Options that all scenes of a benchmark share.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Settings {
+pub(super) struct Settings {
     #[command(flatten)]
     pub common: Common,
     /// Triangles of each scene
@@ -56,7 +56,7 @@ impl ScenesBench {
     ///
     /// # Errors
     /// The numbers of `--skip` do not fit the scenes, or the files of two scenes would have the same names.
-    pub fn each(&self) -> Result<Vec<SceneBench>, CliError> {
+    pub(super) fn each(&self) -> Result<Vec<SceneBench>, CliError> {
         let (scenes, skips) = (self.scene.len(), self.skip.len());
         if skips > 1 && skips != scenes {
             return Err(CliError::bad_input(format!(
@@ -81,7 +81,7 @@ impl ScenesBench {
 
 /// The benchmark of one scene.
 #[derive(Clone, Debug)]
-pub struct SceneBench {
+pub(super) struct SceneBench {
     /// Scene file.
     pub scene: PathBuf,
     /// Steps before the counted ones, if they come on top of those.
@@ -94,7 +94,7 @@ pub struct SceneBench {
 
 /// The counted steps of all rounds with one number of workers.
 #[derive(Default)]
-pub struct Runs {
+pub(super) struct Runs {
     pub workers: usize,
     pub steps: Vec<StepRecord>,
     /// Everything before and after the steps of the last round: reading, splitting, starting, leaving; seconds.
@@ -103,36 +103,36 @@ pub struct Runs {
 
 impl Runs {
     /// Values of a figure over the counted steps.
-    pub fn values(&self, figure: impl Fn(&StepRecord) -> f64) -> Vec<f64> {
+    pub(super) fn values(&self, figure: impl Fn(&StepRecord) -> f64) -> Vec<f64> {
         self.steps.iter().map(figure).collect()
     }
 
     /// Median of a figure over the counted steps.
-    pub fn median(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
+    pub(super) fn median(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
         median(&mut self.values(figure))
     }
 
     /// Mean of a figure over the counted steps.
-    pub fn mean(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
+    pub(super) fn mean(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
         self.values(figure).iter().sum::<f64>() / self.steps.len().max(1) as f64
     }
 
     /// Largest value of a figure over the counted steps.
-    pub fn most(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
+    pub(super) fn most(&self, figure: impl Fn(&StepRecord) -> f64) -> f64 {
         self.values(figure).into_iter().fold(0.0, f64::max)
     }
 }
 
 /// Triangles and vertices of a scene.
 #[derive(Clone, Copy, Default)]
-pub struct Size {
+pub(super) struct Size {
     pub triangles: usize,
     pub vertices: usize,
 }
 
 impl SceneBench {
     /// Runs every number of workers `rounds` times, interleaved.
-    pub fn run(&self) -> Result<(Size, Vec<Runs>), CliError> {
+    pub(super) fn run(&self) -> Result<(Size, Vec<Runs>), CliError> {
         let mut all: Vec<Runs> =
             self.settings.workers.iter().map(|&workers| Runs { workers, ..Runs::default() }).collect();
         let mut size = Size::default();
@@ -145,12 +145,12 @@ impl SceneBench {
     }
 
     /// Name of a table.
-    pub fn name(&self, table: &str) -> String {
+    pub(super) fn name(&self, table: &str) -> String {
         format!("{table}{}", self.suffix)
     }
 
     /// Title of a table.
-    pub fn title(&self, size: Size) -> String {
+    pub(super) fn title(&self, size: Size) -> String {
         format!(
             "{}: {} triangles, {} vertices, {} thread(s) per worker",
             self.scene.display(),
@@ -168,7 +168,7 @@ impl SceneBench {
 
     /// Modeled seconds of the counted steps on `topology`, with schedule `best`: a run of its own records events, which
     /// costs time, and is re-timed as `loomtree predict` does it.
-    pub fn predict(&self, workers: usize, topology: &Topology) -> Result<Vec<f64>, CliError> {
+    pub(super) fn predict(&self, workers: usize, topology: &Topology) -> Result<Vec<f64>, CliError> {
         let (skip, steps) = self.steps();
         let launched = self.launch(workers, steps)?;
         let recorded = RecordedRun::read(&launched.folder.path().join(RUN))?;

@@ -13,7 +13,7 @@ use crate::interconnect::Topology;
 
 /// Arguments of `loomtree bench scaling`.
 #[derive(Clone, Debug, clap::Args)]
-pub struct ScalingBench {
+pub(super) struct ScalingBench {
     #[command(flatten)]
     scenes: ScenesBench,
     /// Machine of the modeled columns, with schedule best [default: Titan Xp on a balanced tree of PCIe 3 x16 links]; more
@@ -22,7 +22,7 @@ pub struct ScalingBench {
     topology: Option<PathBuf>,
 }
 
-pub fn run(bench: &ScalingBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &ScalingBench) -> Result<(), CliError> {
     let most = bench.scenes.settings.workers.iter().copied().max().unwrap_or(1);
     let machine = machine(bench.topology.as_deref(), most)?;
     bench.scenes.each()?.iter().try_for_each(|scene| of_scene(scene, &machine))

@@ -22,7 +22,7 @@ use crate::telemetry::Event;
 
 /// Arguments of `loomtree bench spmv`.
 #[derive(Clone, Debug, clap::Args)]
-pub struct SpmvBench {
+pub(super) struct SpmvBench {
     #[command(flatten)]
     common: Common,
     /// Scenes whose matrices are multiplied
@@ -78,7 +78,7 @@ const MODELED: [&str; 10] = [
 const MEASURED: [&str; 8] =
     ["ranks", "one_rank_ms", "gather_first", "full_fat_tree", "full_ring", "full_direct", "full_best", "halo"];
 
-pub fn run(bench: &SpmvBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &SpmvBench) -> Result<(), CliError> {
     let machine = machine(bench.topology.as_deref(), bench.workers.iter().copied().max().unwrap_or(1))?;
     for file in &bench.scene {
         of_scene(bench, file, &machine)?;

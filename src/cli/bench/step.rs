@@ -7,7 +7,7 @@ use crate::cli::CliError;
 use crate::output::StepRecord;
 
 /// Time of whole steps, and the share of every stage.
-pub fn time(bench: &SceneBench) -> Result<(), CliError> {
+pub(super) fn time(bench: &SceneBench) -> Result<(), CliError> {
     let (size, all) = bench.run()?;
     let out = bench.settings.common.out.as_deref();
     step_table(bench, size, &all).finish(out, Some(("workers", "speedup")))?;
@@ -15,7 +15,7 @@ pub fn time(bench: &SceneBench) -> Result<(), CliError> {
 }
 
 /// Memory of the workers.
-pub fn memory(bench: &SceneBench) -> Result<(), CliError> {
+pub(super) fn memory(bench: &SceneBench) -> Result<(), CliError> {
     let (size, all) = bench.run()?;
     let table = memory_table(bench, size, &all);
     table.finish(bench.settings.common.out.as_deref(), Some(("workers", "device_bytes_per_vertex")))

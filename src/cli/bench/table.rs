@@ -9,7 +9,7 @@ use crate::output::plot::{Series, line_chart};
 use crate::output::{Machine, write_atomically};
 
 /// Column heads and rows of numbers.
-pub struct FigureTable {
+pub(super) struct FigureTable {
     name: String,
     title: String,
     kind: &'static str,
@@ -20,33 +20,33 @@ pub struct FigureTable {
 
 impl FigureTable {
     /// An empty table of measured figures; `name` names its files.
-    pub fn new(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
+    pub(super) fn new(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
         FigureTable { name: name.into(), title, kind: "measured", y_label: "speed-up", columns, rows: Vec::new() }
     }
 
     /// The same for figures that were modeled.
-    pub fn modeled(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
+    pub(super) fn modeled(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
         FigureTable { kind: "modelled", ..FigureTable::new(name, title, columns) }
     }
 
     /// The same for columns of both kinds, each of which says in its name which it is.
-    pub fn mixed(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
+    pub(super) fn mixed(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
         FigureTable { kind: "measured and modelled", ..FigureTable::new(name, title, columns) }
     }
 
     /// The table with another label of the y axis, for pictures of several curves.
-    pub fn y_label(self, y_label: &'static str) -> FigureTable {
+    pub(super) fn y_label(self, y_label: &'static str) -> FigureTable {
         FigureTable { y_label, ..self }
     }
 
     /// Adds a row, one number per column.
-    pub fn push(&mut self, row: Vec<f64>) {
+    pub(super) fn push(&mut self, row: Vec<f64>) {
         assert_eq!(row.len(), self.columns.len());
         self.rows.push(row);
     }
 
     /// Prints the table. A closed pipe is not an error.
-    pub fn print(&self) -> Result<(), CliError> {
+    pub(super) fn print(&self) -> Result<(), CliError> {
         let cell = |v: f64| match v {
             v if v.is_nan() => "-".to_string(),
             v if v.fract() == 0.0 && v.abs() < 1e15 => format!("{v:.0}"),
@@ -74,7 +74,7 @@ impl FigureTable {
     }
 
     /// Writes `name.json`, and `name.svg` with the columns of `curves` over its first one if there are at least two rows.
-    pub fn write(&self, folder: &Path, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
+    pub(super) fn write(&self, folder: &Path, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         std::fs::create_dir_all(folder)
             .map_err(|error| CliError::bad_input(format!("cannot write to {}: {error}", folder.display())))?;
         let rows: Vec<Value> = self
@@ -110,13 +110,13 @@ impl FigureTable {
     }
 
     /// Prints, and writes if `folder` is given.
-    pub fn finish(&self, folder: Option<&Path>, curve: Option<(&str, &str)>) -> Result<(), CliError> {
+    pub(super) fn finish(&self, folder: Option<&Path>, curve: Option<(&str, &str)>) -> Result<(), CliError> {
         let names = curve.map(|(_, y)| [y]);
         self.finish_curves(folder, curve.zip(names.as_ref()).map(|((x, _), names)| (x, &names[..])))
     }
 
     /// As [`FigureTable::finish`], with several curves in one picture.
-    pub fn finish_curves(&self, folder: Option<&Path>, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
+    pub(super) fn finish_curves(&self, folder: Option<&Path>, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         self.print()?;
         folder.map_or(Ok(()), |folder| self.write(folder, curves))
     }

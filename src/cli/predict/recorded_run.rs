@@ -11,7 +11,7 @@ use crate::output::{Report, read_trace};
 use crate::telemetry::Event;
 
 /// Report and trace of a run.
-pub struct RecordedRun {
+pub(crate) struct RecordedRun {
     trace: PathBuf,
     /// Its report.
     pub report: Report,
@@ -23,7 +23,7 @@ pub struct RecordedRun {
 
 impl RecordedRun {
     /// Reads the files of the run directory `run`.
-    pub fn read(run: &Path) -> Result<RecordedRun, CliError> {
+    pub(crate) fn read(run: &Path) -> Result<RecordedRun, CliError> {
         let trace = run.join("trace.json");
         let (report, events) = std::thread::scope(|scope| {
             let events = scope.spawn(|| read_trace(&trace));
@@ -39,7 +39,7 @@ impl RecordedRun {
     ///
     /// # Errors
     /// The report names fewer vertices than the trace has ranks.
-    pub fn rows(&self) -> Result<usize, CliError> {
+    pub(crate) fn rows(&self) -> Result<usize, CliError> {
         let (rows, ranks) = (self.report.header.vertices, self.ranks);
         if rows < ranks {
             let path = self.trace.with_file_name("report.json");
@@ -50,7 +50,7 @@ impl RecordedRun {
     }
 
     /// What its products exchanged.
-    pub fn exchange(&self) -> ProductExchange {
+    pub(crate) fn exchange(&self) -> ProductExchange {
         match self.report.header.exchange.as_str() {
             "full" => ProductExchange::Full,
             _ => ProductExchange::Halo,
@@ -58,7 +58,7 @@ impl RecordedRun {
     }
 
     /// All recorded steps on another machine, ascending; the first one with its tasks.
-    pub fn replay(&self, how: &Replay<'_>) -> Result<Vec<ReplayedStep>, CliError> {
+    pub(crate) fn replay(&self, how: &Replay<'_>) -> Result<Vec<ReplayedStep>, CliError> {
         let (first, ranks) = (self.events.keys().next().copied(), self.ranks);
         let fault = |error: &dyn std::fmt::Display| CliError::bad_input(format!("{}: {error}", self.trace.display()));
         self.events

@@ -24,7 +24,7 @@ pub(super) struct ActivePatches {
 }
 
 impl ActivePatches {
-    pub fn new(mesh: &CollisionMesh) -> ActivePatches {
+    pub(super) fn new(mesh: &CollisionMesh) -> ActivePatches {
         ActivePatches { patches: Patches::new(mesh), culling: None }
     }
 
@@ -33,7 +33,7 @@ impl ActivePatches {
     ///
     /// # Errors
     /// Another rank is not heard.
-    pub fn find(
+    pub(super) fn find(
         &mut self,
         cpu: &CpuExecutor,
         input: &Input,
@@ -71,7 +71,7 @@ impl ActivePatches {
     }
 
     /// Bytes that depend on the mesh alone.
-    pub fn mesh_bytes(&self) -> u64 {
+    pub(super) fn mesh_bytes(&self) -> u64 {
         self.patches.mesh_bytes() + self.culling.as_ref().map_or(0, Culling::bytes)
     }
 }

@@ -21,47 +21,47 @@ pub(super) struct Aabb {
 
 impl Aabb {
     /// Overlaps nothing; neutral for [`Aabb::join`].
-    pub const EMPTY: Aabb = Aabb { lo: Vec3A::INFINITY, hi: Vec3A::NEG_INFINITY };
+    pub(super) const EMPTY: Aabb = Aabb { lo: Vec3A::INFINITY, hi: Vec3A::NEG_INFINITY };
 
     #[inline(always)]
-    pub fn join(self, other: Aabb) -> Aabb {
+    pub(super) fn join(self, other: Aabb) -> Aabb {
         Aabb { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
 
     #[inline(always)]
-    pub fn clip(self, other: &Aabb) -> Aabb {
+    pub(super) fn clip(self, other: &Aabb) -> Aabb {
         Aabb { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
     }
 
     /// True if the boxes have a point in common; touching boxes overlap.
     #[inline(always)]
-    pub fn overlaps(&self, other: &Aabb) -> bool {
+    pub(super) fn overlaps(&self, other: &Aabb) -> bool {
         (self.lo.cmple(other.hi) & other.lo.cmple(self.hi)).all()
     }
 
     /// Widens the box by `pad` and for rounding. Every operation is monotone in its argument also after rounding; therefore
     /// bounds whose gap is at most the radius meet, and the box of a triangle holds the boxes of its features.
     #[inline(always)]
-    pub fn inflated(self, pad: Vec3A) -> Aabb {
+    pub(super) fn inflated(self, pad: Vec3A) -> Aabb {
         let (lo, hi) = (self.lo - pad, self.hi + pad);
         Aabb { lo: lo - lo.abs() * SLACK, hi: hi + hi.abs() * SLACK }
     }
 
     /// Moves each bound inwards by `by`. May become inverted (lo > hi); it then overlaps only boxes that contain it.
     #[inline(always)]
-    pub fn shrink(self, by: Vec3A) -> Aabb {
+    pub(super) fn shrink(self, by: Vec3A) -> Aabb {
         Aabb { lo: self.lo + by, hi: self.hi - by }
     }
 
     /// True if the box is [`Aabb::EMPTY`] or inverted along x.
     #[inline(always)]
-    pub fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         self.lo.x > self.hi.x
     }
 
     /// Longest side, meters.
     #[inline(always)]
-    pub fn extent(&self) -> f32 {
+    pub(super) fn extent(&self) -> f32 {
         (self.hi - self.lo).max_element()
     }
 }
@@ -80,7 +80,11 @@ pub(super) struct Trajectories<'a> {
 impl<'a> Trajectories<'a> {
     /// # Errors
     /// Positions or a radius that boxes cannot be built from.
-    pub fn new(mesh: &CollisionMesh, query: &Query<'a>, choice: &Choice) -> Result<Trajectories<'a>, BroadError> {
+    pub(super) fn new(
+        mesh: &CollisionMesh,
+        query: &Query<'a>,
+        choice: &Choice,
+    ) -> Result<Trajectories<'a>, BroadError> {
         for (which, positions) in [("start", query.x_t0), ("end", query.x_t1)] {
             if positions.len() != 3 * mesh.vertices {
                 return Err(BroadError::PositionCount { which, values: positions.len(), vertices: mesh.vertices });
@@ -120,13 +124,13 @@ impl<'a> Trajectories<'a> {
     }
 
     /// False if start and end are the same array.
-    pub fn moves(&self) -> bool {
+    pub(super) fn moves(&self) -> bool {
         !std::ptr::eq(self.start, self.end)
     }
 
     /// Position of a vertex at the start of its path, or at its end.
     #[inline(always)]
-    pub fn at(&self, vertex: u32, end: bool) -> Vec3A {
+    pub(super) fn at(&self, vertex: u32, end: bool) -> Vec3A {
         let x = if end { self.end } else { self.start };
         let at = 3 * vertex as usize;
         let x = &x[at..at + 3];
@@ -134,28 +138,28 @@ impl<'a> Trajectories<'a> {
     }
 
     /// How far boxes are inflated, meters.
-    pub fn pad_m(&self) -> f32 {
+    pub(super) fn pad_m(&self) -> f32 {
         self.pad.x
     }
 
     /// Holds the boxes of all cloth features.
-    pub fn cloth_bounds(&self, mesh: &CollisionMesh) -> Aabb {
+    pub(super) fn cloth_bounds(&self, mesh: &CollisionMesh) -> Aabb {
         let path = (0..mesh.cloth_vertices as u32).fold(Aabb::EMPTY, |bounds, v| bounds.join(self.path(v)));
         self.inflate(path)
     }
 
     #[inline(always)]
-    pub fn vertex(&self, vertex: u32) -> Aabb {
+    pub(super) fn vertex(&self, vertex: u32) -> Aabb {
         self.inflate(self.path(vertex))
     }
 
     #[inline(always)]
-    pub fn edge(&self, [a, b]: [u32; 2]) -> Aabb {
+    pub(super) fn edge(&self, [a, b]: [u32; 2]) -> Aabb {
         self.inflate(self.path(a).join(self.path(b)))
     }
 
     #[inline(always)]
-    pub fn triangle(&self, [a, b, c]: [u32; 3]) -> Aabb {
+    pub(super) fn triangle(&self, [a, b, c]: [u32; 3]) -> Aabb {
         self.inflate(self.path(a).join(self.path(b)).join(self.path(c)))
     }
 }

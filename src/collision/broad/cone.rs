@@ -30,7 +30,7 @@ pub(super) struct Cone {
 
 impl Cone {
     /// The cone of some triangles.
-    pub fn new(input: &Input, triangles: Range<usize>) -> Cone {
+    pub(super) fn new(input: &Input, triangles: Range<usize>) -> Cone {
         let moves = input.paths.moves();
         let mut normals = Vec::with_capacity(triangles.len());
         let mut sum = Vec3A::ZERO;
@@ -73,7 +73,7 @@ impl Cone {
     }
 
     /// An altitude that all triangles exceed when seen along `view`; 0 if some may not face it.
-    pub fn altitude_along(&self, view: Vec3A) -> f32 {
+    pub(super) fn altitude_along(&self, view: Vec3A) -> f32 {
         let toward = view.dot(Vec3A::from_array(self.axis));
         let sine = |cosine: f32| (1.0 - cosine * cosine).max(0.0).sqrt();
         // Cosine of the sum of both angles; less than half a turn, as both cosines are positive.

@@ -127,7 +127,7 @@ impl Bounds {
 
 impl Contour {
     /// Takes the points of a contour as seen along the unit vector `view`; how far they may be off, meters.
-    pub fn project(&mut self, paths: &Trajectories, vertices: &[u32], view: Vec3A) -> f32 {
+    pub(super) fn project(&mut self, paths: &Trajectories, vertices: &[u32], view: Vec3A) -> f32 {
         let side = view.any_orthonormal_vector();
         let up = view.cross(side);
         let origins = [false, true].map(|end| paths.at(vertices[0], end));
@@ -153,7 +153,7 @@ impl Contour {
     }
 
     /// True if the contour keeps farther than a margin from itself, as `cull` asks for.
-    pub fn is_apart(&mut self, margin_m: f32) -> bool {
+    pub(super) fn is_apart(&mut self, margin_m: f32) -> bool {
         let count = self.points.len();
         let corners = (0..count).all(|at| {
             let [before, corner, after] = [at + count - 1, at, at + 1].map(|at| self.point(at));

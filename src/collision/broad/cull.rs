@@ -54,7 +54,7 @@ pub(super) struct Culling {
 }
 
 impl Culling {
-    pub fn new(mesh: &CollisionMesh, patches: &Patches) -> Culling {
+    pub(super) fn new(mesh: &CollisionMesh, patches: &Patches) -> Culling {
         let mut culling = Culling {
             firsts: vec![0],
             around: vec![],
@@ -139,7 +139,7 @@ impl Culling {
     }
 
     /// Patches that may have a pair, ascending.
-    pub fn active(
+    pub(super) fn active(
         &mut self,
         cpu: &CpuExecutor,
         input: &Input,
@@ -254,7 +254,7 @@ impl Culling {
     }
 
     /// Bytes of the lists; they depend on the mesh alone.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         let lists = [&self.firsts, &self.around, &self.contour_firsts, &self.contours, &self.chosen];
         let lists = lists.into_iter().chain([&self.order]);
         lists.map(|list| size_of_val(&list[..]) as u64).sum()

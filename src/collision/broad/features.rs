@@ -21,7 +21,7 @@ pub(super) struct Spread {
 
 impl Spread {
     #[inline(always)]
-    pub fn of(aabb: &Aabb) -> Spread {
+    pub(super) fn of(aabb: &Aabb) -> Spread {
         Spread { lo: aabb.lo.to_array().map(Vec4::splat), hi: aabb.hi.to_array().map(Vec4::splat) }
     }
 }
@@ -29,7 +29,7 @@ impl Spread {
 impl Spread {
     /// Moves each bound inwards by `by`, as [`Aabb::shrink`] does.
     #[inline(always)]
-    pub fn shrink(&mut self, by: f32) {
+    pub(super) fn shrink(&mut self, by: f32) {
         for axis in 0..3 {
             self.lo[axis] += by;
             self.hi[axis] -= by;
@@ -67,7 +67,7 @@ pub(super) struct Features {
 }
 
 impl Features {
-    pub const UNKNOWN: Features = Features {
+    pub(super) const UNKNOWN: Features = Features {
         corners: [0; 3],
         ends: [[0; 2]; 6],
         boxes: [NOWHERE; 2],
@@ -78,7 +78,7 @@ impl Features {
     };
 
     #[inline(always)]
-    pub fn set(&mut self, input: &Input, triangle: u32) {
+    pub(super) fn set(&mut self, input: &Input, triangle: u32) {
         let corners = input.mesh.triangles[triangle as usize];
         let owned = u32::from(input.mesh.owned[triangle as usize]);
         let vertices = corners.map(|v| input.paths.vertex(v));
@@ -111,7 +111,7 @@ impl Features {
 
     /// Bits of the slots whose boxes overlap a box.
     #[inline(always)]
-    pub fn reach(&self, other: &Spread) -> u32 {
+    pub(super) fn reach(&self, other: &Spread) -> u32 {
         let first = self.boxes[0].overlaps(other);
         // More than four features are rare.
         if (self.vertices | self.edges) >> 4 == 0 { first } else { first | self.boxes[1].overlaps(other) << 4 }
@@ -119,7 +119,7 @@ impl Features {
 
     /// The box in a slot.
     #[inline(always)]
-    pub fn spread(&self, slot: usize) -> Spread {
+    pub(super) fn spread(&self, slot: usize) -> Spread {
         let four = &self.boxes[slot / 4];
         let bound = |of: &[Vec4; 3]| of.map(|bound| Vec4::splat(bound.to_array()[slot % 4]));
         Spread { lo: bound(&four.lo), hi: bound(&four.hi) }

@@ -35,7 +35,7 @@ pub(super) struct BucketEntries {
 
 impl BucketEntries {
     /// Scans the counts of the batch and writes its entries.
-    pub fn fill(
+    pub(super) fn fill(
         &mut self,
         cpu: &CpuExecutor,
         input: &Input,
@@ -133,25 +133,25 @@ impl BucketEntries {
     }
 
     /// Entries of a bucket of the batch that has tests.
-    pub fn of_bucket(&self, bucket: usize, load: &Load) -> &[Entry] {
+    pub(super) fn of_bucket(&self, bucket: usize, load: &Load) -> &[Entry] {
         let end = self.resident[bucket - self.first].load(Relaxed) as usize;
         let start = end - load.residents();
         &self.entries[start..start + load.entries()]
     }
 
     /// Bytes of entries and cursors, unused capacity included.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         (self.entries.capacity() * size_of::<Entry>() + 4 * (self.resident.capacity() + self.visiting.capacity()))
             as u64
     }
 
     /// A number of bytes within which [`BucketEntries::fit`] allows `entries` entries.
-    pub fn bytes_for(entries: usize) -> u64 {
+    pub(super) fn bytes_for(entries: usize) -> u64 {
         (entries * size_of::<Entry>()) as u64 * 4 / 3 + 64
     }
 
     /// Largest number of (entries, buckets) that fit `bytes`: a quarter is for the cursors.
-    pub fn fit(bytes: u64) -> (usize, usize) {
+    pub(super) fn fit(bytes: u64) -> (usize, usize) {
         let buckets = bytes / 4 / (2 * size_of::<AtomicU32>() as u64);
         let entries = bytes * 3 / 4 / size_of::<Entry>() as u64;
         // Slots are numbered with 32 bits, of which one value is taken.

@@ -41,7 +41,7 @@ pub(super) struct Grid {
 impl Grid {
     /// Cells fit most (sampled) cloth triangles; the origin is the median of the samples, so that a piece far away
     /// costs the rest no resolution.
-    pub fn new(mesh: &CollisionMesh, paths: &Trajectories) -> Grid {
+    pub(super) fn new(mesh: &CollisionMesh, paths: &Trajectories) -> Grid {
         let stride = mesh.cloth_triangles.div_ceil(SAMPLES).max(1);
         let boxes: Vec<Aabb> =
             mesh.triangles[..mesh.cloth_triangles].iter().step_by(stride).map(|&t| paths.triangle(t)).collect();
@@ -70,24 +70,24 @@ impl Grid {
     }
 
     /// The axis along which most of the cloth is spread out farthest.
-    pub fn longest(&self) -> usize {
+    pub(super) fn longest(&self) -> usize {
         self.longest
     }
 
     /// Origin of all grids.
-    pub fn origin(&self) -> Vec3A {
+    pub(super) fn origin(&self) -> Vec3A {
         self.origin
     }
 
     /// Cells of the finest grid per meter.
-    pub fn finest_per_m(&self) -> f32 {
+    pub(super) fn finest_per_m(&self) -> f32 {
         self.per_m[0]
     }
 
     /// Cells of a box. Monotone in each bound, whatever is rounded or cut off, so boxes that overlap share the cell of
     /// the lower corner of their intersection.
     #[inline(always)]
-    pub fn cells(&self, level: usize, of: &Aabb) -> Cells {
+    pub(super) fn cells(&self, level: usize, of: &Aabb) -> Cells {
         let scale = Vec3A::splat(self.per_m[level]);
         let cell = |x: Vec3A| {
             let cell =
@@ -99,7 +99,7 @@ impl Grid {
 
     /// The cells of a box in the first grid, if it resides there.
     #[inline(always)]
-    pub fn finest(&self, of: &Aabb) -> Option<Cells> {
+    pub(super) fn finest(&self, of: &Aabb) -> Option<Cells> {
         self.resides(0, of)
     }
 
@@ -112,7 +112,7 @@ impl Grid {
     }
 
     /// Grid and cells where a box resides that does not reside in the first.
-    pub fn coarse(&self, of: &Aabb) -> (usize, Cells) {
+    pub(super) fn coarse(&self, of: &Aabb) -> (usize, Cells) {
         (1..LEVELS - 1)
             .find_map(|level| self.resides(level, of).map(|cells| (level, cells)))
             .unwrap_or_else(|| (LEVELS - 1, self.cells(LEVELS - 1, of)))
@@ -130,33 +130,33 @@ pub(super) struct Buckets {
 
 impl Buckets {
     /// Buckets for `residents` triangles behind the first `base` buckets.
-    pub fn new(base: usize, residents: usize) -> Buckets {
+    pub(super) fn new(base: usize, residents: usize) -> Buckets {
         let blocks = (residents / 12).next_power_of_two();
         Buckets { base: base as u32, bits: blocks.trailing_zeros() }
     }
 
-    pub fn start(&self) -> usize {
+    pub(super) fn start(&self) -> usize {
         self.base as usize
     }
 
     /// log2 of the number of blocks of 8 buckets.
-    pub fn bits(&self) -> u32 {
+    pub(super) fn bits(&self) -> u32 {
         self.bits
     }
 
-    pub fn end(&self) -> usize {
+    pub(super) fn end(&self) -> usize {
         self.base as usize + (8usize << self.bits)
     }
 
     /// Calls `visit(bucket, tag)` for each cell; the buckets differ.
     #[inline(always)]
-    pub fn for_each(&self, cells: &Cells, mut visit: impl FnMut(u32, u32)) {
+    pub(super) fn for_each(&self, cells: &Cells, mut visit: impl FnMut(u32, u32)) {
         cells.for_each(|cell, tag| visit(self.bucket(cell), tag));
     }
 
     /// The bucket of a cell.
     #[inline(always)]
-    pub fn bucket(&self, [x, y, z]: [u32; 3]) -> u32 {
+    pub(super) fn bucket(&self, [x, y, z]: [u32; 3]) -> u32 {
         let mix = [0x9E37_79B1u32, 0x85EB_CA77, 0xC2B2_AE3D];
         let hash = (x >> 1).wrapping_mul(mix[0]) ^ (y >> 1).wrapping_mul(mix[1]) ^ (z >> 1).wrapping_mul(mix[2]);
         let hash = (hash ^ (hash >> 15)).wrapping_mul(0x2C1B_3C6D);
@@ -169,7 +169,7 @@ impl Cells {
     /// Calls `visit(cell, tag)` for each cell. The tag (see [`same_cell_first`]) holds in bits 0-2 whether the cell is the
     /// box's lowest along x, y, z, in bits 3-5 the second lowest bits of its coordinates.
     #[inline(always)]
-    pub fn for_each(&self, mut visit: impl FnMut([u32; 3], u32)) {
+    pub(super) fn for_each(&self, mut visit: impl FnMut([u32; 3], u32)) {
         for z in self.lo[2]..=self.hi[2] {
             for y in self.lo[1]..=self.hi[1] {
                 for x in self.lo[0]..=self.hi[0] {
@@ -212,25 +212,25 @@ pub(super) struct Entry {
 
 impl Entry {
     #[inline(always)]
-    pub fn new(of: &Aabb, tag: u32, triangle: u32) -> Entry {
+    pub(super) fn new(of: &Aabb, tag: u32, triangle: u32) -> Entry {
         Entry { lo: of.lo.to_array(), tag, minus_hi: (-of.hi).to_array(), triangle }
     }
 
     #[inline(always)]
-    pub fn aabb(&self) -> Aabb {
+    pub(super) fn aabb(&self) -> Aabb {
         Aabb { lo: Vec3A::from_array(self.lo), hi: -Vec3A::from_array(self.minus_hi) }
     }
 
     /// The operand of [`Entry::meets`].
     #[inline(always)]
-    pub fn probe(&self) -> Probe {
+    pub(super) fn probe(&self) -> Probe {
         let ([lx, ly, lz], [hx, hy, hz]) = (self.lo, self.minus_hi);
         Probe { hi: Vec4::new(-hx, -hy, -hz, 0.0), minus_lo: Vec4::new(-lx, -ly, -lz, 0.0), tag: self.tag }
     }
 
     /// True if the boxes overlap and this bucket is the one to report the pair in.
     #[inline(always)]
-    pub fn meets(&self, probe: &Probe) -> bool {
+    pub(super) fn meets(&self, probe: &Probe) -> bool {
         let [lo, minus_hi]: &[Vec4; 2] = bytemuck::cast_ref(self);
         let overlap = (lo.cmple(probe.hi) & minus_hi.cmple(probe.minus_lo)).bitmask() & 7 == 7;
         overlap & same_cell_first(self.tag, probe.tag)

@@ -17,7 +17,7 @@ pub(super) struct Input<'a> {
 }
 
 impl<'a> Input<'a> {
-    pub fn new(mesh: &'a CollisionMesh, paths: Trajectories<'a>, choice: Choice<'a>) -> Input<'a> {
+    pub(super) fn new(mesh: &'a CollisionMesh, paths: Trajectories<'a>, choice: Choice<'a>) -> Input<'a> {
         let grid = Grid::new(mesh, &paths);
         let cloth = paths.cloth_bounds(mesh);
         Input { mesh, paths, grid, choice, cloth }
@@ -25,7 +25,7 @@ impl<'a> Input<'a> {
 
     /// [`WANTED`], or 0 for a triangle that is of interest only as partner of such a one.
     #[inline(always)]
-    pub fn tag(&self, triangle: usize) -> u32 {
+    pub(super) fn tag(&self, triangle: usize) -> u32 {
         let Some(touched) = self.choice.touched else { return WANTED };
         let [a, b, c] = self.mesh.triangles[triangle];
         if touched[a as usize] | touched[b as usize] | touched[c as usize] { WANTED } else { 0 }
@@ -34,7 +34,7 @@ impl<'a> Input<'a> {
     /// Box of a triangle; that of an obstacle is cut to the cloth's bounds, which changes no intersection with cloth.
     /// None for an obstacle's triangle that cannot meet cloth.
     #[inline(always)]
-    pub fn aabb(&self, triangle: usize) -> Option<Aabb> {
+    pub(super) fn aabb(&self, triangle: usize) -> Option<Aabb> {
         let aabb = self.paths.triangle(self.mesh.triangles[triangle]);
         if triangle < self.mesh.cloth_triangles {
             return Some(aabb);
@@ -43,13 +43,13 @@ impl<'a> Input<'a> {
     }
 
     /// Bounds of the cloth.
-    pub fn cloth_bounds(&self) -> Aabb {
+    pub(super) fn cloth_bounds(&self) -> Aabb {
         self.cloth
     }
 
     /// 0 for cloth, 1 for obstacles.
     #[inline(always)]
-    pub fn role(&self, triangle: usize) -> usize {
+    pub(super) fn role(&self, triangle: usize) -> usize {
         usize::from(triangle >= self.mesh.cloth_triangles)
     }
 }

@@ -28,7 +28,7 @@ pub(super) fn block(cell: u32) -> u32 {
 
 impl Layers {
     /// Layers for boxes of several triangles each.
-    pub fn new<'a>(grid: &Grid, boxes: impl Iterator<Item = (&'a Aabb, usize)> + Clone) -> Layers {
+    pub(super) fn new<'a>(grid: &Grid, boxes: impl Iterator<Item = (&'a Aabb, usize)> + Clone) -> Layers {
         let axis = grid.longest();
         let middle = block(grid.cells(0, &Aabb { lo: grid.origin(), hi: grid.origin() }).lo[axis]);
         let blocks = |of: &Aabb| {
@@ -39,7 +39,11 @@ impl Layers {
     }
 
     /// Layers around the block `middle` for lowest and highest block and triangles of every box.
-    pub fn of_blocks(axis: usize, middle: u32, boxes: impl Iterator<Item = ([u32; 2], usize)> + Clone) -> Layers {
+    pub(super) fn of_blocks(
+        axis: usize,
+        middle: u32,
+        boxes: impl Iterator<Item = ([u32; 2], usize)> + Clone,
+    ) -> Layers {
         let (low, high) = boxes.clone().fold((u32::MAX, 0), |(low, high), ([lo, hi], _)| (low.min(lo), high.max(hi)));
         let low = low.clamp(middle - MOST / 2, middle);
         let high = high.clamp(middle, middle + MOST / 2 - 1);
@@ -60,34 +64,34 @@ impl Layers {
     }
 
     /// The layer of a block.
-    pub fn layer(&self, block: u32) -> usize {
+    pub(super) fn layer(&self, block: u32) -> usize {
         let last = self.triangles.len().saturating_sub(1);
         (block.saturating_sub(self.first) as usize).min(last)
     }
 
     /// Block of the first layer.
-    pub fn first(&self) -> u32 {
+    pub(super) fn first(&self) -> u32 {
         self.first
     }
 
     /// Triangles that each layer may have, roughly.
-    pub fn triangles(&self) -> &[u64] {
+    pub(super) fn triangles(&self) -> &[u64] {
         &self.triangles
     }
 
     /// Number of layers.
-    pub fn count(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         self.buckets.len()
     }
 
     /// Layers that a box touches.
     #[inline(always)]
-    pub fn touched_by(&self, cells: &Cells) -> Range<usize> {
+    pub(super) fn touched_by(&self, cells: &Cells) -> Range<usize> {
         self.layer(block(cells.lo[self.axis]))..self.layer(block(cells.hi[self.axis])) + 1
     }
 
     /// First bucket of a layer, or the end of all for the one after the last.
-    pub fn start(&self, layer: usize) -> usize {
+    pub(super) fn start(&self, layer: usize) -> usize {
         match self.buckets.get(layer) {
             Some(buckets) => buckets.start(),
             None => self.buckets.last().map_or(0, Buckets::end),
@@ -95,14 +99,14 @@ impl Layers {
     }
 
     /// The layers with buckets in a range that is not empty.
-    pub fn holding(&self, buckets: &Range<usize>) -> Range<usize> {
+    pub(super) fn holding(&self, buckets: &Range<usize>) -> Range<usize> {
         let start = self.buckets.partition_point(|layer| layer.end() <= buckets.start);
         start..self.buckets.partition_point(|layer| layer.start() < buckets.end).max(start)
     }
 
     /// Calls `visit(bucket, tag)` for each cell in the layers `wanted`; the buckets differ.
     #[inline(always)]
-    pub fn for_each(&self, cells: &Cells, wanted: &Range<usize>, mut visit: impl FnMut(u32, u32)) {
+    pub(super) fn for_each(&self, cells: &Cells, wanted: &Range<usize>, mut visit: impl FnMut(u32, u32)) {
         let low = cells.lo[self.axis];
         let buckets = [low, cells.hi[self.axis]].map(|cell| {
             let layer = self.layer(block(cell));
@@ -119,7 +123,7 @@ impl Layers {
     }
 
     /// Consecutive layers with about as many triangles for each of `ranks`.
-    pub fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
+    pub(super) fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
         let total = self.triangles.iter().sum::<u64>().max(1);
         let cut = |rank: usize| {
             let mut before = 0;
@@ -137,7 +141,7 @@ impl Layers {
     }
 
     /// Bytes of the lists, unused capacity left out.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         (size_of_val(&self.buckets[..]) + size_of_val(&self.triangles[..])) as u64
     }
 }

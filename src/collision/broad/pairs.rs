@@ -31,17 +31,17 @@ pub(super) struct Tester {
 }
 
 impl Tester {
-    pub fn new() -> Tester {
+    pub(super) fn new() -> Tester {
         Tester { features: vec![Features::UNKNOWN; KEPT + 2], buffer: Vec::with_capacity(BUFFER), found: 0, tested: 0 }
     }
 
     /// Bytes of the buffers.
-    pub fn bytes() -> u64 {
+    pub(super) fn bytes() -> u64 {
         ((KEPT + 2) * size_of::<Features>() + BUFFER * size_of::<Candidate>()) as u64
     }
 
     /// The tests of the rank in `buckets` of a batch.
-    pub fn run(
+    pub(super) fn run(
         &mut self,
         input: &Input,
         table: &HashTable,

@@ -23,17 +23,17 @@ pub(super) struct PatchState {
 
 impl PatchState {
     /// A patch whose triangles take part within `aabb`.
-    pub fn new(aabb: &Aabb, cone: Cone, is_large: bool) -> PatchState {
+    pub(super) fn new(aabb: &Aabb, cone: Cone, is_large: bool) -> PatchState {
         PatchState { lo: aabb.lo.to_array(), hi: aabb.hi.to_array(), cone, large: u32::from(is_large) }
     }
 
     /// Box around the boxes of all triangles that take part; overlaps nothing if there are none.
-    pub fn aabb(&self) -> Aabb {
+    pub(super) fn aabb(&self) -> Aabb {
         Aabb { lo: Vec3A::from_array(self.lo), hi: Vec3A::from_array(self.hi) }
     }
 
     /// True if a triangle of the patch may reside in a coarser grid.
-    pub fn is_large(&self) -> bool {
+    pub(super) fn is_large(&self) -> bool {
         self.large != 0
     }
 }
@@ -50,7 +50,7 @@ pub(super) struct Patches {
 }
 
 impl Patches {
-    pub fn new(mesh: &CollisionMesh) -> Patches {
+    pub(super) fn new(mesh: &CollisionMesh) -> Patches {
         let firsts = mesh.patches.clone();
         let cloth = firsts.partition_point(|&first| (first as usize) < mesh.cloth_triangles);
         let states = vec![PatchState::zeroed(); firsts.len() - 1];
@@ -58,28 +58,28 @@ impl Patches {
     }
 
     /// Number of patches.
-    pub fn count(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         self.firsts.len() - 1
     }
 
     /// Number of cloth patches; they come first.
-    pub fn cloth(&self) -> usize {
+    pub(super) fn cloth(&self) -> usize {
         self.cloth
     }
 
     /// Triangles of a patch.
     #[inline(always)]
-    pub fn triangles(&self, patch: usize) -> Range<usize> {
+    pub(super) fn triangles(&self, patch: usize) -> Range<usize> {
         self.firsts[patch] as usize..self.firsts[patch + 1] as usize
     }
 
     /// Bytes that a query makes.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         (size_of_val(&self.states[..]) + 4 * self.active.capacity()) as u64
     }
 
     /// Bytes that depend on the mesh alone.
-    pub fn mesh_bytes(&self) -> u64 {
+    pub(super) fn mesh_bytes(&self) -> u64 {
         size_of_val(&self.firsts[..]) as u64
     }
 }

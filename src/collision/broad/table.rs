@@ -69,17 +69,17 @@ pub(super) struct Load {
 }
 
 impl Load {
-    pub fn residents(&self) -> usize {
+    pub(super) fn residents(&self) -> usize {
         self.resident_cloth as usize + self.resident_obstacles as usize
     }
 
-    pub fn entries(&self) -> usize {
+    pub(super) fn entries(&self) -> usize {
         self.residents() + self.visiting_cloth as usize + self.visiting_obstacles as usize
     }
 
     /// Pairs to test: all with at least one resident and at least one cloth triangle.
     #[inline(always)]
-    pub fn tests(&self) -> u64 {
+    pub(super) fn tests(&self) -> u64 {
         let (cloth, all) = (u64::from(self.resident_cloth), self.entries() as u64);
         let own = (cloth * cloth.saturating_sub(1)) / 2 + cloth * (all - cloth);
         own + u64::from(self.resident_obstacles) * u64::from(self.visiting_cloth)
@@ -130,7 +130,7 @@ fn clear(counts: &mut Vec<AtomicU32>, len: usize) {
 
 impl HashTable {
     /// Layers and coarser grids of a query; nothing is counted yet.
-    pub fn lay_out(&mut self, input: &Input, patches: &Patches) {
+    pub(super) fn lay_out(&mut self, input: &Input, patches: &Patches) {
         let boxes: Vec<(Aabb, usize)> = patches
             .active
             .iter()
@@ -173,23 +173,23 @@ impl HashTable {
     }
 
     /// Layers, the one of the coarser grids included.
-    pub fn layers(&self) -> usize {
+    pub(super) fn layers(&self) -> usize {
         self.layers.count() + 1
     }
 
     /// Layers that may hold about an even share of the tests; the one of the coarser grids is the last rank's.
-    pub fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
+    pub(super) fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
         let guess = self.layers.guess(rank, ranks);
         guess.start..if rank + 1 == ranks { self.layers() } else { guess.end }
     }
 
     /// Layers that are counted.
-    pub fn window(&self) -> Range<usize> {
+    pub(super) fn window(&self) -> Range<usize> {
         self.window.clone()
     }
 
     /// Buckets of a layer.
-    pub fn buckets_of(&self, layer: usize) -> Range<usize> {
+    pub(super) fn buckets_of(&self, layer: usize) -> Range<usize> {
         self.layers.start(layer)..if layer < self.layers.count() { self.layers.start(layer + 1) } else { self.end() }
     }
 
@@ -198,7 +198,7 @@ impl HashTable {
     }
 
     /// The counting pass over a window of layers.
-    pub fn count(&mut self, cpu: &CpuExecutor, input: &Input, patches: &Patches, window: Range<usize>) {
+    pub(super) fn count(&mut self, cpu: &CpuExecutor, input: &Input, patches: &Patches, window: Range<usize>) {
         let shared = cpu.threads() > 1;
         self.window = window.clone();
         self.first = self.layers.start(window.start);
@@ -251,7 +251,7 @@ impl HashTable {
 
     /// Calls `visit` with the triangles of every active patch that reaches the layers `fine` or, with `coarse`, a coarser
     /// grid.
-    pub fn for_each_patch(
+    pub(super) fn for_each_patch(
         &self,
         cpu: &CpuExecutor,
         patches: &Patches,
@@ -310,7 +310,7 @@ impl HashTable {
     /// Calls `resides(bucket, tag)` and `visits(bucket, tag)` for the buckets in the layers `fine` and, with `coarse`, in
     /// coarser grids where a triangle resides or visits.
     #[inline(always)]
-    pub fn for_each_bucket(
+    pub(super) fn for_each_bucket(
         &self,
         input: &Input,
         triangle: usize,
@@ -337,7 +337,7 @@ impl HashTable {
     }
 
     /// The layers of the finest grid that hold buckets of a range, and whether buckets of coarser grids are among them.
-    pub fn reach(&self, buckets: &Range<usize>) -> (Range<usize>, bool) {
+    pub(super) fn reach(&self, buckets: &Range<usize>) -> (Range<usize>, bool) {
         (self.layers.holding(buckets), buckets.end > self.coarse)
     }
 
@@ -348,19 +348,19 @@ impl HashTable {
     }
 
     /// The buckets that are counted.
-    pub fn buckets(&self) -> Range<usize> {
+    pub(super) fn buckets(&self) -> Range<usize> {
         self.first..self.first + self.resident.len() / 2
     }
 
     /// True if a bucket belongs to a grid that has visitors.
     #[inline(always)]
-    pub fn is_coarse(&self, bucket: usize) -> bool {
+    pub(super) fn is_coarse(&self, bucket: usize) -> bool {
         bucket >= self.coarse
     }
 
     /// Number of triangles in a counted bucket.
     #[inline(always)]
-    pub fn load(&self, bucket: usize) -> Load {
+    pub(super) fn load(&self, bucket: usize) -> Load {
         let [resident_cloth, resident_obstacles] = self.residents(bucket);
         let mut load = Load { resident_cloth, resident_obstacles, ..Load::default() };
         if self.is_coarse(bucket) {
@@ -372,7 +372,7 @@ impl HashTable {
     }
 
     /// Bytes of the counters and of the lists that counting needs.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         let counters = 4 * (self.resident.capacity() + self.visiting.capacity());
         let marked = self.marked.as_ref().map_or(0, |marked| size_of_val(&marked.bits[..]));
         (counters + marked + size_of_val(&self.large[..]) + size_of_val(&self.spans[..])) as u64 + self.layers.bytes()

@@ -22,7 +22,7 @@ pub(super) struct LayerLoad {
 
 impl LayerLoad {
     /// The load of a counted layer.
-    pub fn new(table: &HashTable, layer: usize) -> LayerLoad {
+    pub(super) fn new(table: &HashTable, layer: usize) -> LayerLoad {
         let (mut tests, mut busy, mut entries) = (0, 0, 0);
         for bucket in table.buckets_of(layer) {
             let load = table.load(bucket);
@@ -37,12 +37,12 @@ impl LayerLoad {
     }
 
     /// The load of a layer from its numbers of tests, busy buckets and entries in these.
-    pub fn of(tests: u64, busy: u32, entries: u32) -> LayerLoad {
+    pub(super) fn of(tests: u64, busy: u32, entries: u32) -> LayerLoad {
         LayerLoad { tests: [tests as u32, (tests >> 32) as u32], busy, entries }
     }
 
     /// Tests of the layer.
-    pub fn tests(&self) -> u64 {
+    pub(super) fn tests(&self) -> u64 {
         u64::from(self.tests[0]) | u64::from(self.tests[1]) << 32
     }
 }
@@ -86,14 +86,14 @@ pub(super) struct BucketBatch {
 
 impl Workload {
     /// Totals of all layers.
-    pub fn add_up(&mut self, loads: &[LayerLoad]) {
+    pub(super) fn add_up(&mut self, loads: &[LayerLoad]) {
         self.tests = loads.iter().map(LayerLoad::tests).sum();
         self.busy = loads.iter().map(|load| u64::from(load.busy)).sum();
         self.entries = loads.iter().map(|load| u64::from(load.entries)).sum();
     }
 
     /// The scan pass, over the buckets that are counted.
-    pub fn scan(&mut self, table: &HashTable, loads: &[LayerLoad]) {
+    pub(super) fn scan(&mut self, table: &HashTable, loads: &[LayerLoad]) {
         self.before.clear();
         let mut before = loads[..table.window().start].iter().map(LayerLoad::tests).sum();
         for start in table.buckets().step_by(CHUNK) {
@@ -105,14 +105,14 @@ impl Workload {
     }
 
     /// Tests (numbered over all buckets) of a rank: sizes differ by at most one.
-    pub fn share(&self, rank: usize, ranks: usize) -> Range<u64> {
+    pub(super) fn share(&self, rank: usize, ranks: usize) -> Range<u64> {
         let cut = |rank: usize| (u128::from(self.tests) * rank as u128 / ranks as u128) as u64;
         cut(rank)..cut(rank + 1)
     }
 
     /// Consecutive batches that hold the buckets of the tests `share`, each of at most `most_entries` entries (but at
     /// least one bucket) and `most_buckets` buckets.
-    pub fn batches(
+    pub(super) fn batches(
         &self,
         table: &HashTable,
         share: &Range<u64>,
@@ -154,7 +154,7 @@ impl Workload {
     }
 
     /// Bytes of the sums.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         size_of_val(&self.before[..]) as u64
     }
 }

@@ -22,7 +22,7 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    pub fn new(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -> Shape {
+    pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -> Shape {
         let mut sets = Sets::new(positions.len());
         triangles.iter().for_each(|&[a, b, c]| {
             sets.join(a, b);
@@ -44,12 +44,12 @@ impl Shape {
         shape
     }
 
-    pub fn is_border(&self, edge: [u32; 2]) -> bool {
+    pub(super) fn is_border(&self, edge: [u32; 2]) -> bool {
         self.border.binary_search(&edge).is_ok()
     }
 
     /// The vertices that share an edge with one, ascending.
-    pub fn neighbours(&self, vertex: u32) -> impl Iterator<Item = u32> {
+    pub(super) fn neighbours(&self, vertex: u32) -> impl Iterator<Item = u32> {
         let first = self.neighbours.partition_point(|pair| pair[0] < vertex);
         self.neighbours[first..].iter().take_while(move |pair| pair[0] == vertex).map(|pair| pair[1])
     }
@@ -95,7 +95,7 @@ pub(super) struct Hit {
 }
 
 impl Hit {
-    pub fn pair(&self) -> [u32; 2] {
+    pub(super) fn pair(&self) -> [u32; 2] {
         [self.owner.min(self.face), self.owner.max(self.face)]
     }
 }

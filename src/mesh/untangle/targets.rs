@@ -32,7 +32,7 @@ pub(super) struct Crossed {
 impl<'a> Targets<'a> {
     /// Those in the way of `region`: of the pieces that cut it off, but nothing of the region itself. `part` = part of
     /// every vertex.
-    pub fn new(
+    pub(super) fn new(
         positions: &'a [Vec3],
         tangle: &'a Tangle<'a>,
         shape: &'a Shape,
@@ -95,7 +95,7 @@ impl<'a> Targets<'a> {
     }
 
     /// The first target on the way of a vertex, at most `reach_m` away; of closed obstacles only where the way leads out.
-    pub fn first(&self, vertex: u32, reach_m: f64) -> Option<Crossed> {
+    pub(super) fn first(&self, vertex: u32, reach_m: f64) -> Option<Crossed> {
         let origin = at(self.positions, vertex);
         let [x, y] = self.cell_of(DVec2::new(self.across[0].dot(origin), self.across[1].dot(origin)));
         let cell = y * self.side + x;

@@ -13,7 +13,7 @@ const MARGIN: f32 = 0.25;
 
 /// A perspective camera without roll.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Camera {
+pub(super) struct Camera {
     /// Position of the eye, meters.
     pub eye: Vec3,
     /// Unit vector to the right.
@@ -35,24 +35,24 @@ pub struct Camera {
 impl Camera {
     /// Right, down and depth of a point. Within the picture right and down are at most the depth, in meters, which is their
     /// unit too.
-    pub fn see(&self, point: Vec3) -> Vec3 {
+    pub(super) fn see(&self, point: Vec3) -> Vec3 {
         let p = point - self.eye;
         Vec3::new(p.dot(self.right) / self.half.x, -p.dot(self.up) / self.half.y, p.dot(self.forward))
     }
 
     /// Depth where surfaces begin, meters; all cloth lies beyond it ([`Fit::camera`] keeps a distance).
-    pub fn near_m(&self) -> f32 {
+    pub(super) fn near_m(&self) -> f32 {
         0.01 * self.extent_m
     }
 
     /// Direction (depth 1) of the ray through a point of the picture.
-    pub fn ray(&self, x: f32, y: f32) -> Vec3 {
+    pub(super) fn ray(&self, x: f32, y: f32) -> Vec3 {
         self.forward + self.right * (x * self.half.x) - self.up * (y * self.half.y)
     }
 }
 
 /// Collects which way the cloth faces and chooses a direction to look from.
-pub struct View {
+pub(super) struct View {
     up: Vec3,
     /// Two horizontal unit vectors, at a right angle.
     axes: (Vec3, Vec3),
@@ -63,12 +63,12 @@ pub struct View {
 }
 
 impl View {
-    pub fn new(up: Vec3) -> View {
+    pub(super) fn new(up: Vec3) -> View {
         View { up, axes: horizontal(up), sums: [0.0; 4], facing: [0.0; 2] }
     }
 
     /// Adds the normals and extent of a frame's mesh.
-    pub fn add(&mut self, mesh: &FrameMesh) {
+    pub(super) fn add(&mut self, mesh: &FrameMesh) {
         for t in &mesh.triangles {
             let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
             let normal = (b - a).cross(c - a);
@@ -88,7 +88,7 @@ impl View {
 
     /// Azimuth and elevation in degrees. Upright cloth is seen 30 degrees from the side that it shows most of; cloth that
     /// lies is seen from higher up.
-    pub fn direction(&self) -> (f32, f32) {
+    pub(super) fn direction(&self) -> (f32, f32) {
         let [xx, xy, yy, zz] = self.sums;
         let lying = zz > xx + yy;
         let elevation = if lying { 35.0 } else { 15.0 };
@@ -111,7 +111,7 @@ fn horizontal(up: Vec3) -> (Vec3, Vec3) {
 
 /// Collects how far a sequence reaches towards each side of the picture.
 #[derive(Clone, Debug)]
-pub struct Fit {
+pub(super) struct Fit {
     up: Vec3,
     camera_up: Vec3,
     right: Vec3,
@@ -125,7 +125,7 @@ pub struct Fit {
 
 impl Fit {
     /// A camera in `direction` (azimuth and elevation in degrees) for pictures of width / height = `aspect`.
-    pub fn new(up: Vec3, direction: (f32, f32), aspect: f32) -> Fit {
+    pub(super) fn new(up: Vec3, direction: (f32, f32), aspect: f32) -> Fit {
         let (azimuth, elevation) = (direction.0.to_radians(), direction.1.clamp(-89.0, 89.0).to_radians());
         let (x, y) = horizontal(up);
         let outward = (x * azimuth.cos() + y * azimuth.sin()) * elevation.cos() + up * elevation.sin();
@@ -138,7 +138,7 @@ impl Fit {
     }
 
     /// Adds points; those that are not finite are left out.
-    pub fn add(&mut self, positions: &[Vec3]) {
+    pub(super) fn add(&mut self, positions: &[Vec3]) {
         let half = self.half * FILL;
         for p in positions.iter().filter(|p| p.is_finite()) {
             let (x, y, depth) = (p.dot(self.right), p.dot(self.camera_up), p.dot(self.forward));
@@ -153,7 +153,7 @@ impl Fit {
 
     /// Adds those of an obstacle's points that lie within or close to what `cloth` has seen: a floor that reaches far beyond
     /// the cloth shall not push the camera away.
-    pub fn add_near(&mut self, positions: &[Vec3], cloth: &Fit) {
+    pub(super) fn add_near(&mut self, positions: &[Vec3], cloth: &Fit) {
         let margin = Vec3::splat(MARGIN * (cloth.high - cloth.low).length());
         let (low, high) = (cloth.low - margin, cloth.high + margin);
         let close = |p: &&Vec3| p.cmpge(low).all() && p.cmple(high).all();
@@ -161,7 +161,7 @@ impl Fit {
     }
 
     /// Adds what another fit with the same direction has seen.
-    pub fn merge(&mut self, other: &Fit) {
+    pub(super) fn merge(&mut self, other: &Fit) {
         for side in 0..4 {
             self.reach[side] = self.reach[side].max(other.reach[side]);
         }
@@ -170,12 +170,12 @@ impl Fit {
     }
 
     /// Lowest and highest height seen, meters.
-    pub fn heights_m(&self) -> (f32, f32) {
+    pub(super) fn heights_m(&self) -> (f32, f32) {
         (self.low.dot(self.up), self.high.dot(self.up))
     }
 
     /// The nearest camera that keeps everything within the picture; none if nothing was added.
-    pub fn camera(&self) -> Option<Camera> {
+    pub(super) fn camera(&self) -> Option<Camera> {
         let extent_m = (self.high - self.low).length().max(1e-6);
         if !extent_m.is_finite() {
             return None;

@@ -15,20 +15,20 @@ const PAPER: [u8; 3] = [250, 250, 250];
 const INK: [u8; 3] = [40, 40, 40];
 
 /// Frames for the sheet: evenly spaced, the first and the last always among them.
-pub fn choose(numbers: &[u32]) -> Vec<u32> {
+pub(super) fn choose(numbers: &[u32]) -> Vec<u32> {
     let count = numbers.len().min(MOST);
     let spaces = count.saturating_sub(1).max(1);
     (0..count).map(|i| numbers[(i * (numbers.len() - 1) + spaces / 2) / spaces]).collect()
 }
 
 /// The picture at the size of the sheet's cells.
-pub fn thumbnail(image: &Image) -> Image {
+pub(super) fn thumbnail(image: &Image) -> Image {
     let width = WIDTH.min(image.width());
     image.shrunk(width, (image.height() * width).div_ceil(image.width().max(1)))
 }
 
 /// Lays small pictures out row by row and numbers them.
-pub fn compose(pictures: impl IntoIterator<Item = (u32, Image)>) -> Image {
+pub(super) fn compose(pictures: impl IntoIterator<Item = (u32, Image)>) -> Image {
     let pictures: Vec<(u32, Image)> = pictures.into_iter().collect();
     let width = pictures.iter().map(|(_, p)| p.width()).max().unwrap_or(1);
     let height = pictures.iter().map(|(_, p)| p.height()).max().unwrap_or(1);

@@ -5,7 +5,7 @@ use crate::math::Vec3;
 use crate::output::FrameMesh;
 
 /// Colors of obstacles; those below are for pieces of cloth.
-pub const OBSTACLE: u32 = SWATCHES as u32 - 1;
+pub(super) const OBSTACLE: u32 = SWATCHES as u32 - 1;
 /// Colors of pieces where there are several; 0 is for cloth in one piece.
 const PIECE_COLORS: u32 = OBSTACLE - 1;
 /// Obstacles keep the edges at which their triangles meet more sharply: cosine of 40 degrees.
@@ -13,7 +13,7 @@ const SMOOTH: f32 = 0.766;
 
 /// Triangles ready to be drawn.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Content {
+pub(super) struct Content {
     /// Positions in the scene, meters.
     pub positions: Vec<Vec3>,
     /// Directions that the front faces, of unit length or zero.
@@ -26,7 +26,7 @@ pub struct Content {
 
 impl Content {
     /// Cloth, every piece in a color of its own, and obstacles.
-    pub fn new(cloth: FrameMesh, obstacle: Option<FrameMesh>) -> Content {
+    pub(super) fn new(cloth: FrameMesh, obstacle: Option<FrameMesh>) -> Content {
         let normals = vertex_normals(&cloth);
         let swatches = piece_colors(cloth.positions.len(), &cloth.triangles);
         let mut content = Content { positions: cloth.positions, normals, swatches, triangles: cloth.triangles };

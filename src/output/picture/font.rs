@@ -18,7 +18,14 @@ const DIGITS: [[u8; 5]; 10] = [
 
 /// Writes `number` with its top left corner at (`left`, `top`), every dot `scale` pixels wide, on a box of `paper`.
 /// Dots outside the picture are cut off.
-pub fn number(image: &mut Image, number: u32, (left, top): (usize, usize), scale: usize, ink: [u8; 3], paper: [u8; 3]) {
+pub(super) fn number(
+    image: &mut Image,
+    number: u32,
+    (left, top): (usize, usize),
+    scale: usize,
+    ink: [u8; 3],
+    paper: [u8; 3],
+) {
     let digits = number.to_string();
     let (columns, rows) = (digits.len() * 4 + 1, 7);
     for y in 0..rows * scale {

@@ -108,7 +108,7 @@ fn io_from_png(error: png::EncodingError) -> io::Error {
 }
 
 /// 8-bit sRGB of a linear color.
-pub fn srgb_from_linear(color: Vec3) -> [u8; 3] {
+pub(super) fn srgb_from_linear(color: Vec3) -> [u8; 3] {
     const STEPS: usize = 4096;
     static TABLE: OnceLock<Vec<u8>> = OnceLock::new();
     let table = TABLE.get_or_init(|| {

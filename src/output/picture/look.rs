@@ -7,14 +7,14 @@ use crate::gpu::{DrawLook, SWATCHES};
 use crate::math::Vec3;
 
 /// Samples along each side of a pixel.
-pub const SAMPLES: usize = 2;
+pub(super) const SAMPLES: usize = 2;
 
 // Linear colors.
-pub const SKY_TOP: Vec3 = Vec3::new(0.70, 0.75, 0.82);
-pub const SKY_BOTTOM: Vec3 = Vec3::new(0.92, 0.92, 0.91);
+pub(super) const SKY_TOP: Vec3 = Vec3::new(0.70, 0.75, 0.82);
+pub(super) const SKY_BOTTOM: Vec3 = Vec3::new(0.92, 0.92, 0.91);
 
 /// Fronts by swatch: cloth in one piece, seven pieces, obstacles.
-pub const FRONTS: [Vec3; SWATCHES] = [
+pub(super) const FRONTS: [Vec3; SWATCHES] = [
     Vec3::new(0.60, 0.10, 0.075),
     Vec3::new(0.60, 0.10, 0.075),
     Vec3::new(0.07, 0.22, 0.55),
@@ -27,7 +27,7 @@ pub const FRONTS: [Vec3; SWATCHES] = [
 ];
 
 /// Backs by swatch: of one piece blue, of several a paler tint of the front, so that a color names a piece.
-pub fn backs() -> [Vec3; SWATCHES] {
+pub(super) fn backs() -> [Vec3; SWATCHES] {
     std::array::from_fn(|i| match i {
         0 => Vec3::new(0.10, 0.23, 0.48),
         _ if i as u32 == OBSTACLE => FRONTS[i],
@@ -36,7 +36,7 @@ pub fn backs() -> [Vec3; SWATCHES] {
 }
 
 /// Five stops of the viridis scale.
-pub const VIRIDIS: [Vec3; 5] = [
+pub(super) const VIRIDIS: [Vec3; 5] = [
     Vec3::new(0.058, 0.000, 0.089),
     Vec3::new(0.042, 0.084, 0.258),
     Vec3::new(0.015, 0.279, 0.262),
@@ -45,7 +45,7 @@ pub const VIRIDIS: [Vec3; 5] = [
 ];
 
 /// Camera, lights and colors.
-pub struct Look {
+pub(super) struct Look {
     /// The camera of the sequence.
     pub camera: Camera,
     /// Meaning of the cloth's colors.
@@ -63,7 +63,7 @@ pub struct Look {
 }
 
 impl Look {
-    pub fn new(camera: Camera, coloring: Coloring, heights_m: (f32, f32)) -> Look {
+    pub(super) fn new(camera: Camera, coloring: Coloring, heights_m: (f32, f32)) -> Look {
         // Lights move with the camera: from the upper left, and a weak one from the right.
         let key = (camera.right * -0.75 + camera.up * 0.65 - camera.forward * 0.45).normalize();
         let fill = (camera.right * 0.9 + camera.up * 0.1 - camera.forward * 0.5).normalize();
@@ -72,7 +72,7 @@ impl Look {
     }
 
     /// The same for the device, for pictures of `width` x `height` pixels.
-    pub fn for_device(&self, width: usize, height: usize) -> DrawLook {
+    pub(super) fn for_device(&self, width: usize, height: usize) -> DrawLook {
         let vector = |v: Vec3| v.extend(0.0).to_array();
         let camera = &self.camera;
         let samples = [width, height].map(|pixels| (pixels * SAMPLES) as f32);

@@ -9,7 +9,7 @@ use super::{raster, shade};
 use crate::gpu::{DrawLook, DrawVertex, Executor, GpuError, Offscreen};
 
 /// Draws pictures of one size and look, from any thread.
-pub struct Painter<'a> {
+pub(super) struct Painter<'a> {
     look: &'a Look,
     width: usize,
     height: usize,
@@ -23,14 +23,19 @@ struct Device<'a> {
 }
 
 impl<'a> Painter<'a> {
-    pub fn new(executor: &'a Executor, look: &'a Look, width: u32, height: u32) -> Result<Painter<'a>, GpuError> {
+    pub(super) fn new(
+        executor: &'a Executor,
+        look: &'a Look,
+        width: u32,
+        height: u32,
+    ) -> Result<Painter<'a>, GpuError> {
         let place = Offscreen::new(executor, width, height)?;
         let (width, height) = (width as usize, height as usize);
         let device = place.map(|place| Device { place: Mutex::new(place), look: look.for_device(width, height) });
         Ok(Painter { look, width, height, device })
     }
 
-    pub fn draw(&self, content: &Content) -> Result<Image, GpuError> {
+    pub(super) fn draw(&self, content: &Content) -> Result<Image, GpuError> {
         let Some(device) = &self.device else {
             let samples = (self.width * SAMPLES, self.height * SAMPLES);
             let visible = raster::rasterize(content, &self.look.camera, samples);

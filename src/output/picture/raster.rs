@@ -8,12 +8,12 @@ use super::content::Content;
 use crate::math::{DVec3, Vec3};
 
 /// Marks a sample without a triangle.
-pub const EMPTY: u32 = u32::MAX;
+pub(super) const EMPTY: u32 = u32::MAX;
 /// Largest distance from the middle, in halves of the picture, at which screen positions are exact enough to fill from.
 const REACH: f32 = 4.0;
 
 /// The visible triangle of every sample.
-pub struct Visible {
+pub(super) struct Visible {
     /// Triangle per sample, row by row from the top.
     pub triangle: Vec<u32>,
     /// Samples in a row of the picture.
@@ -24,7 +24,7 @@ pub struct Visible {
 }
 
 /// Draws all triangles into a depth buffer of `size` samples.
-pub fn rasterize(content: &Content, camera: &Camera, size: (usize, usize)) -> Visible {
+pub(super) fn rasterize(content: &Content, camera: &Camera, size: (usize, usize)) -> Visible {
     let near = camera.near_m();
     let place = |seen: Vec3| {
         let (x, y) = (seen.x / seen.z, seen.y / seen.z);
@@ -80,7 +80,7 @@ fn cut(corners: [Vec3; 3], near: f32) -> Vec<Vec3> {
 
 impl Visible {
     /// Shares of the corners of triangle `t` in a sample, corrected for perspective, and whether its front is seen.
-    pub fn weights(&self, content: &Content, camera: &Camera, t: u32, x: f32, y: f32) -> ([f32; 3], bool) {
+    pub(super) fn weights(&self, content: &Content, camera: &Camera, t: u32, x: f32, y: f32) -> ([f32; 3], bool) {
         let vertices = content.triangles[t as usize];
         let corners = vertices.map(|i| self.screen[i as usize]);
         if corners.iter().all(|c| c.z > 0.0) {

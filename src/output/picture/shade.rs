@@ -10,7 +10,7 @@ use super::raster::{EMPTY, Visible};
 use crate::math::Vec3;
 
 /// The picture of what is visible.
-pub fn shade(content: &Content, look: &Look, visible: &Visible, width: usize, height: usize) -> Image {
+pub(super) fn shade(content: &Content, look: &Look, visible: &Visible, width: usize, height: usize) -> Image {
     let size = ((width * SAMPLES) as f32, (height * SAMPLES) as f32);
     let shader = Shader { content, look, visible, size };
     let mut image = Image::new(width, height);

@@ -45,7 +45,7 @@ pub(super) struct MotionFile<'a> {
 
 impl<'a> MotionFile<'a> {
     /// Reads the file if the scene names one. A file that is missing or broken is a fault only where a motion is used.
-    pub fn of(root: &Json<'a>) -> Result<MotionFile<'a>, SceneError> {
+    pub(super) fn of(root: &Json<'a>) -> Result<MotionFile<'a>, SceneError> {
         let Some(motions) = root.get("motions").filter(|motions| motions.get("motfile").is_some()) else {
             return Ok(MotionFile { file: None });
         };

@@ -27,9 +27,9 @@ pub struct ElementMatrix<'a> {
 }
 
 /// What the first pass of a product keeps of a triangle: 9 floats; of a hinge: 1; of a contact: 3.
-pub const KEPT_TRIANGLE: usize = 9;
+pub(super) const KEPT_TRIANGLE: usize = 9;
 /// See [`KEPT_TRIANGLE`].
-pub const KEPT_CONTACT: usize = 3;
+pub(super) const KEPT_CONTACT: usize = 3;
 
 impl ElementMatrix<'_> {
     /// Bytes that a product moves if whatever rows share stays in cache: elements and records read twice (for what a corner

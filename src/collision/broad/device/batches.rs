@@ -30,13 +30,13 @@ pub(super) struct Chunk {
 
 impl Chunk {
     /// From what the device counted.
-    pub fn new(buckets: [u32; 2], [low, high, entries, busy]: [u32; 4]) -> Chunk {
+    pub(super) fn new(buckets: [u32; 2], [low, high, entries, busy]: [u32; 4]) -> Chunk {
         let tests = u64::from(low) | u64::from(high) << 32;
         Chunk { buckets, tests, entries: u64::from(entries), busy }
     }
 
     /// True if the chunk is too large for one dispatch.
-    pub fn is_too_much(&self) -> bool {
+    pub(super) fn is_too_much(&self) -> bool {
         self.tests > TESTS_MOST || self.entries > (BINDING_BYTES / size_of::<[u32; 2]>()) as u64
     }
 }
@@ -76,7 +76,7 @@ pub(super) struct Wanted<'a> {
 
 impl Room {
     /// Half of what `fixed` leaves of the limit is for entries, a quarter each for pairs and candidates.
-    pub fn new(executor: &Executor, wanted: &Wanted, limit_bytes: Option<u64>) -> Result<Room, BroadError> {
+    pub(super) fn new(executor: &Executor, wanted: &Wanted, limit_bytes: Option<u64>) -> Result<Room, BroadError> {
         let binds = |bytes: usize| executor.window_items(bytes).unwrap_or(u32::MAX as usize);
         let (item, candidate) = (size_of::<[u32; 2]>(), size_of::<Candidate>());
         let fullest = wanted.chunks.iter().map(|chunk| chunk.entries).max().unwrap_or(0);

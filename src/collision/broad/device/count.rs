@@ -67,7 +67,7 @@ fn layer_load(chunks: &[Chunk]) -> LayerLoad {
 }
 
 impl Counter {
-    pub fn new(executor: &Executor, mesh: &Arc<CollisionMesh>) -> Counter {
+    pub(super) fn new(executor: &Executor, mesh: &Arc<CollisionMesh>) -> Counter {
         Counter {
             mesh: Arc::clone(mesh),
             pieces: numbered_pieces(mesh),
@@ -78,24 +78,24 @@ impl Counter {
     }
 
     /// Bytes of what follows from the mesh alone.
-    pub fn mesh_bytes(&self) -> u64 {
+    pub(super) fn mesh_bytes(&self) -> u64 {
         size_of_val(&self.pieces[..]) as u64
     }
 
     /// Bytes of faces and table on the device.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         self.shapes.faces.held_bytes() + self.table.bytes()
     }
 
     /// Gives back what queries leave for the next one.
-    pub fn drop_arrays(&mut self, executor: &Executor) {
+    pub(super) fn drop_arrays(&mut self, executor: &Executor) {
         self.members = Vec::new();
         self.shapes.faces = DeviceVec::zeros(executor, 0);
         self.table = DeviceTable::new(executor);
     }
 
     /// Positions of a query.
-    pub fn upload(&mut self, executor: &Executor, query: &Query) {
+    pub(super) fn upload(&mut self, executor: &Executor, query: &Query) {
         self.shapes.x_t0.assign(executor, query.x_t0);
         if std::ptr::eq(query.x_t0, query.x_t1) {
             self.shapes.x_t1 = None;
@@ -110,7 +110,7 @@ impl Counter {
     ///
     /// # Errors
     /// A fault of the device; another rank is not heard.
-    pub fn count(
+    pub(super) fn count(
         &mut self,
         executor: &Executor,
         input: &Input,

@@ -62,7 +62,7 @@ pub(super) struct Shapes {
 }
 
 impl Shapes {
-    pub fn end(&self) -> &DeviceVec<f32> {
+    pub(super) fn end(&self) -> &DeviceVec<f32> {
         self.x_t1.as_ref().unwrap_or(&self.x_t0)
     }
 }
@@ -82,7 +82,7 @@ pub(super) struct Window {
 
 impl Window {
     /// Bytes of what the host holds.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         (size_of_val(&self.chunks[..]) + size_of_val(&self.table[..])) as u64
     }
 }
@@ -116,7 +116,7 @@ pub(super) struct DeviceEntries {
 }
 
 impl DeviceTable {
-    pub fn new(executor: &Executor) -> DeviceTable {
+    pub(super) fn new(executor: &Executor) -> DeviceTable {
         DeviceTable {
             boxes: DeviceVec::zeros(executor, 0),
             cells: DeviceVec::zeros(executor, 0),
@@ -130,7 +130,7 @@ impl DeviceTable {
 
     /// Counts who is in which bucket of a window; `shapes` has the faces of its members. Loads of its chunks: tests (low,
     /// high word), entries and buckets with tests.
-    pub fn count(&mut self, executor: &Executor, window: &Window, shapes: &Shapes) -> Vec<[u32; 4]> {
+    pub(super) fn count(&mut self, executor: &Executor, window: &Window, shapes: &Shapes) -> Vec<[u32; 4]> {
         let params = &window.params;
         self.boxes.resize(executor, 2 * params.triangles as usize);
         self.cells.resize(executor, params.triangles as usize);
@@ -192,7 +192,7 @@ impl DeviceTable {
     }
 
     /// Loads of the chunks `spans`: tests (low, high word), entries and buckets with tests.
-    pub fn loads(&mut self, executor: &Executor, params: &HashParams, spans: &[[u32; 2]]) -> Vec<[u32; 4]> {
+    pub(super) fn loads(&mut self, executor: &Executor, params: &HashParams, spans: &[[u32; 2]]) -> Vec<[u32; 4]> {
         self.spans.assign(executor, spans);
         self.chunks.resize(executor, spans.len());
         match executor {
@@ -209,7 +209,7 @@ impl DeviceTable {
     }
 
     /// Makes the entries of `params.buckets` buckets of the window from `params.first_bucket` on; there are `size` of them.
-    pub fn fill(&mut self, executor: &Executor, params: &HashParams, size: usize, out: &mut DeviceEntries) {
+    pub(super) fn fill(&mut self, executor: &Executor, params: &HashParams, size: usize, out: &mut DeviceEntries) {
         let buckets = params.buckets as usize;
         out.tests.resize(executor, buckets);
         out.sizes.resize(executor, buckets);
@@ -259,7 +259,7 @@ impl DeviceTable {
     }
 
     /// Bytes on the device, unused capacity included.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         let of_triangles = self.boxes.held_bytes() + self.cells.held_bytes();
         let of_layers = self.layers.held_bytes() + self.levels.held_bytes();
         of_triangles + of_layers + self.counts.held_bytes() + self.spans.held_bytes() + self.chunks.held_bytes()
@@ -267,7 +267,7 @@ impl DeviceTable {
 }
 
 impl DeviceEntries {
-    pub fn new(executor: &Executor) -> DeviceEntries {
+    pub(super) fn new(executor: &Executor) -> DeviceEntries {
         DeviceEntries {
             tests: DeviceVec::zeros(executor, 0),
             sizes: DeviceVec::zeros(executor, 0),
@@ -279,12 +279,12 @@ impl DeviceEntries {
     }
 
     /// Bytes of a batch with `buckets` buckets (tests, sizes, both starts, cursors) and `entries` entries.
-    pub fn bytes_for(buckets: u64, entries: u64) -> u64 {
+    pub(super) fn bytes_for(buckets: u64, entries: u64) -> u64 {
         32 * buckets + 8 * entries
     }
 
     /// Bytes on the device, unused capacity included.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         let per_bucket = self.tests.held_bytes() + self.sizes.held_bytes() + self.cursors.held_bytes();
         per_bucket + self.test_starts.held_bytes() + self.starts.held_bytes() + self.entries.held_bytes()
     }

@@ -48,7 +48,7 @@ pub(super) struct FoundPairs {
 }
 
 impl FoundPairs {
-    pub fn new(executor: &Executor) -> FoundPairs {
+    pub(super) fn new(executor: &Executor) -> FoundPairs {
         FoundPairs {
             pairs: DeviceVec::zeros(executor, 0),
             candidates: DeviceVec::zeros(executor, 0),
@@ -57,12 +57,12 @@ impl FoundPairs {
     }
 
     /// Bytes of both buffers, unused capacity included.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         self.pairs.held_bytes() + self.candidates.held_bytes() + self.counters.held_bytes()
     }
 
     /// Pairs of triangles with overlapping boxes among the tests `params.first_test..params.end_test`; how many there are.
-    pub fn box_tests(
+    pub(super) fn box_tests(
         &mut self,
         executor: &Executor,
         params: &PairParams,
@@ -100,7 +100,7 @@ impl FoundPairs {
     }
 
     /// Candidates of the pairs `params.first_pair..params.end_pair`; how many there are.
-    pub fn feature_pairs(
+    pub(super) fn feature_pairs(
         &mut self,
         executor: &Executor,
         params: &PairParams,

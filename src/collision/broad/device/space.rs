@@ -32,7 +32,7 @@ pub(super) struct Nested {
 type Corner = [UVec3; 2];
 
 impl Nested {
-    pub fn new(grid: &Grid) -> Nested {
+    pub(super) fn new(grid: &Grid) -> Nested {
         Nested { origin: grid.origin(), per_m: grid.finest_per_m().min(PER_M_MOST) }
     }
 
@@ -51,7 +51,7 @@ impl Nested {
     }
 
     /// True if a triangle with this box may reside in a coarser grid.
-    pub fn may_be_large(&self, of: &Aabb) -> bool {
+    pub(super) fn may_be_large(&self, of: &Aabb) -> bool {
         let [lo, hi] = self.cells(of);
         home_of(lo[0], hi[1]) > 0
     }
@@ -77,7 +77,7 @@ pub(super) struct Space {
 
 impl Space {
     /// The space of the active patches.
-    pub fn new(input: &Input, patches: &Patches) -> Space {
+    pub(super) fn new(input: &Input, patches: &Patches) -> Space {
         let (axis, grid) = (input.grid.longest(), Nested::new(&input.grid));
         let blocks = |patch: &u32| {
             let [lo, hi] = grid.cells(&patches.states[*patch as usize].aabb());
@@ -98,17 +98,17 @@ impl Space {
     }
 
     /// Number of layers.
-    pub fn layers(&self) -> usize {
+    pub(super) fn layers(&self) -> usize {
         self.layers.count()
     }
 
     /// Buckets of all layers.
-    pub fn buckets(&self) -> usize {
+    pub(super) fn buckets(&self) -> usize {
         self.start(self.layers())
     }
 
     /// Layers that may hold about an even share of the tests.
-    pub fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
+    pub(super) fn guess(&self, rank: usize, ranks: usize) -> Range<usize> {
         self.layers.guess(rank, ranks)
     }
 
@@ -120,12 +120,12 @@ impl Space {
     }
 
     /// Chunks of a layer.
-    pub fn chunks_of(&self, layer: usize) -> usize {
+    pub(super) fn chunks_of(&self, layer: usize) -> usize {
         (self.start(layer + 1) - self.start(layer)).div_ceil(CHUNK)
     }
 
     /// What kernels need for the layers of a window and its [`Space::members`].
-    pub fn window(&self, input: &Input, layers: Range<usize>, members: &[u32]) -> Window {
+    pub(super) fn window(&self, input: &Input, layers: Range<usize>, members: &[u32]) -> Window {
         let first = self.start(layers.start);
         let of_layer = |layer: usize| {
             let [fine, coarse] = &self.buckets[layer];
@@ -165,7 +165,7 @@ impl Space {
     }
 
     /// Triangles with cells in the layers of a window, ascending, and perhaps a few more.
-    pub fn members(&self, input: &Input, patches: &Patches, window: &Range<usize>) -> Vec<u32> {
+    pub(super) fn members(&self, input: &Input, patches: &Patches, window: &Range<usize>) -> Vec<u32> {
         let mut members = Vec::new();
         for &patch in &patches.active {
             let (aabb, triangles) = (patches.states[patch as usize].aabb(), patches.triangles(patch as usize));
@@ -210,7 +210,7 @@ impl Space {
     }
 
     /// Bytes of the host's lists.
-    pub fn bytes(&self) -> u64 {
+    pub(super) fn bytes(&self) -> u64 {
         self.layers.bytes() + size_of_val(&self.buckets[..]) as u64
     }
 }
