@@ -64,6 +64,7 @@ pub struct WorkerSetup {
 pub const SOLVING: u64 = u64::MAX;
 
 /// Coordinator -> worker.
+#[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Debug, Serialize, Deserialize)]
 pub enum ToWorker {
     /// Be this rank of a simulation from now on, in the state that its scene starts in (step 0); arrays: those of the
@@ -82,6 +83,7 @@ pub enum ToWorker {
 }
 
 /// Worker -> coordinator.
+#[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Debug, Serialize, Deserialize)]
 pub enum ToCoordinator {
     /// Set up and connected to all other ranks.

@@ -23,7 +23,7 @@ macro_rules! event_names {
         /// Subject of an event.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u32)]
-        pub enum EventName { $($variant),* }
+        pub enum EventName { $(#[doc = concat!("Shown as `", $text, "`.")] $variant),* }
         impl EventName {
             const ALL: &'static [EventName] = &[$(EventName::$variant),*];
             /// Text shown in the trace.

@@ -78,7 +78,9 @@ pub struct Truth {
 /// What the command prints.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CcdReport {
+    /// Queries in the file.
     pub queries: usize,
+    /// Queries that the test calls a hit.
     pub hits: usize,
     /// Hits of the truth that were not found; null without a truth.
     pub missed: Option<usize>,
@@ -88,16 +90,22 @@ pub struct CcdReport {
     pub late: Option<usize>,
     /// "rounded", "unrounded" or "none": see the module.
     pub truth: &'static str,
+    /// Which part of the test decided how many.
     pub decided_by: DecidedByCounts,
+    /// Wall time of the tests alone, one thread, nanoseconds.
     pub ns_per_query: f64,
 }
 
 /// Queries by what decided them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct DecidedByCounts {
+    /// The boxes of the two trajectories do not meet.
     pub boxes: usize,
+    /// Separating planes, or a hit that bisection found.
     pub planes: usize,
+    /// The test in wider arithmetic.
     pub fallback: usize,
+    /// The bound on planes: taken for a hit, which is the safe side.
     pub plane_limit: usize,
 }
 

@@ -25,6 +25,7 @@ pub struct RunArgs {
     /// Replace a run that is in the run directory
     #[arg(long)]
     pub overwrite: bool,
+    /// Everything that run.toml keeps.
     #[command(flatten)]
     pub options: GivenOptions,
 }

@@ -53,6 +53,7 @@ impl Launch {
 }
 
 /// Why the crew cannot go on.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum CrewError {
     /// A worker ended although nobody told it to.

@@ -18,6 +18,7 @@ use crate::transport::{RANKS_MAX, STAMP_VALUES};
 const SOLVER_BYTES_PER_ROW: f64 = 2_500.0;
 
 /// Why a run is refused.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum PlanError {
     /// The scene.

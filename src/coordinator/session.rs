@@ -41,6 +41,7 @@ impl SessionPlace {
 }
 
 /// Why a session cannot go on.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum SessionError {
     /// The workers.

@@ -37,6 +37,7 @@ pub struct Segment<'a> {
 }
 
 /// What happens in a segment.
+#[allow(missing_docs, reason = "the line of a variant says what it carries")]
 pub enum News {
     /// The level of the segment has been loaded.
     Ready(Vec<WorkerReady>),
@@ -66,6 +67,7 @@ pub enum Ended {
 }
 
 /// Why a shot did not end as it should.
+#[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Debug)]
 pub enum ShotError<E> {
     /// A session, in this segment.

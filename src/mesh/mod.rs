@@ -50,6 +50,7 @@ pub struct TriangleMesh {
 }
 
 /// Why a mesh file is refused: one sentence with the file and, where its format has lines, the line.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum MeshReadError {
     /// The file cannot be opened or read.

@@ -11,6 +11,7 @@ use super::{Surface, TriangleMesh, material};
 const SMALLEST_SHAPE: f64 = 1e-6;
 
 /// Why a mesh cannot be simulated.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MeshFault {
     #[error("no triangle in it")]

@@ -57,6 +57,7 @@ pub const DEFAULT_THICKNESS_M: f64 = 0.002;
 const LONGEST_TEXT_BYTES: u64 = 16 << 20;
 
 /// Why a scene is refused: one sentence with the file and, where known, line and field.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// A file is missing or cannot be read, or is no scene at all.
@@ -235,12 +236,17 @@ pub struct Motion {
 /// One keyframe: x -> rotation * (scale * x) + translation, rotation about `pivot_m`.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Keyframe {
+    /// Seconds since the start of the run.
     pub time_s: f64,
+    /// Added last, meters.
     pub translation_m: crate::math::DVec3,
+    /// Unit quaternion.
     pub rotation: crate::math::DQuat,
     /// The rotation as unit axis and angle in radians, where it was given so: the angle may be more than a turn.
     pub turn: Option<(crate::math::DVec3, f64)>,
+    /// Factor about the pivot, above 0.
     pub scale: f64,
+    /// Center of rotation and scale, meters.
     pub pivot_m: crate::math::DVec3,
 }
 

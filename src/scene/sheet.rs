@@ -5,7 +5,9 @@ use crate::math::Vec2;
 /// A grid of `columns` x `rows` cells, two triangles each. Vertices row by row from the bottom left corner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sheet {
+    /// Cells along the first side (u, warp).
     pub columns: u32,
+    /// Cells along the second side (v, weft).
     pub rows: u32,
 }
 

@@ -49,6 +49,7 @@ pub struct PcgInfo {
 }
 
 /// Why there is no solution.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum PcgError {
     /// A transfer failed.

@@ -40,6 +40,7 @@ pub enum Imposed {
 }
 
 /// Why a rank cannot go on. Rows count in the global order.
+#[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Failure {
     /// A transfer failed: another rank is gone or silent, or the run was told to stop. The reason lies elsewhere.

@@ -16,6 +16,7 @@ use thiserror::Error;
 use crate::os::clock::AwakeClock;
 
 /// Why a control call failed.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum ControlError {
     /// The other end did not answer in time.

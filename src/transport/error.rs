@@ -3,6 +3,7 @@
 use thiserror::Error;
 
 /// Why a transport call failed. All of them end the run of this rank.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error, PartialEq)]
 pub enum TransportError {
     /// No message within the deadline.

@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::{Counts, Message, Pattern, Transport, TransportError};
 
 /// What goes wrong with an own message. Messages count from 0; exchanges in which nobody reads the own message do not count.
+#[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
     /// The message is never handed over; its readers see a later one in its place, or time out.

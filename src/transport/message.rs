@@ -24,6 +24,7 @@ const HEADER_MAX: usize = 16 << 20;
 const ARRAYS_MAX: usize = 4096;
 
 /// Why bytes are not a message, or a message cannot be made.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum MessageError {
     /// The bytes do not begin like a message.

@@ -31,6 +31,7 @@ const LOCK: &str = "lock";
 const TEMP_PATH_MAX: usize = 35;
 
 /// Why the resources of a run could not be created, listed or removed.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum RunError {
     /// Not an identifier made by [`RunName::create`].

@@ -15,6 +15,7 @@ use crate::os::clock::AwakeClock;
 use crate::os::console::note;
 
 /// Why there is not enough shared memory.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum SharedMemoryError {
     /// Known before the start.

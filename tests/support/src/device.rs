@@ -6,7 +6,7 @@ use loomtree::gpu::{Executor, adapters};
 ///
 /// # Panics
 /// Without an adapter where `LOOMTREE_REQUIRE_GPU=1`, and wherever an adapter exists but gives no device.
-pub(crate) fn executor() -> Option<Executor> {
+pub fn executor() -> Option<Executor> {
     if adapters().is_empty() {
         let required = std::env::var("LOOMTREE_REQUIRE_GPU").is_ok_and(|value| value == "1");
         assert!(!required, "LOOMTREE_REQUIRE_GPU=1, but this machine has no adapter");
@@ -21,7 +21,7 @@ pub(crate) fn executor() -> Option<Executor> {
 
 /// As [`executor`], on a device that pretends to bind at most `bytes` bytes of an array, so that small arrays are split as
 /// large ones are.
-pub(crate) fn executor_binding(bytes: u64) -> Option<Executor> {
+pub fn executor_binding(bytes: u64) -> Option<Executor> {
     executor()?;
     match Executor::gpu_binding(None, 0, bytes) {
         Ok(executor) => Some(executor),

@@ -4,16 +4,16 @@
 use loomtree::math::Vec3;
 
 /// A sequence that its seed determines.
-pub(crate) struct Seeded(u64);
+pub struct Seeded(u64);
 
 impl Seeded {
     /// Starts the sequence of `seed`.
-    pub(crate) fn new(seed: u64) -> Seeded {
+    pub fn new(seed: u64) -> Seeded {
         Seeded(seed)
     }
 
     /// The next 64 bits.
-    pub(crate) fn bits64(&mut self) -> u64 {
+    pub fn bits64(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -22,27 +22,27 @@ impl Seeded {
     }
 
     /// The upper half of the next 64 bits.
-    pub(crate) fn bits(&mut self) -> u32 {
+    pub fn bits(&mut self) -> u32 {
         (self.bits64() >> 32) as u32
     }
 
     /// A number in `0..limit`.
-    pub(crate) fn below(&mut self, limit: u32) -> u32 {
+    pub fn below(&mut self, limit: u32) -> u32 {
         ((u64::from(self.bits()) * u64::from(limit)) >> 32) as u32
     }
 
     /// A number in `low..high`.
-    pub(crate) fn uniform(&mut self, low: f32, high: f32) -> f32 {
+    pub fn uniform(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * (self.bits() >> 8) as f32 / (1u32 << 24) as f32
     }
 
     /// A number in `-1..1`, a multiple of 2^-23.
-    pub(crate) fn signed(&mut self) -> f32 {
+    pub fn signed(&mut self) -> f32 {
         self.uniform(-1.0, 1.0)
     }
 
     /// Three numbers in `-1..1`.
-    pub(crate) fn vector(&mut self) -> Vec3 {
+    pub fn vector(&mut self) -> Vec3 {
         Vec3::new(self.signed(), self.signed(), self.signed())
     }
 }
