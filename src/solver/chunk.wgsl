@@ -1,4 +1,4 @@
-// What kernels share that work on a chunk of rows with one workgroup.
+// Functions shared by the kernels that give each chunk of rows one workgroup.
 
 const CHUNK_THREADS: u32 = 128u;
 // Partial sums of the workgroup that are added last.
@@ -7,9 +7,10 @@ const SUM_GROUPS: u32 = 8u;
 var<workgroup> partial: array<vec4<f32>, CHUNK_THREADS>;
 var<workgroup> group_sums: array<vec4<f32>, SUM_GROUPS>;
 
-// Sum over the workgroup, for its first invocation, in a fixed order. Two barriers instead of one per level of a binary tree:
-// software drivers switch between all invocations at each. One sum may follow another: `partial` is last read before the second
-// barrier, `group_sums` before the first one of the next sum.
+// Sum over the workgroup, for its first invocation, in a fixed order. It has two barriers and not one per level of a
+// binary tree, because software drivers switch between all invocations at each barrier. Calls may follow each other
+// directly: `partial` is last read before the second barrier, and `group_sums` before the first barrier of the next
+// call.
 fn chunk_sum(local: u32, own: vec4<f32>) -> vec4<f32> {
     partial[local] = own;
     workgroupBarrier();
@@ -30,7 +31,7 @@ fn chunk_sum(local: u32, own: vec4<f32>) -> vec4<f32> {
     return sum;
 }
 
-// Rows of a chunk of `chunk_rows` of all `rows`: first and end.
+// Chunk of `chunk_rows` rows out of `rows`: its first row and its end.
 fn chunk_range(chunk: u32, chunk_rows: u32, rows: u32) -> vec2<u32> {
     let first = min(chunk * chunk_rows, rows);
     return vec2<u32>(first, min(first + chunk_rows, rows));

@@ -1,27 +1,28 @@
-//! The coarse level of the Schwarz preconditioner: one displacement per group of chunks, P' A P factored in f64 by every
-//! rank for itself and applied from a copy in f32.
+//! The coarse level of the Schwarz preconditioner: one displacement per group of chunks. Every rank factors P' A P in
+//! f64 and applies the factor from a copy in f32.
 //!
-//! The restricted residual P' r follows its own recurrence from P' w, which travels with the scalars of the iteration's
-//! all-reduce: the coarse level costs no message of its own. Groups are made of chunks, so nothing depends on ranks.
+//! The restricted residual P' r follows its own recurrence from P' w. The all-reduce of the iteration carries P' w, so
+//! the coarse level costs no message of its own. Groups are made of chunks, so nothing depends on ranks.
 
 use std::ops::Range;
 
 use crate::partition::RowPartition;
 use crate::transport::{Transport, TransportError, gather_lists};
 
-/// Most products of a factorization, per row of the system: beyond, because contacts join many far groups, pairs of groups
-/// become one. A solve takes a few thousand per row, but every rank factors for itself.
+/// Limit of the products of a factorization, per row of the system. Contacts that join many distant groups can exceed
+/// it; then pairs of groups are merged. The iterations of a solve need a few thousand products per row, but every rank
+/// does the whole factorization.
 const PRODUCTS_PER_ROW: u64 = 500;
-/// Least rows of a group. Every rank solves the coarse level for itself: with groups of 100 rows that takes a quarter of the
-/// iteration's time where eight ranks share 25,000 rows, and saves an eighth of the iterations.
+/// Minimum rows of a group. Every rank solves the coarse level for itself: groups of 100 rows take a quarter of the
+/// iteration's time where eight ranks share 25,000 rows, and save an eighth of the iterations.
 const GROUP_ROWS: usize = 150;
-/// Sums of blocks by group of their column; those of a chunk.
+/// Sums of blocks by the group of their column, for one chunk.
 pub(super) type GroupSums = Vec<(u32, [f64; 9])>;
-/// Values of a sent entry: chunk and group in one number, then the block.
+/// Floats of a sent entry: chunk and group packed into one, then the nine values of the block.
 const ENTRY: usize = 10;
-/// Sums kept apart in a sum of products.
+/// Independent partial sums of a sum of products.
 const LANES: usize = 8;
-/// A pivot smaller than this part of its diagonal value is rounding.
+/// A pivot smaller than this fraction of its diagonal value is rounding error.
 const PIVOT_MIN: f64 = 1e-10;
 
 /// Adds a block to the sum of its group.
@@ -49,16 +50,16 @@ fn in_pairs(blocks: &[GroupSums]) -> Vec<GroupSums> {
 pub(super) struct Coarse {
     chunks: usize,
     own: Range<usize>,
-    /// Chunks of a group of the entries.
+    /// Chunks per group in the entries that ranks send.
     per_group: usize,
-    /// Chunks of a group that is solved for: as many, or more by a power of two.
+    /// Chunks per group in the coarse system: those of the entries times a power of two.
     per_unknown: usize,
     products_max: u64,
     factor: Option<Skyline>,
     residual: Vec<f64>,
     image: Vec<f64>,
     solution: Vec<f64>,
-    /// Three values per own chunk.
+    /// Correction of the own chunks, three values per chunk.
     pub correction: Vec<f32>,
 }
 
@@ -66,7 +67,7 @@ impl Coarse {
     pub(super) fn new(partition: &RowPartition, rank: usize) -> Coarse {
         let (chunks, own) = (partition.chunks(), partition.chunks_of(rank));
         let groups = (partition.rows() / GROUP_ROWS).max(1);
-        // The order is halved between chunks: only groups of a power of two of them are compact.
+        // The row order bisects the mesh, so only groups of a power of two chunks are compact.
         let per_group = chunks.div_ceil(groups).next_power_of_two();
         let values = chunks.div_ceil(per_group) * 3;
         Coarse {
@@ -83,12 +84,12 @@ impl Coarse {
         }
     }
 
-    /// Group of a chunk, in the entries.
+    /// Group of a chunk, as numbered in the entries.
     pub(super) fn group(&self, chunk: usize) -> usize {
         chunk / self.per_group
     }
 
-    /// Factors P' A P. `entries`: of every own chunk.
+    /// Factors P' A P. `entries`: the entries of every own chunk.
     pub(super) fn set_up(
         &mut self,
         transport: &mut dyn Transport,
@@ -122,7 +123,7 @@ impl Coarse {
         Ok(())
     }
 
-    /// Begins a solve with the residual's sums over all chunks, three values each.
+    /// Begins a solve. `chunk_sums`: sums of the residual over all chunks, three values each.
     pub(super) fn start(&mut self, chunk_sums: &[f64]) {
         self.image.fill(0.0);
         self.residual.fill(0.0);
@@ -130,7 +131,8 @@ impl Coarse {
         self.correct();
     }
 
-    /// s = w + beta s, r -= alpha s, then the next correction. `chunk_sums`: of w, over all chunks.
+    /// s = w + beta s, r -= alpha s, then the next correction. `chunk_sums`: sums of w over all chunks, three values
+    /// each.
     pub(super) fn update(&mut self, chunk_sums: &[f64], alpha: f64, beta: f64) {
         self.image.iter_mut().for_each(|s| *s *= beta);
         self.add_chunks(chunk_sums, |coarse, at, v| coarse.image[at] += v);
@@ -161,8 +163,8 @@ impl Coarse {
     }
 }
 
-/// Where a Cholesky factor can differ from zero: from the first column of each row to the diagonal, with the rows in reverse
-/// Cuthill-McKee order [George and Liu 1981].
+/// Envelope of a Cholesky factor: the columns from the first nonzero of each row to the diagonal, with the rows in
+/// reverse Cuthill-McKee order [George and Liu 1981].
 struct Envelope {
     /// Old row of each new row, in blocks.
     nodes: Vec<usize>,
@@ -182,7 +184,7 @@ impl Envelope {
             let lowest = blocks[old].iter().map(|(c, _)| place[*c as usize]).fold(new, usize::min);
             for c in 0..3 {
                 let row = new * 3 + c;
-                // Whole groups of lanes before the diagonal, if that many columns there are.
+                // Pads the row to a multiple of LANES to the left of the diagonal where there is room.
                 first[row] = row.checked_sub((row - lowest * 3).next_multiple_of(LANES)).unwrap_or(lowest * 3);
                 start[row + 1] = start[row] + row + 1 - first[row];
             }
@@ -190,7 +192,7 @@ impl Envelope {
         Envelope { nodes, first, start }
     }
 
-    /// Products of a factorization, at most.
+    /// Upper bound of the products of a factorization.
     fn products(&self) -> u64 {
         self.start.windows(2).map(|row| ((row[1] - row[0]) as u64).pow(2) / 2).sum()
     }
@@ -208,9 +210,10 @@ struct Skyline {
     order: Vec<usize>,
     /// First column of each row of the factor.
     first: Vec<usize>,
-    /// Start of each row's values; its last value is one over the diagonal.
+    /// Start of each row's values. The last value of a row is the reciprocal of the diagonal.
     start: Vec<usize>,
-    /// In f32: applying it is bound by reading it, and it is a preconditioner. Forth and back it is the same, so symmetric.
+    /// f32 halves the bytes read. Both triangular solves use the same rounded factor, so the preconditioner stays
+    /// symmetric.
     values: Vec<f32>,
     work: Vec<f64>,
 }
@@ -271,7 +274,7 @@ impl Skyline {
             let last = own.len() - 1;
             let whole = own[last];
             let pivot = whole - dot(&own[..last], &own[..last]);
-            // A group of pinned rows has zeros only and corrects nothing.
+            // All values of a group of pinned rows are zero; its correction stays zero.
             own[last] = match whole {
                 0.0 => 1.0,
                 _ if pivot > PIVOT_MIN * whole => 1.0 / pivot.sqrt(),
@@ -315,7 +318,7 @@ impl Skyline {
     }
 }
 
-/// Sum of products in fixed lanes.
+/// Sum of products, accumulated in a fixed number of lanes.
 #[inline(always)]
 fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
     let mut lanes = [0.0; LANES];
@@ -330,7 +333,8 @@ fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
     (four[0] + four[2]) + (four[1] + four[3])
 }
 
-/// New order of the nodes: breadth first from a node of lowest degree, neighbours by degree, reversed.
+/// Reverse Cuthill-McKee order of the nodes: breadth first from a node of lowest degree, neighbors by ascending degree,
+/// reversed.
 fn cuthill_mckee(blocks: &[GroupSums]) -> Vec<usize> {
     let degree = |node: usize| (blocks[node].len(), node);
     let mut seen = vec![false; blocks.len()];
@@ -365,7 +369,7 @@ mod tests {
         let partition = RowPartition::new(1 << 16, 1);
         let groups = partition.chunks() as u32;
         let diagonal = |v: f64| std::array::from_fn(|c| if c % 4 == 0 { v } else { 0.0 });
-        // Every row adds up to 1, so equal residuals have equal displacements.
+        // Every row sums to 1, so equal residuals give equal displacements.
         let couple = |row: u32| move |column: u32| if row == column { f64::from(groups) } else { -1.0 };
         let joined =
             |row: u32| (0..groups).map(|column| (column, diagonal(couple(row)(column)))).collect::<GroupSums>();

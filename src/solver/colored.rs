@@ -1,8 +1,9 @@
-//! The sweeps of the Schwarz preconditioner in the order of colours, for devices: rows of a chunk that are not coupled have one
-//! colour and are done at once; a workgroup does a chunk. Also the sums of blocks that the coarse level is made of.
+//! The sweeps of the Schwarz preconditioner in the order of colors, for devices. Rows of a chunk that are not coupled
+//! share a color and are updated at once. One workgroup sweeps one chunk. The file also sums the blocks of the coarse
+//! level.
 //!
-//! The native twin is there to be compared with: the native executor sweeps along the rows (`sweep`), which converges faster
-//! and is faster.
+//! The native twin only checks the kernels. The native executor itself sweeps along the rows (`sweep`), which converges
+//! faster and takes less time.
 
 use std::ops::Range;
 
@@ -26,9 +27,9 @@ static PRODUCT_SUMS: KernelSource =
     KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "product_sums").with_libraries(LIBRARIES);
 /// Sums of a chunk: r . u, r . r, w . u, w.
 const SUMS: usize = 6;
-/// Source of the blocks that fill a chunk's list up to a multiple of [`WINDOW_STEP`].
+/// Source of the padding blocks that fill a chunk's list up to a multiple of [`WINDOW_STEP`].
 pub(super) const PADDING: u32 = u32::MAX;
-/// Over-relaxation: in the order of colours more than this does not pay (docs/performance.md).
+/// Over-relaxation. Larger factors do not pay in the order of colors (docs/performance.md).
 pub(super) const RELAXATION: f32 = 1.2;
 
 gpu_struct! {
@@ -49,16 +50,17 @@ gpu_struct! {
     }
 }
 
-/// What a sweep needs to know of the blocks.
+/// Pattern of the blocks, as a sweep reads it.
 pub(super) struct BlockTables<'a> {
     pub rows: usize,
     pub chunk_rows: usize,
     /// First local row that is owned.
     pub own_start: usize,
     pub relaxation: f32,
-    /// Rows of each chunk by colour, ascending in a colour.
+    /// Rows of each chunk by color, ascending within a color.
     pub order: &'a [u32],
-    /// Per row of `order`: its diagonal block (those below it in colour follow), its first block above, end.
+    /// Per row of `order`: its diagonal block (the blocks of lower colors follow), its first block of a higher color,
+    /// the end.
     pub spans: &'a [[u32; 3]],
     /// Local column of every block.
     pub block_columns: &'a [u32],
@@ -71,7 +73,7 @@ struct Batch {
     entries: Range<usize>,
 }
 
-/// Where the blocks are; see [`BlockTables`].
+/// Position of the blocks; see [`BlockTables`].
 struct Layout {
     rows: usize,
     chunk_rows: usize,
@@ -95,8 +97,8 @@ impl Layout {
     }
 }
 
-/// Tables of a rank's chunks and the blocks of its matrix, chunk by chunk: rows by colour, then what couples the chunk with
-/// others, by group.
+/// Tables of a rank's chunks, and the blocks of its matrix chunk by chunk: first the blocks inside the chunk, with its
+/// rows by color, then the blocks that couple the chunk with others, by group.
 pub(super) struct Colored {
     layout: Layout,
     colors: usize,
@@ -105,7 +107,7 @@ pub(super) struct Colored {
     block_rows: DeviceVec<u32>,
     blocks: DeviceVec<f32>,
     color_starts: DeviceVec<u32>,
-    /// Blocks of each sum, and the group of their columns.
+    /// Range of the blocks of each sum, and the group of their columns.
     entry_ends: DeviceVec<[u32; 2]>,
     entry_groups: Vec<u32>,
     /// Start of each own chunk's sums; one more than chunks.
@@ -115,7 +117,7 @@ pub(super) struct Colored {
     sums: DeviceVec<f32>,
 }
 
-/// The tables while they grow.
+/// The tables during construction.
 #[derive(Default)]
 struct Lists {
     sources: Vec<u32>,
@@ -139,10 +141,11 @@ impl Lists {
     }
 }
 
-/// Smallest colour of each row of `rows` that no row before it has that it is coupled with. `inside`: their local columns.
+/// Smallest color of each row of `rows` that no earlier row coupled with it has. `inside`: the local columns of a row's
+/// blocks inside the chunk.
 fn color_rows(pattern: &RankPattern, rows: Range<usize>, inside: &Range<usize>) -> Vec<u32> {
     let mut colors: Vec<u32> = Vec::with_capacity(rows.len());
-    // Row that last met the colour, from 1.
+    // For each color, the row that last found it taken, counted from 1.
     let mut met: Vec<usize> = Vec::new();
     for row in rows {
         let columns = &pattern.columns[pattern.offsets[row] as usize..pattern.offsets[row + 1] as usize];
@@ -218,9 +221,9 @@ impl Colored {
         }
     }
 
-    /// Copies the values of `matrix` and adds them up by chunk and group; `flags`: a local vector, zero on pinned rows. Bytes per
-    /// row of a cloth: about 1,600.
-    pub(super) fn take_over(
+    /// Copies the values of `matrix` and sums them by chunk and group. `flags`: a local vector, zero on pinned rows.
+    /// Bytes per row of a cloth: about 1,600.
+    pub(super) fn set_values(
         &mut self,
         executor: &Executor,
         matrix: &SellMatrix,
@@ -281,8 +284,8 @@ impl Colored {
         gpu.run(&ENTRY_SUMS, &bindings, &params, entries.len() as u64 * CHUNK_THREADS);
     }
 
-    /// u from r and the coarse correction (three values per own chunk); sums r . u and r . r. Bytes per row of a cloth: about
-    /// 600.
+    /// Computes u from r and the coarse correction (three values per own chunk), and the sums r . u and r . r. Bytes
+    /// per row of a cloth: about 600.
     pub(super) fn sweep(
         &mut self,
         executor: &Executor,
@@ -327,8 +330,8 @@ impl Colored {
         }
     }
 
-    /// Sums w . u and w of every chunk; zeroes w on pinned rows. Then all sums: (r . u, r . r, w . u) per own chunk, and those
-    /// of w, three per chunk. NaN after a fault of the device.
+    /// Sums w . u and w over every chunk and zeroes w on pinned rows. Returns all sums: (r . u, r . r, w . u) per own
+    /// chunk, and the sums of w, three per chunk. They are NaN after a fault of the device.
     pub(super) fn sums(
         &mut self,
         executor: &Executor,
@@ -362,7 +365,7 @@ impl Colored {
         restricted.extend(sums.iter().flat_map(|s| &s[3..]).map(|&v| f64::from(v)));
     }
 
-    /// Device bytes of the tables and of the second copy of the matrix.
+    /// Device bytes of the tables and of the copy of the matrix.
     pub(super) fn bytes(&self) -> u64 {
         self.sources.bytes()
             + self.block_rows.bytes()
@@ -387,7 +390,7 @@ impl Colored {
         (self.layout.block_columns.len() * (BLOCK * 4 + 4) + self.layout.rows * 100) as u64
     }
 
-    /// Colour of every own row. Native executor only.
+    /// Color of every own row. Native executor only.
     #[cfg(test)]
     pub(super) fn colors_of_rows(&self) -> Vec<u32> {
         let starts = self.color_starts.as_slice().chunks(self.colors + 1);
@@ -420,7 +423,7 @@ impl Colored {
     }
 }
 
-/// Appends the rows `own` of a chunk by colour and then its blocks outside, by group.
+/// Appends the rows `own` of a chunk by color, and then the blocks of the chunk that couple it with others, by group.
 fn add_chunk(
     lists: &mut Lists,
     pattern: &RankPattern,
@@ -467,7 +470,8 @@ fn add_chunk(
     lists.columns.resize(padding, inside.start as u32);
 }
 
-/// Cuts the chunks so that the blocks of each part can be bound. `ends`: blocks and sums before each chunk, and of all.
+/// Cuts the chunks so that the blocks of each part can be bound. `ends`: blocks and sums before each chunk, and their
+/// totals at the end.
 fn batches(executor: &Executor, ends: &[(usize, usize)]) -> Vec<Batch> {
     let most = match executor {
         Executor::Cpu(_) => usize::MAX,

@@ -1,6 +1,6 @@
-// Sweeps of the Schwarz preconditioner in the order of colours; colored_cpu.rs has the formulas, colored.rs the tables. One
-// workgroup per chunk of rows (per sum in `entry_sums`): rows of one colour are not coupled, so they are done at once, and
-// nothing depends on how many chunks the rank has.
+// Sweeps of the Schwarz preconditioner in the order of colors. colored_cpu.rs has the formulas, colored.rs the tables.
+// One workgroup works on one chunk of rows (in `entry_sums`: on one sum). Rows of one color are not coupled, so they
+// are updated at once. No result depends on the number of chunks of a rank.
 // needs chunk.wgsl
 
 struct ColoredParams {
@@ -8,10 +8,10 @@ struct ColoredParams {
     chunk_rows: u32,
     // Own rows begin here in u.
     u_first: u32,
-    // Colours of the chunk that has most; in the others the last ones are empty.
+    // Largest number of colors of a chunk; chunks with fewer colors have empty ranges at the end.
     colors: u32,
     relaxation: f32,
-    // Chunks, sums and blocks of this dispatch: the first of each, and how many.
+    // First chunk, sum and block of this dispatch, and the number of each.
     first_chunk: u32,
     chunks: u32,
     first_entry: u32,
@@ -39,7 +39,7 @@ const SUMS: u32 = 6u;
 @group(0) @binding(8) var<storage, read_write> entries: array<f32>;
 @group(0) @binding(9) var<storage, read> color_starts: array<u32>;
 @group(0) @binding(10) var<storage, read> order: array<u32>;
-// First block of a row's own (its diagonal), first above it in colour, end.
+// Blocks inside the chunk of a row: the first one (the diagonal), the first one of a higher color, the end.
 @group(0) @binding(11) var<storage, read> spans: array<Packed3u>;
 @group(0) @binding(12) var<storage, read> inverse_diagonal: array<f32>;
 @group(0) @binding(13) var<storage, read> correction: array<Packed3>;
@@ -64,7 +64,7 @@ fn take(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         return;
     }
     let source = sources[k];
-    // Below the first slot it wraps around and is past the last, as is the source of padding.
+    // Slots below the first one wrap around and exceed the last one, as does the source of padding.
     let slot = source / LANES - params.first_slot;
     if (slot >= params.slots) {
         return;
@@ -75,7 +75,7 @@ fn take(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     }
 }
 
-// Sums of blocks that couple rows that are not pinned: one workgroup per sum, nine values each.
+// Sums of the blocks that couple rows that are not pinned: one workgroup per sum, nine values each.
 @compute @workgroup_size(CHUNK_THREADS)
 fn entry_sums(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -112,7 +112,7 @@ fn entry_sums(
     }
 }
 
-// Sum of block * u over blocks `first..end` of a row.
+// Sum of block * u over the blocks `first..end` of a row.
 fn row_product(first: u32, end: u32) -> vec3<f32> {
     var sum = vec3<f32>(0.0);
     for (var k = first; k < end; k++) {
@@ -128,7 +128,7 @@ fn row_product(first: u32, end: u32) -> vec3<f32> {
     return sum;
 }
 
-// relaxation * inverse_diagonal * v of a row.
+// relaxation * inverse_diagonal * v for one row.
 fn relaxed(row: u32, v: vec3<f32>) -> vec3<f32> {
     let at = row * 6u;
     let first = vec3<f32>(inverse_diagonal[at], inverse_diagonal[at + 1u], inverse_diagonal[at + 2u]);
@@ -142,7 +142,7 @@ fn sweep(
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    // Workgroups beyond the last chunk find only empty ranges.
+    // Workgroups beyond the last chunk find empty ranges only.
     let chunk = params.first_chunk + min(group_index(group, groups), params.chunks);
     let idle = chunk >= params.first_chunk + params.chunks;
     let colors = chunk * (params.colors + 1u);

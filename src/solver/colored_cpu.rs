@@ -1,13 +1,13 @@
 //! CPU twin of `colored.wgsl`.
 //!
-//! With A = L + D + U + R, where L and U couple a row with rows of its chunk of lower and of higher colour, R holds all
-//! other blocks and D' = D / relaxation: u = (D' + U)^-1 D' (D' + L)^-1 r + z (z: the coarse correction, one vector per
-//! chunk, zero on pinned rows).
+//! A = L + D + U + R: L and U couple a row with rows of its chunk that have a lower and a higher color, and R holds all
+//! other blocks. With D' = D / relaxation, u = (D' + U)^-1 D' (D' + L)^-1 r + z. z is the coarse correction, one vector
+//! per chunk, zero on pinned rows.
 
 use super::colored::BlockTables;
 use crate::assembly::sell::{BLOCK, value_index};
 
-/// Copies the blocks of the matrix; those of padding stay zero.
+/// Copies the blocks of the matrix; padding blocks stay zero.
 pub(super) fn take(values: &[f32], sources: &[u32], blocks: &mut [f32]) {
     for (&source, block) in sources.iter().zip(blocks.as_chunks_mut::<BLOCK>().0) {
         if source != super::colored::PADDING {
@@ -16,7 +16,7 @@ pub(super) fn take(values: &[f32], sources: &[u32], blocks: &mut [f32]) {
     }
 }
 
-/// Sums of blocks that couple rows that are not pinned (`flags` of local rows), nine values per sum.
+/// Sums of the blocks that couple rows that are not pinned (`flags` of local rows), nine values per sum.
 pub(super) fn entry_sums(
     blocks: &[f32],
     block_rows: &[u32],
@@ -37,7 +37,7 @@ pub(super) fn entry_sums(
     }
 }
 
-/// u as in the description of the file; sums[chunk] = (r . u, r . r, ..). `u`: a local vector.
+/// Computes u by the formula of the file header; sums[chunk] = (r . u, r . r, ..). `u`: a local vector.
 pub(super) fn sweep(
     blocks: &[f32],
     tables: &BlockTables<'_>,

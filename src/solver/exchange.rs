@@ -1,7 +1,7 @@
-//! What crosses between ranks inside a step: halo rows of a vector, or whole sub-vectors. Both travel in the order of the
-//! work queue: stage by stage, at most one sub-vector received per stage [Li et al. 2020, Sec. 3.1.2]. On one host a rank writes
-//! its message once and every reader reads in place, so forwarding costs nothing and the node's source only names the
-//! modelled route.
+//! Exchange between ranks inside a step: halo rows of a vector, or whole sub-vectors. Both follow the order of the work
+//! queue: stage by stage, at most one sub-vector received per stage [Li et al. 2020, Sec. 3.1.2]. On one host a rank
+//! writes its message once and every reader reads it in place. Forwarding therefore costs nothing, and the source in a
+//! queue entry only names the modeled route.
 
 use std::ops::Range;
 
@@ -12,23 +12,23 @@ use crate::partition::HaloPlan;
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Message, Neighbor, Pattern, Rows, Transport, TransportError};
 
-/// How SpMV gets the columns of other ranks.
+/// Exchange mode of SpMV: which columns of other ranks a rank receives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ExchangeMode {
     /// Only the rows that are read.
     #[default]
     Halo,
-    /// Whole sub-vectors, the paper's way [Li et al. 2020, Sec. 3.1].
+    /// Whole sub-vectors, as in [Li et al. 2020, Sec. 3.1].
     Full,
 }
 
-/// Bytes that the own rank received, counted where they are read.
+/// Bytes and messages that the own rank received, counted where they are read.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TrafficCounter {
-    /// Vector bytes received.
+    /// Bytes of vectors.
     pub received_bytes: u64,
-    /// Messages received.
+    /// Number of messages.
     pub messages: u64,
 }
 
@@ -52,12 +52,12 @@ impl HaloExchange {
         &self.plan
     }
 
-    /// Who reads what of whom.
+    /// The transport pattern: which rank reads which rank's message.
     pub fn pattern(&self) -> &Pattern {
         &self.pattern
     }
 
-    /// Exchanges along another plan from now on (on all ranks at once).
+    /// Uses another plan from now on. All ranks must change at the same point.
     pub fn set_plan(&mut self, plan: HaloPlan) {
         if self.plan.publish_rows != plan.publish_rows {
             self.gather = Gather::default();
@@ -66,10 +66,10 @@ impl HaloExchange {
         self.plan = plan;
     }
 
-    /// Hands over the own rows that others read. `vectors`: local vectors with 3 values per row; their rows are interleaved in
-    /// the message.
+    /// Publishes the own rows that other ranks read. `vectors`: local vectors with 3 values per row; the message
+    /// interleaves their rows.
     ///
-    /// Messages: one per reader, at most its rows of 12 B per vector; in shared memory one, written once.
+    /// Messages: one per reader, at most 12 B per vector for each of its rows; in shared memory one, written once.
     pub fn start(
         &mut self,
         executor: &Executor,
@@ -87,7 +87,7 @@ impl HaloExchange {
         transport.start(&self.pattern, width, &mut |out| {
             gather.apply(executor, &plan.publish_rows, plan.own.start, vectors, out);
         })?;
-        // Also where nobody reads anything: every rank records the beginning of every exchange.
+        // Publishes even if no rank reads it, because every rank records the beginning of every exchange.
         recorder.end(EventName::Publish, Activity::Transfer, start, len as u64 * 4, 0);
         Ok(())
     }
@@ -147,8 +147,8 @@ fn pattern_of(plan: &HaloPlan) -> Pattern {
     Pattern::new(own_rows, readers.collect(), sources.collect())
 }
 
-/// Copies `rows` of those that are read of a message, where the rows of all `vectors` are interleaved, to values `first..` of
-/// each. The cpu executor writes them straight into place; a device gets one write per vector.
+/// Copies `rows` of a message's rows, where the rows of all `vectors` are interleaved, to each vector, from value
+/// `first` on. The cpu executor writes in place; a device gets one write per vector.
 fn place_rows(
     executor: &Executor,
     message: &Message<'_>,

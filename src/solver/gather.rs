@@ -1,4 +1,4 @@
-//! Packs the rows that other ranks read into a message. On a device: one kernel per vector, then one read.
+//! Packs the rows that other ranks read into a message. A device runs one kernel per vector, then one read.
 
 use super::gather_cpu;
 use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};
@@ -13,7 +13,7 @@ gpu_struct! {
 /// The gather kernel on one executor, for fixed rows.
 #[derive(Default)]
 pub(super) struct Gather {
-    /// Rows and message on a device; made on first use, as large as it takes.
+    /// Rows and message on a device. They are created on first use and grow to the size needed.
     device: Option<(DeviceVec<u32>, DeviceVec<f32>)>,
 }
 

@@ -1,5 +1,4 @@
-//! What a rank keeps to solve one system after another whose elastic pattern stays the same: product, preconditioners, vectors,
-//! PCG.
+//! Solver of a rank for consecutive systems with the same elastic pattern: product, preconditioners, vectors and PCG.
 
 use super::exchange::{ExchangeMode, HaloExchange};
 use super::operator::{Operator, StoredMatrix};
@@ -19,17 +18,17 @@ use crate::transport::TransportError;
 /// A x = b on a rank's rows.
 #[derive(Clone, Copy)]
 pub struct LinearSystem<'a> {
-    /// A.
+    /// The matrix A.
     pub matrix: SystemMatrix<'a>,
     /// Inverse diagonal blocks xx, xy, xz, yy, yz, zz per own row; zeros mark a pinned row.
     pub inverse_diagonal: &'a DeviceVec<f32>,
-    /// b, xyz per own row.
+    /// Right-hand side b, xyz per own row.
     pub rhs: &'a DeviceVec<f32>,
 }
 
 /// The solver of one rank.
 pub struct LinearSolver {
-    /// Products, and the exchange of halo rows.
+    /// Matrix-vector products and the exchange of halo rows.
     pub spmv: PipelinedSpmv,
     /// Start value in `x`, solution in `x`.
     pub vectors: PcgVectors,
@@ -39,7 +38,7 @@ pub struct LinearSolver {
 }
 
 impl LinearSolver {
-    /// For the rows of rank `plan.rank`, whose work queue is `queue`. `schwarz`: None for Jacobi alone.
+    /// Solver of the rows of rank `plan.rank`, whose work queue is `queue`. `schwarz`: None for Jacobi alone.
     pub fn new(
         executor: &Executor,
         partition: &RowPartition,
@@ -55,7 +54,8 @@ impl LinearSolver {
         LinearSolver { spmv, vectors, jacobi, schwarz, pcg: Pcg::new(partition) }
     }
 
-    /// Takes over new values of the matrix; on all ranks together, before the solves with it.
+    /// Sets the preconditioner up for new values of the matrix. All ranks call it together, before they solve with this
+    /// matrix.
     ///
     /// # Errors
     /// A transfer failed.
@@ -64,7 +64,8 @@ impl LinearSolver {
         schwarz.set_up(rank, self.spmv.halo(), &system.matrix, system.inverse_diagonal, &mut self.vectors.u)
     }
 
-    /// Solves A x = b for x = `vectors.x` with the matrix that was set up: Schwarz first, if it is there, then Jacobi.
+    /// Solves A x = b for x = `vectors.x` with the matrix of the last setup. It begins with Schwarz, if there is one,
+    /// and goes on with Jacobi.
     ///
     /// # Errors
     /// As [`Pcg::solve`].
@@ -86,7 +87,7 @@ impl LinearSolver {
         self.pcg.solve(rank, &mut operator, &mut preconditioners, rhs, &mut self.vectors, params)
     }
 
-    /// As [`LinearSolver::solve`] with Jacobi and the operator that `operator` makes of the exchange.
+    /// Solves as [`LinearSolver::solve`], with Jacobi and the operator that `operator` builds on the exchange.
     ///
     /// # Errors
     /// As [`Pcg::solve`].
@@ -102,12 +103,12 @@ impl LinearSolver {
         self.pcg.solve(rank, &mut operator(&mut self.spmv), &mut [&mut jacobi], rhs, &mut self.vectors, params)
     }
 
-    /// Gives the Schwarz preconditioner up.
+    /// Drops the Schwarz preconditioner.
     pub fn keep_jacobi(&mut self) {
         self.schwarz = None;
     }
 
-    /// The preconditioner that solves begin with.
+    /// Preconditioner of the first descent of a solve.
     pub fn preconditioner(&self) -> PreconditionerKind {
         match self.schwarz {
             None => PreconditionerKind::Jacobi,

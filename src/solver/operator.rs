@@ -1,5 +1,4 @@
-//! What PCG multiplies: the matrix of a system whose rows are spread over the ranks. The room of the comparison methods
-//! (`comparison`) holds other operators.
+//! The matrix that PCG multiplies by, with its rows spread over the ranks. `comparison` has other operators.
 
 use super::pipelined::PipelinedSpmv;
 use crate::assembly::{SellMatrix, SystemMatrix};
@@ -7,9 +6,9 @@ use crate::context::RankContext;
 use crate::gpu::DeviceVec;
 use crate::transport::TransportError;
 
-/// A symmetric matrix, multiplied by all ranks together.
+/// A symmetric matrix that all ranks multiply together.
 pub trait Operator {
-    /// w = A u. `u`: a local vector whose own rows are valid; its halo rows are received on the way. `w`: own rows.
+    /// w = A u. `u`: a local vector with valid own rows; its halo rows are received during the product. `w`: own rows.
     fn apply(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -20,7 +19,7 @@ pub trait Operator {
 
 /// The stored matrix of a step or of a file.
 pub struct StoredMatrix<'a> {
-    /// Multiplies it.
+    /// Computes the products.
     pub spmv: &'a mut PipelinedSpmv,
     /// Elastic and contact blocks.
     pub matrix: SystemMatrix<'a>,

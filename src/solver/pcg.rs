@@ -1,7 +1,7 @@
 //! Preconditioned conjugate gradients with one reduction per iteration [Chronopoulos and Gear 1989].
 //!
-//! The residual is the recursive one: in f32 it follows the true residual down to about 1e-5 of the start; below that callers
-//! correct with a residual in f64 (`linear_system::solve`).
+//! The residual is the recursive one. In f32 it follows the true residual down to about 1e-5 of the start; for lower
+//! tolerances callers correct with a residual in f64 (`linear_system::solve`).
 
 use thiserror::Error;
 
@@ -14,18 +14,18 @@ use crate::partition::RowPartition;
 use crate::telemetry::{Activity, EventName};
 use crate::transport::TransportError;
 
-/// Size of rounding errors in p'Ap relative to its terms: f32 vectors, recurrences over hundreds of iterations.
+/// Size of rounding errors in p'Ap relative to its terms, with f32 vectors and recurrences over hundreds of iterations.
 const ROUNDING: f64 = 1e-4;
-/// Down to this fraction of its start the recursive residual follows the true one; below, it is rounding.
+/// Down to this fraction of its start the recursive residual follows the true one; below it is rounding error.
 const FOLLOWED: f64 = 1e-5;
 /// A descent that breaks off is restarted with the same preconditioner only if it reduced the residual to this fraction of its
 /// start.
 const PROGRESS: f64 = 0.1;
 
-/// Where to begin and when to stop; the same on all ranks.
+/// Start and stopping rule of a solve; the same on all ranks.
 #[derive(Clone, Copy, Debug)]
 pub struct PcgParams {
-    /// Stop when |r| <= this * |b - A x0| (2-norms over free rows).
+    /// Stop when |r| <= relative_tolerance * |b - A x0| (2-norms over free rows).
     pub relative_tolerance: f64,
     /// Stop after this many iterations, converged or not.
     pub max_iterations: u32,
@@ -33,10 +33,10 @@ pub struct PcgParams {
     pub nonzero_start: bool,
 }
 
-/// How it ended.
+/// Result of a solve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PcgInfo {
-    /// Updates of x.
+    /// Number of updates of x.
     pub iterations: u32,
     /// |r| / |b - A x0|.
     pub relative_residual: f64,
@@ -44,7 +44,7 @@ pub struct PcgInfo {
     pub converged: bool,
     /// |b - A x0|, in the units of the right-hand side.
     pub start_residual: f64,
-    /// Matrix-vector products done, each with one exchange.
+    /// Matrix-vector products of the solve, each with one exchange.
     pub products: u32,
 }
 
@@ -63,17 +63,17 @@ pub enum PcgError {
     NotPositiveDefinite { iteration: u32, curvature: f64 },
 }
 
-/// How a descent ended.
+/// End of a descent.
 enum Descent {
-    /// At the tolerance or at the last iteration allowed.
+    /// The tolerance or the iteration limit was reached.
     Done(PcgInfo),
-    /// At p' A p <= 0.
+    /// p' A p <= 0.
     Broken {
         info: PcgInfo,
         curvature: f64,
-        /// Its last residual over its first.
+        /// Last residual divided by the first one.
         progress: f64,
-        /// True if rounding in f32 explains the sign with a positive definite matrix.
+        /// True if rounding in f32 with a positive definite matrix explains the sign.
         rounding: bool,
     },
 }
@@ -81,7 +81,7 @@ enum Descent {
 /// The solver of one rank.
 pub struct Pcg {
     sums: IterationSums,
-    /// What the descents of the present solve have reached so far.
+    /// Progress of the current solve over all its descents.
     reached: Option<PcgInfo>,
 }
 
@@ -93,10 +93,11 @@ impl Pcg {
 
     /// Solves A x = b for x = `vectors.x`. Pinned rows keep their start value.
     ///
-    /// A descent that breaks off is followed by another one, which begins with the true residual. It takes the next of
-    /// `preconditioners` if the last one made little progress: the coarse level sums forces that cancel, and its solution can
-    /// be many times as large as what a row could do by itself, so on stiff systems rounding breaks the descent off long
-    /// before it would with Jacobi. The last preconditioner that breaks off without progress ends the solve.
+    /// A descent that breaks off is followed by another one, which begins with the true residual. If the last descent
+    /// made little progress, the next one uses the next of `preconditioners`. The reason is the coarse level: it sums
+    /// forces that cancel, and its solution can be many times as large as the displacement of a single row. On stiff
+    /// systems rounding therefore breaks its descent off long before that of Jacobi. The solve ends when the last
+    /// preconditioner breaks off without progress.
     ///
     /// # Errors
     /// A transfer failed, a value is not finite, or the matrix is indefinite beyond rounding.
@@ -135,8 +136,8 @@ impl Pcg {
 
     /// One descent from x.
     ///
-    /// Bytes per row and iteration that the kernels of one rank move, as a trace counts them: flag of 20,300 vertices, no
-    /// contacts.
+    /// Bytes per row and iteration that the kernels of one rank move, counted by a trace of a flag of 20,300 vertices
+    /// without contacts.
     /// ```text
     ///              Jacobi      chain sweep                    sweep by color
     /// w = A u      529         72 between chunks              529
@@ -144,8 +145,8 @@ impl Pcg {
     /// p, s, x, r   156         with u                         156
     /// u = M^-1 r   with r      439, with w inside chunks      620
     /// ```
-    /// Between ranks: the halo rows, 12 bytes each, and one all-gather of at most 54 numbers per rank; with a coarse level three
-    /// more per own chunk.
+    /// Between ranks: the halo rows, 12 bytes each, and one all-gather of at most 54 numbers per rank, plus three
+    /// numbers per own chunk with a coarse level.
     fn descend<A: Operator>(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -200,8 +201,8 @@ impl Pcg {
                 (beta, delta - beta * gamma / alpha_old)
             });
             if curvature <= 0.0 {
-                // The recurrence for p'Ap cancels: a negative value of the size of its rounding says that f32 has given what it
-                // can for this matrix, not that the matrix is indefinite.
+                // The recurrence for p'Ap cancels. A negative value of the size of its rounding error shows that f32
+                // has reached its accuracy for this matrix, not that the matrix is indefinite.
                 let rounding = relative_residual <= FOLLOWED || curvature.abs() <= ROUNDING * delta;
                 return Ok(Descent::Broken { info, curvature, progress: residual / first, rounding });
             }

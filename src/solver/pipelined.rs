@@ -19,14 +19,14 @@ use crate::transport::{Pattern, Transport, TransportError};
 use super::exchange::{ExchangeMode, HaloExchange, TrafficCounter};
 use super::spmv::Spmv;
 
-/// y = A u over all ranks; holds what is fixed while the halo is.
+/// y = A u over all ranks, with the data that stays fixed between changes of the halo.
 pub struct PipelinedSpmv {
     kernel: Spmv,
     mode: ExchangeMode,
     halo: HaloExchange,
     queue: Vec<QueueNode>,
     sub_vector_len: usize,
-    /// Who reads sub-vectors: everybody; made with the first product of the mode `full`.
+    /// Pattern in which every rank reads every sub-vector; made with the first product in mode `full`.
     whole: Option<Pattern>,
     /// Own sub-vector, padded.
     staging: Vec<f32>,
@@ -55,12 +55,12 @@ impl PipelinedSpmv {
         }
     }
 
-    /// Exchange of halo rows, also used for positions and velocities.
+    /// Exchange of halo rows; positions and velocities use it, too.
     pub fn halo(&mut self) -> &mut HaloExchange {
         &mut self.halo
     }
 
-    /// What products exchange.
+    /// Exchange mode of the products.
     pub fn mode(&self) -> ExchangeMode {
         self.mode
     }
@@ -97,7 +97,8 @@ impl PipelinedSpmv {
         self.multiply(rank, matrix, true, u, y)
     }
 
-    /// Receives the halo rows of `u` and multiplies nothing meanwhile; returns the own rows and the number of local rows.
+    /// Receives the halo rows of `u` without overlapping any product; returns the own rows and the number of local
+    /// rows.
     pub(super) fn exchange_halo(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -137,8 +138,8 @@ impl PipelinedSpmv {
         Ok(())
     }
 
-    /// Rows of section 0 (without halo columns) or 1: the elastic sum first, then what contacts add. No row is in an earlier
-    /// section of the contact matrix than of the elastic one.
+    /// Multiplies the rows of section 0 (without halo columns) or 1: first the elastic sum, then the terms of contacts.
+    /// A row's section in the contact matrix is never earlier than in the elastic matrix.
     fn multiply_rows(
         &self,
         rank: &mut RankContext<'_>,
@@ -206,7 +207,7 @@ impl PipelinedSpmv {
         Ok(())
     }
 
-    /// y = A_ii v_i, or y += A_ii v_i, with the sub-vector that was published.
+    /// y = A_ii v_i, or y += A_ii v_i, with the published sub-vector.
     pub(super) fn multiply_own_block(
         &self,
         rank: &mut RankContext<'_>,
@@ -250,7 +251,7 @@ impl PipelinedSpmv {
         })
     }
 
-    /// Stages of a product in `full` mode.
+    /// Number of stages of a product in `full` mode.
     pub(super) fn stages(&self) -> usize {
         self.queue.len()
     }

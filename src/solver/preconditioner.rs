@@ -1,7 +1,7 @@
-//! What PCG asks of a preconditioner, and block Jacobi. The sweeps of the Schwarz preconditioner are in `two_level`.
+//! The preconditioner trait of PCG, and block Jacobi. `two_level` has the sweeps of the Schwarz preconditioner.
 //!
-//! A preconditioner runs the vector updates of an iteration and makes the iteration's sums, because each one fuses them with
-//! M^-1 r in its own way; the chain sweep also leaves a part of the next product behind.
+//! A preconditioner runs the vector updates of an iteration and computes its sums, because each one fuses them with
+//! M^-1 r in its own way. The chain sweep also computes a part of the next product.
 
 use super::operator::Operator;
 use super::reduction::ReductionTree;
@@ -12,7 +12,7 @@ use crate::partition::RowPartition;
 use crate::telemetry::{Activity, EventName};
 use crate::transport::{Transport, TransportError};
 
-/// M^-1 of one solve with the matrix `A`, symmetric positive definite on the rows that are not pinned.
+/// M^-1 for one solve with the matrix `A`, which is symmetric positive definite on the rows that are not pinned.
 pub trait Preconditioner<A: Operator> {
     /// r = b - w, u = M^-1 r; r and u are zero on pinned rows.
     fn start(
@@ -23,7 +23,7 @@ pub trait Preconditioner<A: Operator> {
         v: &mut PcgVectors,
     ) -> Result<(), TransportError>;
 
-    /// w = A u; r . u, r . r and w . u of the own chunks to `sums`.
+    /// w = A u; writes r . u, r . r and w . u of the own chunks to `sums`.
     fn product(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -32,18 +32,19 @@ pub trait Preconditioner<A: Operator> {
         v: &mut PcgVectors,
     ) -> Result<(), TransportError>;
 
-    /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = M^-1 r. `sums`: of the last product, over all ranks.
+    /// p = u + beta p; s = w + beta s; x += alpha p; r -= alpha s; u = M^-1 r. `sums`: those of the last product, over
+    /// all ranks.
     fn advance(&mut self, rank: &mut RankContext<'_>, scalars: Scalars, sums: &IterationSums, v: &mut PcgVectors);
 }
 
-/// The sums of one iteration: of the own chunks, and of all of them.
+/// The sums of one iteration over the own chunks and over all chunks.
 pub struct IterationSums {
     tree: ReductionTree,
     /// r . u, r . r, w . u of every own chunk.
     pub(super) scalars: Vec<ChunkSums>,
     /// Sums of w over the own chunks, three values each, for a coarse level; empty where there is none.
     pub(super) restricted: Vec<f64>,
-    /// The same over all chunks.
+    /// Sums of w over all chunks, three values each.
     pub(super) all_restricted: Vec<f64>,
 }
 
@@ -53,13 +54,13 @@ impl IterationSums {
         IterationSums { tree, scalars: Vec::new(), restricted: Vec::new(), all_restricted: Vec::new() }
     }
 
-    /// r . u, r . r, w . u over all ranks; the same message carries the sums of w.
+    /// r . u, r . r, w . u over all ranks. The same message carries the sums of w.
     pub(super) fn all_reduce(&mut self, transport: &mut dyn Transport) -> Result<ChunkSums, TransportError> {
         self.tree.all_reduce_and_gather(transport, &self.scalars, &self.restricted, &mut self.all_restricted)
     }
 }
 
-/// The inverses of the 3x3 diagonal blocks, fused with the updates of the iteration.
+/// Block Jacobi: the inverse 3x3 diagonal blocks, fused with the updates of the iteration.
 pub struct Jacobi {
     ops: VectorOps,
 }

@@ -1,6 +1,6 @@
-//! Where the blocks of a rank's rows are, for whatever copies or sweeps them. Borrowed; knows no values.
+//! Borrowed positions of the blocks of a rank's rows, without values. Copies and sweeps of the matrix use them.
 
-/// Pattern of a rank's rows, as the matrix was laid out.
+/// Pattern of a rank's rows, in the layout of the matrix.
 #[derive(Clone, Copy)]
 pub struct RankPattern<'a> {
     /// Start of each own row; one more than rows.

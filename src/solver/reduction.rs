@@ -1,15 +1,15 @@
 //! Sums over all ranks with the same bits for every rank count.
 //!
-//! The leaves are the chunk sums of `RowPartition`; they are added along a fixed binary tree over all chunks. A rank adds
-//! the subtrees that lie wholly within its chunks (at most 2 log2 of them) and sends only their roots; everybody then adds
-//! the rest of the tree in the same order. One all-gather per call, whatever the number of scalars.
+//! The leaves are the chunk sums of `RowPartition`, added along a fixed binary tree over all chunks. A rank adds the
+//! subtrees that lie wholly within its chunks (at most 2 log2 of them) and sends only their roots. Then every rank adds
+//! the rest of the tree in the same order. A call takes one all-gather, whatever the number of scalars.
 
 use std::ops::Range;
 
 use crate::partition::RowPartition;
 use crate::transport::{Transport, TransportError};
 
-/// The fixed tree and who owns which leaves.
+/// The fixed tree and the leaves that each rank owns.
 #[derive(Clone, Debug)]
 pub struct ReductionTree {
     leaves: usize,
@@ -18,10 +18,10 @@ pub struct ReductionTree {
     messages: Vec<Vec<f64>>,
 }
 
-/// The roots that each rank has sent, as far as they have not been added yet.
+/// The roots received from each rank, with the number of roots already added.
 struct Streams<'a> {
     messages: &'a [Vec<f64>],
-    /// Roots taken of each rank; more than [`crate::transport::RANKS_MAX`] ranks there are not.
+    /// Number of roots added per rank. At most [`crate::transport::RANKS_MAX`] ranks exist.
     taken: [u16; crate::transport::RANKS_MAX],
 }
 
@@ -31,7 +31,8 @@ impl ReductionTree {
         let chunks = partition.chunks();
         let leaves = chunks.next_power_of_two();
         let mut ranges: Vec<_> = (0..partition.ranks()).map(|r| partition.chunks_of(r)).collect();
-        // Leaves past the last chunk are zeros of the last rank, so that its subtrees end where the tree ends.
+        // The last rank also owns the leaves after the last chunk, which are zeros, so that its subtrees end where the
+        // tree ends.
         if let Some(last) = ranges.last_mut() {
             last.end = leaves;
         }
@@ -47,7 +48,7 @@ impl ReductionTree {
         self.all_reduce_and_gather(transport, chunk_sums, &[], &mut Vec::new())
     }
 
-    /// As [`ReductionTree::all_reduce`]; the same message carries `own` of every rank to `gathered`, in rank order.
+    /// As [`ReductionTree::all_reduce`]; the same message brings `own` of every rank to `gathered`, in rank order.
     pub fn all_reduce_and_gather<const WIDTH: usize>(
         &mut self,
         transport: &mut dyn Transport,
@@ -109,7 +110,7 @@ impl ReductionTree {
     fn finish<const WIDTH: usize>(&self, node: Range<usize>, streams: &mut Streams<'_>) -> [f64; WIDTH] {
         let owner = self.ranges.partition_point(|range| range.end <= node.start);
         if node.end <= self.ranges[owner].end {
-            // A rank that sent fewer roots than its leaves need breaks the protocol; NaN makes the solve stop.
+            // A rank that sends fewer roots than its leaves need breaks the protocol; NaN makes the solve stop.
             return streams.next(owner).unwrap_or([f64::NAN; WIDTH]);
         }
         let middle = node.start.midpoint(node.end);
@@ -146,7 +147,7 @@ fn subtree<const WIDTH: usize>(node: Range<usize>, leaves: &[[f64; WIDTH]]) -> [
 mod tests {
     use super::*;
 
-    /// Adds over `ranks` ranks without a transport.
+    /// All-reduce over `ranks` ranks without a transport.
     fn reduce(rows: usize, ranks: usize, sums: &[[f64; 2]]) -> [f64; 2] {
         let partition = RowPartition::new(rows, ranks);
         let tree = ReductionTree::new(&partition);

@@ -1,10 +1,10 @@
-//! Two-level additive Schwarz preconditioner: inside every chunk of rows one over-relaxed symmetric block Gauss-Seidel sweep
-//! [Young 1954], over all chunks a coarse level of one displacement per group of chunks [Wu, Wang and Wang 2022 use several
-//! levels of aggregates instead of the sweep].
+//! Two-level additive Schwarz preconditioner. Inside every chunk of rows it makes one over-relaxed symmetric block
+//! Gauss-Seidel sweep [Young 1954]. Over all chunks it has a coarse level with one displacement per group of chunks.
+//! [Wu, Wang and Wang 2022] use several levels of aggregates instead of the sweep.
 //!
-//! M^-1 = (D' + U)^-1 D' (D' + L)^-1 + P (P' A P)^-1 P', symmetric positive definite whatever A is coupled with outside
-//! the chunks. The native executor takes the rows of a chunk one after the other (`sweep`), a device by colour (`colored`).
-//! Chunks depend on the number of rows alone, so the bits do not depend on ranks.
+//! M^-1 = (D' + U)^-1 D' (D' + L)^-1 + P (P' A P)^-1 P' is symmetric positive definite, whatever couplings A has
+//! between chunks. The native executor sweeps a chunk row by row (`sweep`), a device color by color (`colored`). Chunks
+//! depend only on the number of rows, so the bits do not depend on ranks.
 
 use super::coarse::{Coarse, GroupSums, add_block};
 use super::colored::Colored;
@@ -24,16 +24,16 @@ use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::PreconditionerKind;
 use crate::transport::TransportError;
 
-/// Rows of a chunk that its columns can name.
+/// Largest number of rows of a chunk that the type of its columns can index.
 const CHUNK_ROWS_MAX: usize = 1 << 16;
-/// Least relative tolerance of a descent for which `auto` takes it.
+/// Minimum relative tolerance of a descent for which `auto` uses Schwarz.
 const LEAST_TOLERANCE: f64 = 1e-4;
 
-/// How the rows of a chunk are swept; both hold the matrix in the form that they multiply.
+/// Sweeps over the rows of a chunk; both variants hold a copy of the matrix in the layout that they multiply.
 enum Smoother {
-    /// Along the rows, together with the updates of a solve and the products inside chunks. Native.
+    /// Row by row, fused with the updates of a solve and the products inside chunks. Native.
     Chain(Box<Sweeps>),
-    /// By colour.
+    /// Color by color.
     Colors(Box<Colored>),
 }
 
@@ -50,14 +50,15 @@ pub struct Schwarz {
 }
 
 impl Schwarz {
-    /// True if a solve takes this preconditioner: the same on all ranks, if their executors are of one kind. `auto` takes it for
-    /// systems of any size, because stopping at a residual that contacts dominate is only good enough where no motion of the
-    /// cloth as a whole is left in it; but below a tolerance of 1e-4 that holds for Jacobi, too, and rounding lets Jacobi get
-    /// further (see [`super::Pcg::solve`]). It leaves devices with Jacobi: on software ones barriers cost too much, and hardware
-    /// has not been measured.
+    /// True if a solve uses this preconditioner. All ranks decide alike if their executors are of one kind.
+    ///
+    /// `auto`: Schwarz at tolerances >= 1e-4, for systems of any size. A loose stop on a residual dominated by contacts
+    /// can miss the rigid motion of the whole cloth; the coarse level removes that first. At lower tolerances Jacobi
+    /// removes it, too, and rounding lets Jacobi reach a smaller residual (see [`super::Pcg::solve`]). On devices
+    /// `auto` keeps Jacobi, because barriers cost too much on software devices and hardware has not been measured.
     ///
     /// # Errors
-    /// It was asked for and is not to be had; the text says why.
+    /// Schwarz was requested and is not available; the text says why.
     pub fn wanted(
         kind: PreconditionerKind,
         executor: &Executor,
@@ -77,7 +78,7 @@ impl Schwarz {
         }
     }
 
-    /// Tables for a pattern. `mode` and `queue` are those of the products.
+    /// Builds the tables for a pattern. `mode` and `queue` are those of the products.
     pub fn new(
         executor: &Executor,
         partition: &RowPartition,
@@ -90,7 +91,7 @@ impl Schwarz {
         Schwarz::with_smoother(executor, partition, plan, mode, queue, pattern, by_color)
     }
 
-    /// As [`Schwarz::new`]; `by_color`: sweep as a device does.
+    /// As [`Schwarz::new`]; `by_color`: sweep by color on every executor.
     pub(super) fn with_smoother(
         executor: &Executor,
         partition: &RowPartition,
@@ -118,8 +119,8 @@ impl Schwarz {
         Schwarz { chunk_rows, own_start, smoother, sub_vectors, ops, coarse }
     }
 
-    /// Takes over new values of the matrix and factors the coarse level; once per step, on all ranks together. Uses `flags`, a
-    /// local vector, for the halo's pins. Bytes per row: about 900, on a device 1,600.
+    /// Sets the values of the matrix and factors the coarse level, once per step, on all ranks together. Uses `flags`,
+    /// a local vector, for the pins of halo rows. Bytes per row: about 900, on a device 1,600.
     ///
     /// # Errors
     /// A transfer failed.
@@ -140,9 +141,9 @@ impl Schwarz {
         halo.finish(executor, rank.transport, &mut [flags], rank.recorder, &mut traffic)?;
         let mut entries = match &mut self.smoother {
             Smoother::Chain(sweeps) => {
-                sweeps.take_over(native(executor), matrix.elastic.values.as_slice(), flags.as_slice())
+                sweeps.set_values(native(executor), matrix.elastic.values.as_slice(), flags.as_slice())
             }
-            Smoother::Colors(colored) => colored.take_over(executor, matrix.elastic, flags),
+            Smoother::Colors(colored) => colored.set_values(executor, matrix.elastic, flags),
         };
         if let Some(contact) = matrix.contact {
             self.add_contacts(executor, contact, halo.plan(), &flags.host(executor), &mut entries);
@@ -150,8 +151,8 @@ impl Schwarz {
         self.coarse.set_up(rank.transport, &entries)
     }
 
-    /// The blocks of contacts: they are multiplied outside the sweeps, but the coarse level must know that they couple what
-    /// their part of the diagonal seems to hold fast.
+    /// The coarse entries of the contact blocks. The sweeps do not multiply these blocks, but without them the coarse
+    /// level would take the contacts' part of the diagonal for a fixed support.
     fn add_contacts(
         &self,
         executor: &Executor,
@@ -165,7 +166,7 @@ impl Schwarz {
                 None => Some(column),
                 Some(&start) => plan.local_from_global(start + column),
             };
-            // Zero blocks are padding, or contacts that do nothing.
+            // Zero blocks are padding or contacts without force.
             let Some(column) = column.map(|c| c as usize).filter(|_| block != [0.0; BLOCK]) else { return };
             if flags[(self.own_start + row as usize) * 3] == 0.0 || flags[column * 3] == 0.0 {
                 return;
@@ -175,7 +176,7 @@ impl Schwarz {
         });
     }
 
-    /// M^-1 for a solve with the matrix that was set up, whose inverse diagonal blocks are `inverse_diagonal`.
+    /// M^-1 for a solve with the matrix of the last setup, whose inverse diagonal blocks are `inverse_diagonal`.
     pub fn of<'a, 'm: 'a>(
         &'a mut self,
         executor: &'a Executor,
@@ -190,7 +191,7 @@ impl Schwarz {
         }
     }
 
-    /// Bytes of the tables and of the second copy of the matrix.
+    /// Bytes of the tables and of the copy of the matrix.
     pub fn bytes(&self) -> u64 {
         match &self.smoother {
             Smoother::Chain(sweeps) => sweeps.bytes(),
@@ -199,7 +200,7 @@ impl Schwarz {
     }
 }
 
-/// The native executor: only it has sweeps along the rows.
+/// The native executor; only it sweeps along the rows.
 fn native(executor: &Executor) -> &CpuExecutor {
     match executor {
         Executor::Cpu(cpu) => cpu,

@@ -17,8 +17,8 @@ use crate::transport::{InProcessTransport, Transport};
 const SIDE: usize = 96;
 const ROWS: usize = SIDE * SIDE;
 
-/// Blocks of a grid in strips of 8 columns, so that consecutive rows are neighbours: springs along edges and diagonals, a few
-/// links between far rows, little mass.
+/// Blocks of a grid in strips of 8 columns, so that consecutive rows are neighbors: springs along edges and diagonals,
+/// a few links between distant rows, small masses.
 fn system() -> Vec<Vec<(usize, [f32; BLOCK])>> {
     let mut seeded = Seeded::new(11);
     let at = |i: usize, j: usize| i / 8 * 8 * SIDE + j * 8 + i % 8;
@@ -58,20 +58,20 @@ fn right_hand_side(row: usize) -> [f32; 3] {
     [0.3, 0.7, 1.1].map(|k| (row as f32 * k).sin())
 }
 
-/// What a rank of a solve has at the end.
+/// Result of a solve on one rank.
 struct Solved {
     x: Vec<f32>,
     iterations: u32,
 }
 
-/// Who sweeps, and how.
+/// Executor and order of the sweeps.
 #[derive(Clone, Copy, PartialEq)]
 enum By {
-    /// The native executor, along the rows, with so many threads.
+    /// The native executor with this number of threads, along the rows.
     Chain(usize),
-    /// The native executor, by colour.
+    /// The native executor, by color.
     Colors,
-    /// A device, by colour.
+    /// A device, by color.
     Device,
 }
 
@@ -85,7 +85,7 @@ impl By {
     }
 }
 
-/// Runs `work` on every rank with its matrix, inverses, tables that are set up, and transport.
+/// Runs `work` on every rank with its matrix, inverse diagonal blocks, tables after setup, and transport.
 fn on_ranks<T: Send>(
     ranks: usize,
     mode: ExchangeMode,
@@ -262,7 +262,7 @@ fn it_is_symmetric_positive_and_zero_on_pins() {
     }
 }
 
-/// (D' + L) D'^-1 (D' + U) v on the rows that are not pinned, in f64, for the colours of `colored`.
+/// (D' + L) D'^-1 (D' + U) v on the rows that are not pinned, in f64, for the colors of `colored`.
 fn colored_product(colored: &Colored, v: &[f32]) -> Vec<f64> {
     let (system, chunk_rows) = (system(), RowPartition::new(ROWS, 1).chunk_rows());
     let colors = colored.colors_of_rows();
@@ -316,10 +316,10 @@ fn a_device_sweeps_and_sums_as_the_native_twin() {
     let run = |by: By| {
         let mut of_ranks = on_ranks(3, ExchangeMode::Halo, by, |executor, transport, rank| {
             let rows = rank.b.len();
-            let Smoother::Colors(colored) = &mut rank.schwarz.smoother else { panic!("by colour") };
+            let Smoother::Colors(colored) = &mut rank.schwarz.smoother else { panic!("by color") };
             let flags = &rank.vectors.u;
             let sums: Vec<f64> = colored
-                .take_over(executor, &rank.matrix, flags)
+                .set_values(executor, &rank.matrix, flags)
                 .into_iter()
                 .flatten()
                 .flat_map(|(group, block)| block.into_iter().chain([f64::from(group)]))
@@ -403,7 +403,7 @@ fn iterations_are_those_of_textbook_pcg_and_far_fewer_than_with_jacobi() {
         let schwarz = rank.solve(executor, transport, true);
         println!("jacobi {}, schwarz {}, textbook {textbook}", jacobi.iterations, schwarz.iterations);
         assert!(schwarz.iterations.abs_diff(textbook) <= 2, "{} {textbook}", schwarz.iterations);
-        // Chunks of 72 rows and far links: more is for larger systems.
+        // Chunks of 72 rows and distant links; larger systems need more.
         assert!(schwarz.iterations * 2 <= jacobi.iterations, "{} {}", schwarz.iterations, jacobi.iterations);
         for x in [&jacobi.x, &schwarz.x] {
             let reached = true_residual(x);
@@ -427,7 +427,7 @@ fn the_bits_are_those_of_one_rank_whatever_the_ranks_and_threads() {
         assert!(solve(ranks, By::Chain(threads)) == one, "{ranks} ranks, {threads} threads");
     }
     let one = solve(1, By::Colors);
-    assert!(solve(3, By::Colors) == one, "by colour");
+    assert!(solve(3, By::Colors) == one, "by color");
     if device::executor().is_some() {
         let device = solve(1, By::Device);
         assert!(device.1.abs_diff(one.1) <= 2, "{} and {} iterations", device.1, one.1);

@@ -1,5 +1,5 @@
-//! Sparse matrix-vector product of one section of a rank's rows [Bell and Garland 2008; Li et al. 2020, Sec. 3.2.2].
-//! Knows nothing of ranks: `pipelined` decides which section is multiplied when.
+//! Sparse matrix-vector product of one section of a rank's rows [Bell and Garland 2008; Li et al. 2020, Sec. 3.2.2]. It
+//! does not depend on ranks: `pipelined` decides when each section is multiplied.
 
 use std::cell::RefCell;
 
@@ -9,7 +9,7 @@ use crate::assembly::{LANES, SellMatrix};
 use crate::gpu::{Binding, DeviceVec, Executor, GpuExecutor, KernelSource, gpu_struct};
 
 static SPMV: KernelSource = KernelSource::new::<SpmvParams>("solver/spmv.wgsl", include_str!("spmv.wgsl"), "spmv");
-/// Loop turns that one invocation of a kernel may take (the rule is in the prelude of all kernels).
+/// Maximum loop turns of one invocation of a kernel (the prelude of all kernels has the rule).
 const TURNS_MAX: usize = 60_000;
 
 gpu_struct! {
@@ -18,7 +18,7 @@ gpu_struct! {
 
 /// The SpMV kernel on one executor.
 pub struct Spmv {
-    /// Where a device finds an x that came in host memory.
+    /// Buffer of a device for an x that comes from host memory.
     upload: RefCell<Option<DeviceVec<f32>>>,
 }
 
@@ -28,7 +28,7 @@ impl Spmv {
         Spmv { upload: RefCell::new(None) }
     }
 
-    /// y = A x, or y += A x with `accumulate`, for the rows of `section`. x: xyz per column; y: xyz per own row.
+    /// y = A x, or y += A x with `accumulate`, for the rows of `section`. `x`: xyz per column; `y`: xyz per own row.
     pub fn apply(
         &self,
         executor: &Executor,
@@ -44,8 +44,8 @@ impl Spmv {
         }
     }
 
-    /// As [`Spmv::apply`] with x in host memory, for example a sub-vector in a received message: the cpu executor reads it
-    /// in place, a device uploads it.
+    /// As [`Spmv::apply`] with x in host memory, for example a sub-vector in a received message. The cpu executor reads
+    /// it in place; a device uploads it.
     pub fn apply_host(
         &self,
         executor: &Executor,

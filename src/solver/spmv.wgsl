@@ -1,5 +1,5 @@
-// Sparse matrix-vector product of slices of a sliced block-ELL matrix: one invocation per row. Neighbouring lanes read
-// neighbouring words. Each row adds its blocks in stored order, so the lane it sits in does not change its bits.
+// Sparse matrix-vector product of slices of a sliced block-ELL matrix: one invocation per row. Neighboring lanes read
+// neighboring words. Each row adds its blocks in stored order, so its lane does not change its bits.
 
 struct SpmvParams {
     first_slice: u32,

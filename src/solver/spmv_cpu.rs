@@ -1,6 +1,6 @@
 //! CPU twin of `spmv.wgsl`. Every row adds its blocks in stored (ascending column) order, starting from +0, so padding
-//! (zero values) and the lane a row sits in never change its bits. No fused multiply-add: its absence on some machines
-//! must not change results.
+//! (zero values) and the lane of a row never change its bits. Fused multiply-add is not used, because some machines
+//! lack it and results must not differ between machines.
 
 use std::ops::Range;
 
@@ -37,7 +37,8 @@ pub(super) fn spmv(
     x: &[f32],
     y: &mut [f32],
 ) {
-    // The gathers below are unchecked; a column past x would be a broken layout, found here once per call at little cost.
+    // The gathers below are unchecked. This check finds a column beyond the end of x, which would be a layout error,
+    // once per call at little cost.
     debug_assert!(columns.iter().all(|&c| (c as usize + 1) * 3 <= x.len() || slices.is_empty()));
     let tables = Tables { row_of_lane, slice_offsets, columns, values, x };
     let rows = Rows(y.as_mut_ptr(), y.len());
@@ -62,14 +63,15 @@ mod avx2 {
 
     use super::{BLOCK, LANES, NO_ROW, Rows, Tables};
 
-    /// Floats of a vector; a slice is two of them.
+    /// Floats of a SIMD vector; a slice is two vectors.
     const WIDTH: usize = 8;
 
     /// # Safety
-    /// The processor has AVX2; columns of the slices are within x, rows within y and not worked on by another thread.
+    /// The processor has AVX2. Columns of the slices are within x. Rows are within y, and no other thread works on
+    /// them.
     #[target_feature(enable = "avx2")]
     pub(super) unsafe fn multiply(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
-        // Gathers read four floats per column; that of the last column would end past x.
+        // A gather reads four floats per column; for the last column the fourth would lie beyond the end of x.
         let last = (tables.x.len() / 3).saturating_sub(1) as u32;
         for slice in slices {
             let slots = tables.slice_offsets[slice] as usize..tables.slice_offsets[slice + 1] as usize;
@@ -117,12 +119,12 @@ mod avx2 {
         unsafe {
             let half = |i: usize, h: usize| _mm256_loadu_ps(start[i].as_ptr().add(h * WIDTH));
             let mut sum = [[half(0, 0), half(0, 1)], [half(1, 0), half(1, 1)], [half(2, 0), half(2, 1)]];
-            let lasts = _mm256_set1_epi32(last as i32);
+            let last_columns = _mm256_set1_epi32(last as i32);
             for (columns, values) in columns.iter().zip(values) {
                 let values = values.as_ptr();
                 for h in 0..2 {
                     let columns = columns.as_ptr().add(h * WIDTH);
-                    let ends = _mm256_cmpeq_epi32(_mm256_loadu_si256(columns.cast()), lasts);
+                    let ends = _mm256_cmpeq_epi32(_mm256_loadu_si256(columns.cast()), last_columns);
                     let x = if _mm256_testz_si256(ends, ends) != 0 {
                         gather(columns, x.as_ptr())
                     } else {
@@ -155,8 +157,8 @@ mod avx2 {
     unsafe fn gather(columns: *const u32, x: *const f32) -> [__m256; 3] {
         // SAFETY: contract.
         unsafe {
-            // Volatile keeps the index arithmetic scalar: the compiler would do it in vector registers and pay for every
-            // index that it takes out of them.
+            // Volatile reads keep the index arithmetic scalar. Otherwise the compiler does it in vector registers, and
+            // each extraction of an index costs time.
             let load = |lane: usize| _mm_loadu_ps(x.add(columns.add(lane).read_volatile() as usize * 3));
             // Lanes k and k + 4 share a register.
             let pair = |k: usize| _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(load(k)), load(k + 4));
@@ -249,7 +251,7 @@ mod tests {
     use crate::assembly::SellLayout;
     use crate::assembly::sell::value_index;
 
-    /// Rows of 1 to 9 blocks that all reach the last column now and then, on 77 own rows of 90.
+    /// Rows of 1 to 9 blocks, some of which reach the last column, on 77 own rows of 90.
     fn system() -> (SellLayout, Vec<f32>, Vec<f32>) {
         let (mut offsets, mut columns) = (vec![0u32], Vec::new());
         for row in 0..77u32 {

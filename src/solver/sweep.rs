@@ -1,5 +1,5 @@
-//! The sweeps of the Schwarz preconditioner on the native executor: along the rows of every chunk, one after the other.
-//! Holds the blocks of the matrix in the form that the sweeps multiply. Devices sweep by colour instead (`colored`).
+//! The sweeps of the Schwarz preconditioner on the native executor, which go along the rows of every chunk. The file
+//! holds the blocks of the matrix in the layout that the sweeps multiply. Devices sweep by color instead (`colored`).
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::partition::{HaloPlan, RowPartition};
 
-/// Tables of a rank's chunks, and its blocks inside and outside of them.
+/// Tables of a rank's chunks, and its blocks inside chunks and between them.
 pub(super) struct Sweeps {
     chunk_rows: usize,
     rows: usize,
@@ -30,7 +30,7 @@ pub(super) struct Sweeps {
     /// Blocks that couple chunks.
     outer: SellMatrix,
     outer_blocks: Vec<OuterBlock>,
-    /// Start of each own chunk's outer blocks; one more than chunks.
+    /// Start of each own chunk's blocks to other chunks; one more than chunks.
     outer_offsets: Vec<usize>,
     /// Group of each own chunk.
     groups: Vec<u32>,
@@ -40,7 +40,7 @@ pub(super) struct Sweeps {
     product_sums: Vec<[f64; 4]>,
 }
 
-/// A block outside the chunks: where it comes from, where it goes to, whom it couples.
+/// A block between chunks: its address in the matrix, its address here, its row, its column and the group of the column.
 #[derive(Clone, Copy)]
 struct OuterBlock {
     source: u32,
@@ -51,7 +51,7 @@ struct OuterBlock {
 }
 
 impl Sweeps {
-    /// Tables for a pattern. `mode` and `queue` are those of the products.
+    /// Builds the tables for a pattern. `mode` and `queue` are those of the products.
     pub(super) fn new(
         executor: &Executor,
         partition: &RowPartition,
@@ -118,8 +118,8 @@ impl Sweeps {
         }
     }
 
-    /// Copies the values and adds them up by chunk and group.
-    pub(super) fn take_over(&mut self, cpu: &CpuExecutor, values: &[f32], flags: &[f32]) -> Vec<GroupSums> {
+    /// Copies the values of the matrix and sums them by chunk and group.
+    pub(super) fn set_values(&mut self, cpu: &CpuExecutor, values: &[f32], flags: &[f32]) -> Vec<GroupSums> {
         self.pinned.clear();
         self.pinned.extend((0..self.rows as u32).filter(|&row| flags[(self.own_start + row as usize) * 3] == 0.0));
         let mut entries: Vec<GroupSums> = vec![Vec::new(); self.residual_sums.len()];
@@ -145,7 +145,7 @@ impl Sweeps {
         entries
     }
 
-    /// The blocks inside a chunk; the sum of all of them between rows that are not pinned.
+    /// Copies the blocks inside a chunk; returns their sum over rows that are not pinned.
     fn take_inner(
         &self,
         rows: Range<usize>,
@@ -178,7 +178,7 @@ impl Sweeps {
         sum
     }
 
-    /// The blocks between chunk `chunk` and others.
+    /// Copies the blocks between chunk `chunk` and others.
     fn take_outer(&self, chunk: usize, values: &[f32], flags: &[f32], outer: Shared, entries: &mut GroupSums) {
         for block in &self.outer_blocks[self.outer_offsets[chunk]..self.outer_offsets[chunk + 1]] {
             let of: [f32; BLOCK] = std::array::from_fn(|c| values[value_index(block.source, c)]);
@@ -192,12 +192,12 @@ impl Sweeps {
         }
     }
 
-    /// The blocks between chunks: what is left to multiply after [`Sweeps::sweep`].
+    /// The blocks between chunks, whose product remains to be added after [`Sweeps::sweep`].
     pub(super) fn outer(&self) -> &SellMatrix {
         &self.outer
     }
 
-    /// [`sweep_cpu::sweep`] on the vectors of a solve.
+    /// Runs [`sweep_cpu::sweep`] on the vectors of a solve.
     pub(super) fn sweep(
         &mut self,
         cpu: &CpuExecutor,
@@ -231,7 +231,8 @@ impl Sweeps {
         );
     }
 
-    /// Sums (r . u, r . r, w . u) per own chunk, and those of w, three per chunk; zeroes w on pinned rows.
+    /// Computes the sums (r . u, r . r, w . u) per own chunk and the sums of w, three per chunk; zeroes w on pinned
+    /// rows.
     pub(super) fn sums(
         &mut self,
         cpu: &CpuExecutor,
@@ -250,7 +251,7 @@ impl Sweeps {
         restricted.extend(self.product_sums.iter().flat_map(|sums| &sums[1..]));
     }
 
-    /// Bytes of the tables and of the second copy of the matrix.
+    /// Bytes of the tables and of the copy of the matrix.
     pub(super) fn bytes(&self) -> u64 {
         let words = self.upper_offsets.len()
             + self.upper_source.len()
@@ -272,7 +273,7 @@ impl Sweeps {
     }
 }
 
-/// Layout of the blocks between chunks; rows without any are left out of the `halo` layout, too.
+/// Layout of the blocks between chunks. The `halo` layout also leaves out rows without such blocks.
 pub(super) fn outer_layout(
     partition: &RowPartition,
     plan: &HaloPlan,

@@ -3,8 +3,8 @@
 //!
 //! With A = L + D + U + R, where L and U hold the blocks inside chunks and R all others, and D' = D / RELAXATION:
 //! v = (D' + U)^-1 D' (D' + L)^-1 r, u = SCALE v + z (z: the coarse correction, one vector per chunk), w = (L + D + U) u.
-//! A is symmetric, so U alone is stored: rows scatter with the transposed blocks of the rows above them. A chunk's blocks
-//! (about 260 bytes per row) are read from memory once and from the second-level cache twice.
+//! A is symmetric, so only U is stored: each row adds the products with its transposed blocks to the rows below it. A
+//! chunk's blocks (about 260 bytes per row) are read from memory once and from the second-level cache twice.
 
 use std::ops::Range;
 
@@ -13,11 +13,11 @@ use crate::gpu::CpuExecutor;
 
 /// Over-relaxation of the sweep [Young 1954]; measured in docs/performance.md.
 pub(super) const RELAXATION: f32 = 1.5;
-/// Factor on the sweep's result beside the coarse correction.
+/// Factor on the sweep's result in the sum with the coarse correction.
 pub(super) const SCALE: f32 = 1.0;
-/// Rows per sum in f32.
+/// Rows that are summed in f32 before the sum goes to f64.
 const TILE: usize = 64;
-/// Values of a cache line.
+/// Floats of a cache line.
 const LINE: usize = 16;
 
 /// The blocks inside chunks, in the order of the own rows.
@@ -29,7 +29,7 @@ pub(super) struct Blocks<'a> {
     pub upper_offsets: &'a [u32],
     /// Column of each block, counted from the chunk's first row, ascending in a row.
     pub upper_columns: &'a [u16],
-    /// Nine values per block, row-major, and three more at the end.
+    /// Nine values per block, row-major, and three more floats at the end.
     pub upper: &'a [f32],
     /// Diagonal blocks: xx, xy, xz, yy, yz, zz.
     pub diagonal: &'a [f32],
@@ -38,7 +38,8 @@ pub(super) struct Blocks<'a> {
 }
 
 impl<'a> Blocks<'a> {
-    /// Columns of a row's blocks above the diagonal and their values, followed by at least three others.
+    /// Columns of a row's blocks above the diagonal. Their values and at least three more floats, so that 4-wide loads
+    /// stay in bounds.
     #[inline(always)]
     fn above(&self, row: usize) -> (&'a [u16], &'a [f32]) {
         let range = self.upper_offsets[row] as usize..self.upper_offsets[row + 1] as usize;
@@ -46,15 +47,15 @@ impl<'a> Blocks<'a> {
     }
 }
 
-/// The chunk after the present one. The way back through a chunk finds its blocks in the cache; while it computes, memory
-/// brings what the next chunk reads first.
+/// Prefetch of the chunk after the current one. The backward pass through a chunk finds its blocks in the cache.
+/// Meanwhile memory loads the data that the next chunk reads first.
 struct Ahead {
     rows: Range<usize>,
     vectors: [Shared; 6],
 }
 
 impl Ahead {
-    /// Asks for what row number `i` of the chunk reads.
+    /// Prefetches the data that row number `i` of the chunk reads.
     #[inline(always)]
     fn fetch(&self, blocks: &Blocks, i: usize) {
         let row = self.rows.start + i;
@@ -72,7 +73,7 @@ impl Ahead {
     }
 }
 
-/// Brings the cache line of `at` nearer; has no effect on what is computed.
+/// Prefetches the cache line of `at`. The result does not depend on it.
 #[inline(always)]
 fn fetch<T>(at: *const T) {
     #[cfg(target_arch = "x86_64")]
@@ -94,8 +95,8 @@ struct Scratch {
     w: Vec<[f32; 4]>,
 }
 
-/// `update` = (alpha, beta): first p = u + beta p, s = w + beta s, x += alpha p, r -= alpha s (0 on pinned rows). Then u and w
-/// from r as in the description of the file; sums[chunk] = (r . u, r . r). `coarse`: three values per chunk.
+/// `update` = (alpha, beta): first p = u + beta p, s = w + beta s, x += alpha p, r -= alpha s (0 on pinned rows). Then
+/// u and w from r by the formulas of the file header; sums[chunk] = (r . u, r . r). `coarse`: three values per chunk.
 /// Bytes per row of a cloth: about 310 of blocks, 120 of vectors read, 72 written.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub(super) fn sweep(
@@ -152,15 +153,15 @@ fn sweep_avx2(
     sweep_chunk::<avx2::Vectors>(blocks, rows, update, correction, parts, ahead, scratch)
 }
 
-/// What a row does with its blocks above the diagonal.
+/// Operations of a row on its blocks above the diagonal.
 trait RowKernel {
     /// to[column] += sign * block' * v for every block of the row.
     fn scatter(columns: &[u16], values: &[f32], sign: f32, v: [f32; 3], to: &mut [[f32; 4]]);
-    /// Sums of block * v and block * u over the blocks of the row: three values each, each followed by another one.
+    /// Sums of block * v and block * u over the blocks of the row: three values each, padded to four.
     fn gather(columns: &[u16], values: &[f32], vu: &[[f32; 8]]) -> [f32; 8];
 }
 
-/// For processors without wide vectors.
+/// Scalar variant, for processors without wide vectors.
 struct Plain;
 
 impl RowKernel for Plain {
@@ -199,7 +200,7 @@ mod avx2 {
 
     use super::RowKernel;
 
-    /// Used inside functions that have AVX2 only.
+    /// Used only inside functions that require AVX2.
     pub(super) struct Vectors;
 
     impl RowKernel for Vectors {
@@ -230,7 +231,7 @@ mod avx2 {
                     let known = _mm256_loadu_ps(vu[column as usize].as_ptr());
                     let block = values.as_ptr().add(k * 9);
                     for (row, sum) in sums.iter_mut().enumerate() {
-                        // The fourth value meets a zero.
+                        // The fourth value is multiplied by zero.
                         let values = _mm256_broadcast_ps(&*block.add(row * 3).cast());
                         *sum = _mm256_add_ps(*sum, _mm256_mul_ps(values, known));
                     }
@@ -306,7 +307,7 @@ fn forward<K: RowKernel>(blocks: &Blocks, rows: Range<usize>, inverses: &[[f32; 
     }
 }
 
-/// v, u and w of every row from the last to the first.
+/// Computes v, u and w of every row, from the last to the first.
 #[inline(always)]
 fn backward<K: RowKernel>(
     blocks: &Blocks,
@@ -352,8 +353,8 @@ fn times(block: &[f32; 6], v: &[f32; 4]) -> [f32; 3] {
     [xx * v[0] + xy * v[1] + xz * v[2], xy * v[0] + yy * v[1] + yz * v[2], xz * v[0] + yz * v[1] + zz * v[2]]
 }
 
-/// After w has the products with R: w = 0 on the `pinned` rows (ascending), sums[chunk] = (w . u, sums of x, y, z of w).
-/// Bytes per row: 24.
+/// After the product with R was added to w: w = 0 on the `pinned` rows (ascending), sums[chunk] = (w . u, sums of x, y,
+/// z of w). Bytes per row: 24.
 pub(super) fn product_sums(
     cpu: &CpuExecutor,
     chunk_rows: usize,

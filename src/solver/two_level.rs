@@ -1,7 +1,7 @@
-//! The two-level Schwarz preconditioner (`schwarz`) inside an iteration of PCG: u = S r + P z with the sweep S of the chunks and
-//! the displacements z of the coarse level, in which (P' A P) z = P' r.
+//! The two-level Schwarz preconditioner (`schwarz`) inside an iteration of PCG: u = S r + P z with the sweep S of the
+//! chunks and the displacements z of the coarse level, in which (P' A P) z = P' r.
 //!
-//! P' r is never added up: it follows the recurrence of r from P' w, which the iteration's all-reduce carries.
+//! P' r is never summed directly: it follows the recurrence of r from P' w, which the iteration's all-reduce carries.
 
 use super::coarse::Coarse;
 use super::colored::Colored;
@@ -14,7 +14,7 @@ use crate::gpu::{CpuExecutor, DeviceVec};
 use crate::telemetry::{Activity, EventName};
 use crate::transport::TransportError;
 
-/// Sweeps along the rows of every chunk, on the native executor. The sweep also updates the vectors and leaves
+/// Sweeps along the rows of every chunk, on the native executor. The sweep also updates the vectors and computes
 /// w = (L + D + U) u, the product with the blocks inside chunks.
 pub(super) struct ChainSweep<'a> {
     pub cpu: &'a CpuExecutor,
@@ -25,7 +25,7 @@ pub(super) struct ChainSweep<'a> {
 }
 
 impl ChainSweep<'_> {
-    /// u = S r + P z and w = (L + D + U) u, after the updates of `update` = (alpha, beta).
+    /// u = S r + P z and w = (L + D + U) u, after the vector updates with `update` = (alpha, beta).
     pub(super) fn sweep(&mut self, update: Option<(f32, f32)>, v: &mut PcgVectors) {
         self.sweeps.sweep(self.cpu, &self.coarse.correction, update, self.inverse_diagonal, v);
     }
@@ -58,7 +58,7 @@ impl<'m> Preconditioner<StoredMatrix<'m>> for ChainSweep<'_> {
         sums: &mut IterationSums,
         v: &mut PcgVectors,
     ) -> Result<(), TransportError> {
-        // w += R u, what couples chunks
+        // w += R u with R the blocks between chunks
         operator.add_rest(rank, self.sweeps.outer(), &mut v.u, &mut v.w)?;
         // w.u, P' w
         let start = rank.recorder.before_kernels();

@@ -1,5 +1,5 @@
-//! The vectors of PCG and their kernels: start, dot product, fused update. Sums stay where they are made until [`VectorOps::sums`] fetches
-//! them, per chunk, in one read; `reduction` adds them.
+//! The vectors of PCG and their kernels: start, dot product, fused update. Sums per chunk stay on the executor until
+//! [`VectorOps::sums`] fetches them in one read; `reduction` adds them.
 
 use std::ops::Range;
 
@@ -31,7 +31,7 @@ pub type ChunkSums = [f64; 3];
 pub struct Scalars {
     /// gamma / p'Ap.
     pub alpha: f64,
-    /// gamma over that of the iteration before; 0 in the first one.
+    /// gamma divided by that of the iteration before; 0 in the first one.
     pub beta: f64,
 }
 
@@ -41,7 +41,7 @@ pub struct PcgVectors {
     pub(super) own_start: usize,
     /// Preconditioned residual, local rows.
     pub u: DeviceVec<f32>,
-    /// Start value in, solution out.
+    /// Start value on entry, solution on return.
     pub x: DeviceVec<f32>,
     pub(super) r: DeviceVec<f32>,
     /// A u.
@@ -66,8 +66,8 @@ impl PcgVectors {
         }
     }
 
-    /// Makes room for local vectors of `local_rows` rows. Never shrinks; halo rows of `u` are received anew in every
-    /// product, so nothing of it needs to be kept.
+    /// Makes room for local vectors of `local_rows` rows. Never shrinks. The halo rows of `u` are not preserved,
+    /// because every product receives them anew.
     pub fn grow(&mut self, executor: &Executor, local_rows: usize) {
         if local_rows * 3 > self.u.len() {
             self.u.resize(executor, local_rows * 3);
@@ -234,7 +234,8 @@ impl VectorOps {
         }
     }
 
-    /// The sums of the last `start` or `update` and of the last `dot`, per own chunk. NaN after a fault of the device.
+    /// Sums of the last `start` or `update` and of the last `dot`, per own chunk. They are NaN after a fault of the
+    /// device.
     pub fn sums(&self, executor: &Executor, out: &mut Vec<ChunkSums>) {
         out.clear();
         match executor {
@@ -250,7 +251,7 @@ impl VectorOps {
         }
     }
 
-    /// Parameters, and a workgroup per chunk.
+    /// Parameters of a dispatch with one workgroup per chunk.
     fn dispatch(&self, u_start: usize, alpha: f32, beta: f32) -> (VectorParams, u64) {
         let params = VectorParams {
             rows: self.rows as u32,

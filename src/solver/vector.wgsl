@@ -1,5 +1,6 @@
-// The vector work of a PCG iteration; vector_cpu.rs has the formulas. One workgroup per chunk of rows: its sums do not
-// depend on how many chunks the rank has. Each invocation sums its rows, then the workgroup adds in a fixed order.
+// The vector work of a PCG iteration; vector_cpu.rs has the formulas. One workgroup per chunk of rows, so that a
+// chunk's sums do not depend on the number of chunks of the rank. Each invocation sums its rows, then the workgroup
+// adds in a fixed order.
 // needs chunk.wgsl
 
 struct VectorParams {
@@ -26,7 +27,7 @@ const SUMS: u32 = 3u;
 @group(0) @binding(9) var<storage, read_write> sums: array<f32>;
 @group(0) @binding(10) var<uniform> params: VectorParams;
 
-// inverse_diagonal * r for one row; sets r to 0 on a pinned row, which has a zero inverse.
+// inverse_diagonal * r for one row. Sets r to 0 on a pinned row, which has a zero inverse.
 fn precondition(row: u32, residual: ptr<function, vec3<f32>>) -> vec3<f32> {
     let at = row * 6u;
     let first = vec3<f32>(inverse_diagonal[at], inverse_diagonal[at + 1u], inverse_diagonal[at + 2u]);

@@ -5,7 +5,7 @@
 
 use crate::gpu::CpuExecutor;
 
-/// Rows per tile: the working set of a tile (nine vectors) stays in the first-level cache.
+/// Rows per tile; the working set of a tile (nine vectors) stays in the first-level cache.
 const TILE: usize = 64;
 const SUM_LANES: usize = 16;
 
@@ -52,7 +52,7 @@ impl Shared {
         unsafe { std::slice::from_raw_parts_mut(self.0.add(start), len) }
     }
 
-    /// Where value `i` is; not to be read through.
+    /// Address of value `i`, for prefetches only.
     pub(super) fn at(self, i: usize) -> *const f32 {
         self.0.wrapping_add(i)
     }

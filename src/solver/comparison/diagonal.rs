@@ -1,5 +1,5 @@
-//! Right-hand side and inverse diagonal blocks of a step whose matrix is not stored; the same bits as `assembly::fill` makes.
-//! Native only.
+//! Right-hand side and inverse diagonal blocks of a step whose matrix is not stored. The bits equal those of
+//! `assembly::fill`. Native only.
 
 use super::diagonal_cpu;
 use super::element_matrix::ElementMatrix;
@@ -7,8 +7,8 @@ use crate::assembly::contact_fill::ContactSums;
 use crate::assembly::fill::{FillInputs, FillParams};
 use crate::gpu::{DeviceVec, Executor};
 
-/// Fills `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows). `contacts` are added to the rows
-/// that they touch.
+/// Fills `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows). `contacts` are added to
+/// the rows that they touch.
 pub fn fill_diagonal(
     executor: &Executor,
     params: &FillParams,

@@ -1,4 +1,4 @@
-//! Loops of `diagonal`. There is no shader beside them.
+//! Loops of `diagonal`, which has no shader.
 
 use crate::assembly::contact_system::NO_SLOT;
 use crate::assembly::fill::{FillInputs, FillParams, add_contacts, add_hinge, add_triangle, inverse_symmetric};
@@ -18,7 +18,7 @@ pub(super) fn fill_diagonal(
     let rhs = Shared(rhs.as_mut_ptr());
     cpu.for_ranges_mut(inverse_diagonal, 6, 64, |range, inverse| {
         for (row, inverse) in range.zip(inverse.chunks_exact_mut(6)) {
-            // The diagonal block, and one that takes all others.
+            // The diagonal block, and a scratch block that receives all other contributions.
             let mut blocks = [[0.0; BLOCK]; 2];
             let mut force = Vec3::from(params.gravity) * inputs.masses[row];
             let positions = |entry: u32| std::array::from_fn(|corner| u16::from(corner as u32 != entry & 3));

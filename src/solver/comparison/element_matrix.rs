@@ -1,5 +1,4 @@
-//! The matrix of a step as the records that its blocks are made of, for products that need no stored matrix. Borrowed views;
-//! `matrix_free` multiplies.
+//! The matrix of a step as borrowed element records, for products without a stored matrix (`matrix_free`).
 
 use crate::assembly::{ContactRecords, RowLists};
 use crate::forces::{HingeElement, TriangleElement};
@@ -26,14 +25,15 @@ pub struct ElementMatrix<'a> {
     pub contacts: Option<ContactRecords<'a>>,
 }
 
-/// What the first pass of a product keeps of a triangle: 9 floats; of a hinge: 1; of a contact: 3.
+/// Floats that the first pass of a product stores per triangle (9), per hinge (1) and per contact (3).
 pub(super) const KEPT_TRIANGLE: usize = 9;
 /// See [`KEPT_TRIANGLE`].
 pub(super) const KEPT_CONTACT: usize = 3;
 
 impl ElementMatrix<'_> {
-    /// Bytes that a product moves if whatever rows share stays in cache: elements and records read twice (for what a corner
-    /// makes of them, and for what a row gathers), row lists, what is kept in between written and read, result and masses.
+    /// Bytes that a product moves if data that rows share stays in cache. Elements and records are read twice: once for
+    /// the terms of the corners, once for the gather of a row. Row lists, stored terms (written and read), the result
+    /// and masses are added.
     pub fn product_bytes(&self) -> u64 {
         let kept = (self.triangles.len() * KEPT_TRIANGLE + self.hinges.len()) as u64 * 4;
         let elastic = self.triangles.bytes() * 2
@@ -53,8 +53,8 @@ impl ElementMatrix<'_> {
         elastic + 2 * kept + self.masses.bytes() * 4 + contacts
     }
 
-    /// Operations of a product, about: 150 per triangle and 20 per corner that gathers it, 30 and 6 of a hinge, 30 and 6 of a
-    /// contact.
+    /// Approximate operations of a product: per triangle 150 and 20 for each corner that a row gathers; per hinge and
+    /// per contact 30 and 6.
     pub fn product_flops(&self) -> u64 {
         let contacts =
             self.contacts.map_or(0, |contacts| contacts.elements.len() * 30 + contacts.lists.entries.len() * 6);

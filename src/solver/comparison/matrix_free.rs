@@ -1,10 +1,11 @@
-//! Matrix-vector product without a stored matrix, from element records: the alternative that [Li et al. 2020, Fig. 18] compares
-//! with. Native only: it is there to be measured against the stored product, not to be used.
+//! Matrix-vector product from element records, without a stored matrix: the alternative in [Li et al. 2020, Fig. 18].
+//! Native only, because it serves measurements and no run uses it.
 //!
-//! Two passes. First every element turns the values at its corners into what all of them share: a triangle into the vectors
-//! A, B, C of u_a A + v_a B + C, a hinge into h k sum(g_b x_b), a contact into the vector that its weights scale. Then every
-//! row gathers, in ascending element order, triangles before hinges before contacts: no atomics, and the same bits on any
-//! number of ranks and threads. The stored product adds in another order, so the two agree to rounding only.
+//! Two passes. The first pass turns the values at the corners of every element into terms that its corners share: a
+//! triangle into the vectors A, B, C of u_a A + v_a B + C, a hinge into h k sum(g_b x_b), a contact into the vector
+//! that its weights scale. In the second pass every row gathers in ascending element order, triangles before hinges
+//! before contacts. So the product needs no atomics and gives the same bits on any number of ranks and threads. The
+//! stored product adds in another order, so the two agree only up to rounding.
 
 use super::element_matrix::{ElementMatrix, KEPT_CONTACT, KEPT_TRIANGLE};
 use super::matrix_free_cpu::{self, ContactInputs, ElementInputs};
@@ -15,7 +16,7 @@ use crate::solver::pipelined::PipelinedSpmv;
 use crate::telemetry::{Activity, EventName};
 use crate::transport::TransportError;
 
-/// The product on one executor, with what its first pass keeps for the second one.
+/// The product on one executor, with the terms that its first pass stores for the second one.
 #[derive(Default)]
 pub struct MatrixFree {
     triangles: Vec<f32>,
@@ -75,7 +76,7 @@ impl MatrixFree {
         matrix_free_cpu::gather(cpu, &elements, contacts.as_ref(), terms, own, y);
     }
 
-    /// Bytes kept between the passes.
+    /// Bytes of the terms that the first pass stores.
     pub fn bytes(&self) -> u64 {
         ((self.triangles.capacity() + self.hinges.capacity() + self.contacts.capacity()) * size_of::<f32>()) as u64
     }
@@ -83,16 +84,16 @@ impl MatrixFree {
 
 /// The matrix of a step that is not stored.
 pub struct MatrixFreeProduct<'a> {
-    /// Brings the halo rows and counts them.
+    /// Receives the halo rows and counts their bytes.
     pub spmv: &'a mut PipelinedSpmv,
-    /// What the blocks would be made of.
+    /// Element records of the matrix.
     pub elements: ElementMatrix<'a>,
     /// Multiplies it.
     pub kernel: &'a mut MatrixFree,
 }
 
 impl Operator for MatrixFreeProduct<'_> {
-    /// All elements need all halo rows, so nothing overlaps.
+    /// All elements need all halo rows, so transfers overlap no product.
     fn apply(
         &mut self,
         rank: &mut RankContext<'_>,

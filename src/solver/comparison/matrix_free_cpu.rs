@@ -1,4 +1,4 @@
-//! Loops of the product without a stored matrix (`matrix_free`). There is no shader beside them.
+//! Loops of the product without a stored matrix (`matrix_free`), which has no shader.
 
 use super::element_matrix::{KEPT_CONTACT, KEPT_TRIANGLE};
 use crate::assembly::contact_system::NO_SLOT;
@@ -35,10 +35,11 @@ fn at(values: &[f32], row: usize) -> Vec3 {
     Vec3::new(values[row * 3], values[row * 3 + 1], values[row * 3 + 2])
 }
 
-/// A, B, C of every triangle: its block row for corner a times x is u_a A + v_a B + C. With w_u = sum(u_b x_b),
-/// w_v = sum(v_b x_b), and x_u, x_v, stiffnesses and stresses of the record:
-/// A = x_u (warp x_u.w_u + cross x_v.w_v) + x_v shear (x_u.w_v + x_v.w_u) + S_uu w_u + S_uv w_v, B with the parts exchanged,
-/// C = air. Bytes per triangle: 48 + 96 read, 36 written.
+/// A, B, C of every triangle: the product of its block row for corner a with x is u_a A + v_a B + C. With
+/// w_u = sum(u_b x_b), w_v = sum(v_b x_b), and x_u, x_v, stiffnesses and stresses of the record:
+/// A = x_u (warp x_u.w_u + cross x_v.w_v) + x_v shear (x_u.w_v + x_v.w_u) + S_uu w_u + S_uv w_v; B is A with u and v
+/// exchanged; C = air.
+/// Bytes per triangle: 48 + 96 read, 36 written.
 pub(super) fn triangle_terms(
     cpu: &CpuExecutor,
     triangles: &[TriangleElement],
@@ -70,7 +71,7 @@ pub(super) fn triangle_terms(
     });
 }
 
-/// h k sum(g_b . x_b) of every hinge; g as in its record. Bytes per hinge: 48 + 64 read, 4 written.
+/// h k sum(g_b . x_b) of every hinge, with g of its record. Bytes per hinge: 48 + 64 read, 4 written.
 pub(super) fn hinge_terms(cpu: &CpuExecutor, hinges: &[HingeElement], records: &[f32], x: &[f32], terms: &mut [f32]) {
     cpu.for_ranges_mut(terms, 1, 64, |range, terms| {
         let records = records[range.start * HINGE_RECORD_FLOATS..].as_chunks::<HINGE_RECORD_FLOATS>().0;
@@ -84,8 +85,8 @@ pub(super) fn hinge_terms(cpu: &CpuExecutor, hinges: &[HingeElement], records: &
     });
 }
 
-/// beta t + (alpha - beta) n (n.t) with t = sum(w_b x_b) of every contact. Vertices past x belong to obstacles and have no
-/// column. Bytes per contact: 64 + 48 read, 12 written.
+/// beta t + (alpha - beta) n (n.t) with t = sum(w_b x_b) of every contact. Vertices beyond the end of x belong to
+/// obstacles and have no column. Bytes per contact: 64 + 48 read, 12 written.
 pub(super) fn contact_terms(
     cpu: &CpuExecutor,
     contacts: &[ContactElement],
@@ -108,8 +109,8 @@ pub(super) fn contact_terms(
     });
 }
 
-/// Sum of every own row: mass, triangles, hinges, contacts, each in ascending element order. `terms`: of triangles, hinges and
-/// contacts; `own`: x of the own rows.
+/// Product of every own row: its mass, triangles, hinges and contacts, each kind in ascending element order. `terms`:
+/// those of triangles, hinges and contacts. `own`: x of the own rows.
 pub(super) fn gather(
     cpu: &CpuExecutor,
     elements: &ElementInputs<'_>,

@@ -1,5 +1,5 @@
-//! Ways to multiply that the stored, pipelined product is compared with: from element records without a matrix, and with all
-//! sub-vectors gathered before anything is multiplied. For benchmarks; no run takes them.
+//! Products to compare the stored, pipelined product with: from element records without a matrix, and after a gather of
+//! all sub-vectors. Only benchmarks use them.
 
 mod diagonal;
 mod diagonal_cpu;
