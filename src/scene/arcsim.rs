@@ -3,20 +3,27 @@
 //! What has no counterpart here is left out with one sentence each in `Scene::left_out`; a scene is refused only if its
 //! cloth or a handle of it cannot be had. Formats: ARCSim 0.2/0.3 [Narain et al. 2012, 2013].
 
+mod common;
+mod left_out;
 mod mot_file;
 mod motions;
 mod obstacles;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use crate::math::{DQuat, DVec3};
+use crate::math::DVec3;
 use crate::mesh::MaterialSource;
 
+use super::cloth_source::{ClothSource, Shape, StartVelocity};
 use super::json::{Json, parse_json};
-use super::parsed::{ClothSource, ParsedScene, Shape, StartVelocity};
-use super::pieces::{Placement, placed_mesh};
+use super::model::CONTACT_STIFFNESS;
+use super::parsed::ParsedScene;
 use super::pins::{PinSource, Selection};
-use super::{CONTACT_STIFFNESS, Fabric, Motion, SceneError, Settings, load_fabric};
+use super::placement::placed_mesh;
+use super::{Fabric, Motion, SceneError, Settings, load_fabric};
+
+use common::{UNMOVED, find, placement};
+use left_out::LeftOut;
 
 /// ARCSim's limit of an endless scene is the user's patience; ours is this many seconds.
 const ENDLESS_S: f64 = 10.0;
@@ -66,92 +73,6 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     };
     Ok(scene.warn_of_sizes())
 }
-
-/// Collects the sentences about what is left out, each once.
-struct LeftOut<'a> {
-    /// Modules that the scene itself turns off.
-    disabled: Vec<&'a str>,
-    lines: Vec<String>,
-}
-
-impl LeftOut<'_> {
-    fn say(&mut self, line: impl Into<String>) {
-        let line = line.into();
-        if !self.lines.contains(&line) {
-            self.lines.push(line);
-        }
-    }
-
-    /// Says so unless the scene turns the module off anyway.
-    fn module(&mut self, module: &str, line: &str) {
-        if !self.disabled.contains(&module) {
-            self.say(line);
-        }
-    }
-
-    fn whole_scene(&mut self, root: &Json) {
-        self.module("popfilter", "popfilter: left out, the mesh keeps its triangles and nothing pops");
-        if root.get("implicit").is_some_and(|value| value.value.as_bool() == Some(false)) {
-            self.say("implicit = false: left out, every step is implicit here");
-        }
-        let known = [
-            "frame_time",
-            "frame_steps",
-            "end_time",
-            "duration",
-            "end_frame",
-            "cloths",
-            "handles",
-            "motions",
-            "obstacles",
-            "gravity",
-            "wind",
-            "friction",
-            "obs_friction",
-            "disable",
-            "magic",
-            "implicit",
-        ];
-        let mut unknown: Vec<&str> = Vec::new();
-        if let Some(object) = root.value.as_object() {
-            unknown.extend(object.keys().map(String::as_str).filter(|key| !known.contains(key)));
-        }
-        let mut magic: Vec<&str> = Vec::new();
-        if let Some(object) = root.get("magic").and_then(|magic| magic.value.as_object()) {
-            magic.extend(object.keys().map(String::as_str).filter(|&key| key != "repulsion_thickness"));
-        }
-        for (names, what) in
-            [(unknown, "this importer does not know it"), (magic, "a number of ARCSim's own methods (magic)")]
-        {
-            for name in names {
-                let name: String = name.chars().take(40).collect();
-                self.say(format!("{name}: left out, {what}"));
-            }
-        }
-    }
-}
-
-/// The file a scene names: beside it, in the folder above it (ARCSim runs from there), or in the working directory.
-fn find(field: &Json) -> Result<PathBuf, SceneError> {
-    let name = field.text()?;
-    let folder = field.file.parent().unwrap_or(Path::new(""));
-    let candidates = [folder.join(name), folder.join("..").join(name), PathBuf::from(name)];
-    let found = candidates.into_iter().find(|path| path.is_file());
-    found.ok_or_else(|| {
-        field.error(format!("no file `{name}` beside the scene, in the folder above or in the working directory"))
-    })
-}
-
-/// `{translate, rotate: [degrees, axis], scale}`.
-fn placement(json: &Json) -> Result<Placement, SceneError> {
-    Ok(Placement {
-        translation_m: json.or("translate", DVec3::ZERO, Json::vector)?,
-        rotation: json.or("rotate", DQuat::IDENTITY, Json::rotation)?,
-        scale: json.or("scale", 1.0, Json::number)?,
-    })
-}
-
-const UNMOVED: Placement = Placement { translation_m: DVec3::ZERO, rotation: DQuat::IDENTITY, scale: 1.0 };
 
 /// Reads a cloth; the second value is a sentence about what of its file is left out.
 fn cloth(cloth: &Json, left_out: &mut LeftOut) -> Result<(ClothSource, Option<String>), SceneError> {

@@ -5,10 +5,10 @@ use std::path::Path;
 use crate::math::{DQuat, DVec3};
 use crate::mesh::{FileMesh, MaterialSource};
 
+use super::cloth_source::{ClothSource, Shape, SheetSource, StartVelocity};
 use super::fields::{Fields, Value};
-use super::file::find;
-use super::parsed::{ClothSource, Shape, SheetSource, StartVelocity};
-use super::pieces::{Placement, placed_mesh};
+use super::files::find;
+use super::placement::{Placement, placed_mesh};
 use super::{Fabric, RESOLUTIONS, SceneError};
 
 pub(super) const FABRIC_FIELDS: [&str; 5] = ["name", "density_kg_m2", "stretching_n_m", "bending_n_m", "damping_s"];

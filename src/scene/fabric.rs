@@ -5,8 +5,25 @@
 
 use std::path::Path;
 
+use super::error::SceneError;
+use super::files::read_text;
 use super::json::{Json, parse_json};
-use super::{Fabric, SceneError};
+
+/// A fabric in ARCSim's form [Wang et al. 2011].
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Fabric {
+    /// Name or file.
+    pub name: String,
+    /// Mass per rest area, kg/m^2.
+    pub density_kg_m2: f64,
+    /// Stretching stiffness, N/m: row 0 at rest, rows 1..=5 at a principal strain of 1/6 along 0, 22.5, .. 90 degrees from the
+    /// warp; columns: warp, cross (warp-weft), weft, shear.
+    pub stretching_n_m: [[f64; 4]; 6],
+    /// Bending stiffness, N m: rows = 0, 45, 90 degrees from the warp; columns = curvature 0, 5, 10, 15, 20 1/m.
+    pub bending_n_m: [[f64; 5]; 3],
+    /// Stiffness-proportional damping, seconds (damping matrix = damping_s * stiffness matrix).
+    pub damping_s: f64,
+}
 
 impl Fabric {
     /// A fabric of the same stiffness at every strain, direction and curvature.
@@ -92,7 +109,7 @@ const PRESETS: [Preset; 6] = [
 
 /// Reads a measured fabric in ARCSim's JSON form [Wang et al. 2011]: `density`, `stretching` (6x4), `bending` (3x5).
 pub fn load_fabric(path: &Path) -> Result<Fabric, SceneError> {
-    parse_fabric(&super::read_text(path)?, path)
+    parse_fabric(&read_text(path)?, path)
 }
 
 /// Reads a fabric from the text of the file at `path`.

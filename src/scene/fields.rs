@@ -10,8 +10,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::math::{DQuat, DVec3};
 
-use super::SceneError;
-use super::parsed::Place;
+use super::error::{Place, SceneError};
 
 /// The text that line numbers refer to.
 pub(super) struct Source<'a> {

@@ -1,16 +1,17 @@
 //! The TOML scene format (`docs/scene.md`): text -> [`ParsedScene`].
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use toml::de::DeTable;
 
 use super::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, Remarks, cloth, fabric, sheet_triangles};
 use super::fields::{Fields, Source};
+use super::model::RESOLUTIONS;
 use super::obstacle_file::{OBSTACLE_FIELDS, obstacle};
 use super::parsed::ParsedScene;
 use super::pin_file::{PIN_FIELDS, pin};
 use super::settings_file::settings;
-use super::{Fabric, RESOLUTIONS, SceneError};
+use super::{Fabric, SceneError};
 
 /// Triangles of all sheets together where neither the scene nor the command line says.
 const DEFAULT_RESOLUTION: u64 = 10_000;
@@ -69,11 +70,4 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         pins_at: root.place_at("pin"),
     };
     Ok(scene.warn_of_sizes())
-}
-
-/// The file a scene names: beside the scene, or in the working directory.
-pub(super) fn find(scene: &Path, name: &str) -> Result<PathBuf, String> {
-    let beside = scene.parent().unwrap_or(Path::new("")).join(name);
-    let found = [beside, PathBuf::from(name)].into_iter().find(|path| path.is_file());
-    found.ok_or_else(|| format!("no file `{name}` beside the scene or in the working directory"))
 }

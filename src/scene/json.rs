@@ -6,8 +6,7 @@ use serde_json::Value;
 
 use crate::math::{DQuat, DVec3};
 
-use super::SceneError;
-use super::parsed::Place;
+use super::error::{Place, SceneError};
 
 /// Deeper nesting than any scene has; the parser recurses once per level.
 const DEEPEST: usize = 64;

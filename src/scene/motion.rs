@@ -2,7 +2,30 @@
 
 use crate::math::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 
-use super::{Keyframe, Motion};
+/// A rigid (or scaling) motion by keyframes, linear between them (rotation: by angle, or slerp), constant outside;
+/// [`Motion::transform_at`] evaluates it.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Motion {
+    /// Keyframes in ascending time.
+    pub keyframes: Vec<Keyframe>,
+}
+
+/// One keyframe: x -> rotation * (scale * x) + translation, rotation about `pivot_m`.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Keyframe {
+    /// Seconds since the start of the run.
+    pub time_s: f64,
+    /// Added last, meters.
+    pub translation_m: crate::math::DVec3,
+    /// Unit quaternion.
+    pub rotation: crate::math::DQuat,
+    /// The rotation as unit axis and angle in radians, where it was given so: the angle may be more than a turn.
+    pub turn: Option<(crate::math::DVec3, f64)>,
+    /// Factor about the pivot, above 0.
+    pub scale: f64,
+    /// Center of rotation and scale, meters.
+    pub pivot_m: crate::math::DVec3,
+}
 
 impl Keyframe {
     /// The keyframe that moves nothing.

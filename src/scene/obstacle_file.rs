@@ -6,9 +6,9 @@ use crate::math::{DQuat, DVec3};
 use crate::mesh::{Surface, check_obstacle, read_obstacle, shapes};
 
 use super::fields::{Fields, Value};
-use super::file::find;
+use super::files::find;
 use super::keyframes::{motion, stays_finite};
-use super::pieces::Placement;
+use super::placement::Placement;
 use super::sequence::{Pattern, read_frames};
 use super::{Movement, Obstacle, SceneError};
 

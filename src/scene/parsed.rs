@@ -5,37 +5,12 @@
 
 use std::path::PathBuf;
 
-use crate::math::{DVec2, DVec3, Vec3};
-use crate::mesh::{FileMesh, TriangleMesh};
-
-use super::pieces::{Piece, Placement, merge, size_warning};
+use super::cloth_source::{ClothSource, Shape};
+use super::error::Place;
+use super::pieces::{Piece, merge, size_warning};
 use super::pins::{self, PinSource};
 use super::start::{Start, StartState};
-use super::{
-    Crossings, Fabric, Motion, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling,
-    sheet_cells,
-};
-
-/// Where a refusal points.
-#[derive(Clone, Debug)]
-pub(super) struct Place {
-    pub path: PathBuf,
-    /// Counting from 1; formats without lines have none.
-    pub line: Option<usize>,
-    /// With the tables it lies in.
-    pub field: String,
-}
-
-impl Place {
-    /// The refusal of what stands here.
-    pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
-        SceneError::Field { path: self.path.clone(), line: self.line, field: self.field.clone(), what: what.into() }
-    }
-
-    fn crossing(&self, crossings: Box<Crossings>) -> SceneError {
-        SceneError::Crossing { path: self.path.clone(), line: self.line, field: self.field.clone(), crossings }
-    }
-}
+use super::{Motion, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling};
 
 /// A scene file that was read and checked, at no resolution yet.
 ///
@@ -57,47 +32,6 @@ pub struct ParsedScene {
     pub(super) cloths_at: Place,
     /// The field that lists the pins.
     pub(super) pins_at: Place,
-}
-
-/// A piece of cloth at no resolution yet.
-#[derive(Clone, Debug)]
-pub(super) struct ClothSource {
-    /// Shown in messages and selected by pins.
-    pub name: String,
-    pub shape: Shape,
-    pub velocity: StartVelocity,
-    pub fabric: Fabric,
-    /// Friction coefficient of its own, if it has one.
-    pub friction: Option<f64>,
-}
-
-/// What a piece of cloth is made from.
-#[derive(Clone, Debug)]
-pub(super) enum Shape {
-    /// A rectangle, meshed at the resolution that is asked for.
-    Sheet(SheetSource),
-    /// The mesh of a file at its place in the scene; the same at every resolution.
-    Mesh(FileMesh),
-}
-
-/// A rectangle of cloth.
-#[derive(Clone, Debug)]
-pub(super) struct SheetSource {
-    pub size_m: [f64; 2],
-    /// Directions of warp and weft before it is placed.
-    pub axes: [DVec3; 2],
-    pub placement: Placement,
-    /// Triangles where no resolution is asked for; a fraction, so that shares add up.
-    pub triangles: f64,
-    pub at: Place,
-}
-
-/// Start velocity of the vertices, m/s.
-#[derive(Clone, Debug)]
-pub(super) enum StartVelocity {
-    Same(Vec3),
-    /// One per vertex of a mesh from a file.
-    PerVertex(Vec<Vec3>),
 }
 
 impl ParsedScene {
@@ -122,7 +56,7 @@ impl ParsedScene {
 
     fn build(&self, overrides: &Overrides, start: &mut StartState) -> Result<Scene, SceneError> {
         let factor = self.resolution_factor(overrides.resolution)?;
-        let pieces = self.cloths.iter().map(|cloth| cloth.piece(factor)).collect::<Result<Vec<Piece>, _>>()?;
+        let pieces = self.cloths.iter().map(|cloth| Piece::new(cloth, factor)).collect::<Result<Vec<Piece>, _>>()?;
         let settings = Settings { frames: overrides.frames.unwrap_or(self.settings.frames), ..self.settings.clone() };
         let mut merged = merge(&pieces, settings.friction).map_err(|what| self.cloths_at.error(what))?;
         let mut held: Vec<Pin> = Vec::new();
@@ -186,35 +120,5 @@ impl ParsedScene {
             return Err(fault("the resolution of a scene can be chosen for sheets only, and this scene has none"));
         }
         Ok(wanted as f64 / shares.sum::<f64>())
-    }
-}
-
-impl ClothSource {
-    pub(super) fn sheet(&self) -> Option<&SheetSource> {
-        match &self.shape {
-            Shape::Sheet(sheet) => Some(sheet),
-            Shape::Mesh(_) => None,
-        }
-    }
-
-    fn piece(&self, factor: f64) -> Result<Piece<'_>, SceneError> {
-        let (cloth, sheet) = match &self.shape {
-            Shape::Mesh(mesh) => (std::borrow::Cow::Borrowed(mesh), None),
-            Shape::Sheet(sheet) => {
-                let cells = sheet_cells(sheet.size_m, (sheet.triangles * factor).round().max(2.0) as u64);
-                let uv = cells.coordinates(sheet.size_m);
-                let in_space = |uv: DVec2| sheet.axes[0] * uv.x + sheet.axes[1] * uv.y;
-                let corners = cells.triangle_corners();
-                let mut mesh = TriangleMesh {
-                    positions: uv.iter().map(|uv| in_space(uv.as_dvec2()).as_vec3()).collect(),
-                    material_uv: corners.iter().map(|t| t.map(|v| uv[v as usize])).collect(),
-                    triangles: corners,
-                };
-                sheet.placement.place(&mut mesh);
-                crate::mesh::validate(&mesh).map_err(|fault| sheet.at.error(fault.to_string()))?;
-                (std::borrow::Cow::Owned(FileMesh::from(mesh)), Some(cells))
-            }
-        };
-        Ok(Piece { source: self, cloth, sheet })
     }
 }

@@ -1,13 +1,12 @@
 //! Cloth pieces and how they become one mesh.
 
 use std::borrow::Cow;
-use std::path::Path;
 
-use crate::math::{DQuat, DVec3, Vec3};
-use crate::mesh::{FileMesh, MaterialSource, MeshOptions, Part, TriangleMesh, read_mesh, validate};
+use crate::math::{DVec2, Vec3};
+use crate::mesh::{FileMesh, Part, TriangleMesh, validate};
 
-use super::parsed::{ClothSource, StartVelocity};
-use super::{Cloth, Fabric, SceneError, Sheet};
+use super::cloth_source::{ClothSource, Shape, StartVelocity};
+use super::{Cloth, Fabric, SceneError, Sheet, sheet_cells};
 
 /// One piece of cloth in its start state.
 pub(super) struct Piece<'a> {
@@ -18,45 +17,28 @@ pub(super) struct Piece<'a> {
     pub sheet: Option<Sheet>,
 }
 
-/// Where a piece is put: x -> rotation * (scale * x) + translation. The scale applies to the rest shape, too.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Placement {
-    pub translation_m: DVec3,
-    pub rotation: DQuat,
-    pub scale: f64,
-}
-
-impl Placement {
-    /// Moves a mesh to its place.
-    pub(super) fn place(&self, mesh: &mut TriangleMesh) {
-        self.move_points(&mut mesh.positions);
-        if self.scale != 1.0 {
-            mesh.material_uv.iter_mut().flatten().for_each(|uv| *uv *= self.scale as f32);
-        }
+impl<'a> Piece<'a> {
+    /// Makes the piece; a sheet has `factor` times the triangles that its scene states.
+    pub(super) fn new(source: &'a ClothSource, factor: f64) -> Result<Piece<'a>, SceneError> {
+        let (cloth, sheet) = match &source.shape {
+            Shape::Mesh(mesh) => (Cow::Borrowed(mesh), None),
+            Shape::Sheet(sheet) => {
+                let cells = sheet_cells(sheet.size_m, (sheet.triangles * factor).round().max(2.0) as u64);
+                let uv = cells.coordinates(sheet.size_m);
+                let in_space = |uv: DVec2| sheet.axes[0] * uv.x + sheet.axes[1] * uv.y;
+                let corners = cells.triangle_corners();
+                let mut mesh = TriangleMesh {
+                    positions: uv.iter().map(|uv| in_space(uv.as_dvec2()).as_vec3()).collect(),
+                    material_uv: corners.iter().map(|t| t.map(|v| uv[v as usize])).collect(),
+                    triangles: corners,
+                };
+                sheet.placement.place(&mut mesh);
+                validate(&mesh).map_err(|fault| sheet.at.error(fault.to_string()))?;
+                (Cow::Owned(FileMesh::from(mesh)), Some(cells))
+            }
+        };
+        Ok(Piece { source, cloth, sheet })
     }
-
-    /// Moves points to their place.
-    pub(super) fn move_points(&self, points: &mut [Vec3]) {
-        for p in points {
-            *p = (self.rotation * (p.as_dvec3() * self.scale) + self.translation_m).as_vec3();
-        }
-    }
-}
-
-/// Reads and places a mesh from a file; `weld_m` joins vertices that near at its place.
-pub(super) fn placed_mesh(
-    path: &Path,
-    material: MaterialSource,
-    weld_m: Option<f64>,
-    placement: &Placement,
-) -> Result<FileMesh, SceneError> {
-    let weld = weld_m.map(|distance| distance / placement.scale);
-    let mut file = read_mesh(path, MeshOptions { material, weld })?;
-    placement.place(&mut file.mesh);
-    // Far translations and extreme scales can undo what the file had right.
-    validate(&file.mesh)
-        .map_err(|fault| SceneError::File { path: path.into(), what: format!("at its place in the scene: {fault}") })?;
-    Ok(file)
 }
 
 /// An extent above this many thicknesses is likely no length in metres: 40 m of a cloth of 2 mm.

@@ -3,9 +3,9 @@
 use crate::math::DVec3;
 use crate::mesh::FileMesh;
 
+use super::cloth_source::{ClothSource, Shape};
 use super::fields::{Fields, Value};
 use super::keyframes::motion;
-use super::parsed::{ClothSource, Shape};
 use super::pins::{self, PinSource, Selection, Spread};
 use super::{Motion, SceneError};
 

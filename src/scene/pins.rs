@@ -3,7 +3,7 @@
 use crate::math::DVec3;
 use crate::mesh::TriangleMesh;
 
-use super::parsed::Place;
+use super::error::Place;
 use super::pieces::Piece;
 use super::{Pin, SceneError, Sheet};
 

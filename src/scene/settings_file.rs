@@ -3,7 +3,8 @@
 use crate::math::Vec3;
 
 use super::fields::{Fields, Value};
-use super::{CONTACT_STIFFNESS, DEFAULT_THICKNESS_M, PreconditionerKind, SceneError, Settings};
+use super::model::{CONTACT_STIFFNESS, DEFAULT_THICKNESS_M};
+use super::{PreconditionerKind, SceneError, Settings};
 
 /// Reads the settings of the document `root`.
 pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Settings, SceneError> {

@@ -24,8 +24,7 @@ type Edge = (String, String);
 /// Files of `src` that use each other in a circle, one finding per circle. A folder is judged by itself: its nodes are its
 /// files and its sub-folders, and the file that declares them (`mod.rs` or its namesake beside the folder). What a file
 /// re-exports (`pub use`) belongs to the file that it comes from. A native twin `x_cpu.rs` may use its wrapper `x.rs`.
-/// Circles in the folders `allowed` (as module paths, `a::b`) are left out.
-pub(crate) fn circles(files: &[Source], allowed: &[&str]) -> Vec<String> {
+pub(crate) fn circles(files: &[Source]) -> Vec<String> {
     let modules = modules(files);
     let mut graphs: BTreeMap<Path, BTreeMap<Edge, String>> = BTreeMap::new();
     for (own, module) in &modules {
@@ -47,25 +46,14 @@ pub(crate) fn circles(files: &[Source], allowed: &[&str]) -> Vec<String> {
         }
     }
     let mut findings = Vec::new();
-    for (folder, edges) in graphs.iter().filter(|(folder, _)| !allowed.contains(&folder.join("::").as_str())) {
-        let mut edges = edges.clone();
-        while let Some(circle) = shortest_circle(&edges) {
+    for (folder, edges) in &mut graphs {
+        while let Some(circle) = shortest_circle(edges) {
             let places: Vec<&str> = circle.iter().map(|edge| edges[edge].as_str()).collect();
             findings.push(format!("src/{}: a circle: {}", folder.join("/"), places.join(", ")));
             circle.iter().for_each(|edge| drop(edges.remove(edge)));
         }
     }
     findings
-}
-
-/// Folders of `allowed` that have no circle.
-pub(crate) fn needless(files: &[Source], allowed: &[&str]) -> Vec<String> {
-    let found = circles(files, &[]);
-    let has_one = |folder: &&&str| {
-        let start = format!("src/{}: ", folder.replace("::", "/"));
-        found.iter().any(|finding| finding.starts_with(&start))
-    };
-    allowed.iter().filter(|folder| !has_one(folder)).map(|folder| folder.to_string()).collect()
 }
 
 /// All modules with files under `src`, by path.
@@ -275,7 +263,7 @@ mod tests {
 
     fn found(files: &[(&str, &str)]) -> Vec<String> {
         let files: Vec<Source> = files.iter().map(|(path, text)| Source::new(path, text)).collect();
-        circles(&files, &[])
+        circles(&files)
     }
 
     #[test]
@@ -308,13 +296,5 @@ mod tests {
         assert_eq!(found(&[root, folder, kernel, twin, tests]), [""; 0]);
         let files = [root, folder, ("src/a/k.rs", "use super::K;"), twin, tests];
         assert_eq!(found(&files), [""; 0], "a file may name itself by way of its folder");
-    }
-
-    #[test]
-    fn folders_that_may_have_circles_must_have_one() {
-        let text = [("src/lib.rs", ""), ("src/a/mod.rs", "mod b;\nuse b::B;"), ("src/a/b.rs", "use super::C;")];
-        let files = text.map(|(path, text)| Source::new(path, text));
-        assert_eq!(circles(&files, &["a"]), [""; 0]);
-        assert_eq!(needless(&files, &["a", "a::b", "c"]), ["a::b", "c"]);
     }
 }

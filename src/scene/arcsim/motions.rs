@@ -2,9 +2,11 @@
 
 use crate::math::{DQuat, DVec3};
 
+use super::super::files::read_text;
 use super::super::json::Json;
-use super::super::pieces::Placement;
+use super::super::placement::Placement;
 use super::super::{Keyframe, Motion, SceneError};
+use super::common::{UNMOVED, find, placement};
 use super::mot_file;
 
 /// Linear pieces per spline segment: a cubic is off by less than 1/500 of its bulge.
@@ -51,9 +53,9 @@ impl<'a> MotionFile<'a> {
         };
         let name = motions.required("motfile")?;
         let frames_per_s = motions.required("fps")?.positive()?;
-        let overall = motions.or("transform", super::UNMOVED, super::placement)?;
-        let read = match super::find(&name) {
-            Ok(path) => match super::super::read_text(&path) {
+        let overall = motions.or("transform", UNMOVED, placement)?;
+        let read = match find(&name) {
+            Ok(path) => match read_text(&path) {
                 Ok(text) => {
                     mot_file::parse(&text).map_err(|what| format!("its motion is in {}: {what}", path.display()))
                 }
@@ -116,7 +118,7 @@ fn keys(motion: &Json) -> Result<Vec<Key>, SceneError> {
         if keys.last().is_some_and(|last| last.time_s >= time_s) {
             return Err(json.error("its time must be later than that of the keyframe before"));
         }
-        let placement = json.or("transform", super::UNMOVED, super::placement)?;
+        let placement = json.or("transform", UNMOVED, placement)?;
         let mut rotation = placement.rotation;
         // q and -q are the same rotation; blending wants the near one.
         if keys.last().is_some_and(|last| last.value.rotation.dot(rotation) < 0.0) {
@@ -208,7 +210,7 @@ mod tests {
     use std::path::Path;
 
     fn motion(text: &str, start_s: f64) -> Result<Motion, String> {
-        let value = super::super::parse_json(text, Path::new("m.json")).unwrap();
+        let value = crate::scene::json::parse_json(text, Path::new("m.json")).unwrap();
         let root = Json::root(Path::new("m.json"), &value);
         let file = MotionFile::of(&root).map_err(|error| error.to_string())?;
         handle_motion(&root, &file, &root.required("use").unwrap(), start_s).map_err(|error| error.to_string())

@@ -9,8 +9,9 @@ use super::super::json::Json;
 use super::super::keyframes::stays_finite;
 use super::super::sequence::Pattern;
 use super::super::{Motion, Movement, Obstacle, SceneError};
+use super::common::{UNMOVED, find, placement};
+use super::left_out::LeftOut;
 use super::motions::{MotionFile, motion_number, world_motion};
-use super::{LeftOut, UNMOVED, find, placement};
 
 /// The obstacles of a scene.
 pub(super) fn obstacles(

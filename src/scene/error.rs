@@ -1,0 +1,54 @@
+//! [`SceneError`], and [`Place`]: the field of a scene file that a refusal names.
+
+use std::path::PathBuf;
+
+use crate::mesh::MeshReadError;
+
+use super::crossings::Crossings;
+
+/// Why a scene is refused: one sentence with the file and, where known, line and field.
+#[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// A file is missing or cannot be read, or is no scene at all.
+    #[error("{}: {what}", path.display())]
+    File { path: PathBuf, what: String },
+    /// The text is not TOML or JSON.
+    #[error("{}{}: {what}", path.display(), line_suffix(*line))]
+    Syntax { path: PathBuf, line: Option<usize>, what: String },
+    /// A field has a value it must not have.
+    #[error("{}{}: field `{field}`: {what}", path.display(), line_suffix(*line))]
+    Field { path: PathBuf, line: Option<usize>, field: String, what: String },
+    /// The start state crosses itself or an obstacle.
+    #[error("{}{}: field `{field}`: {crossings}", path.display(), line_suffix(*line))]
+    Crossing { path: PathBuf, line: Option<usize>, field: String, crossings: Box<Crossings> },
+    /// A mesh that the scene names is refused.
+    #[error(transparent)]
+    Mesh(#[from] MeshReadError),
+}
+
+fn line_suffix(line: Option<usize>) -> String {
+    line.map(|line| format!(", line {line}")).unwrap_or_default()
+}
+
+/// Where a refusal points.
+#[derive(Clone, Debug)]
+pub(super) struct Place {
+    pub path: PathBuf,
+    /// Counting from 1; formats without lines have none.
+    pub line: Option<usize>,
+    /// With the tables it lies in.
+    pub field: String,
+}
+
+impl Place {
+    /// The refusal of what stands here.
+    pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
+        SceneError::Field { path: self.path.clone(), line: self.line, field: self.field.clone(), what: what.into() }
+    }
+
+    /// The refusal of a cloth whose start state crosses.
+    pub(super) fn crossing(&self, crossings: Box<Crossings>) -> SceneError {
+        SceneError::Crossing { path: self.path.clone(), line: self.line, field: self.field.clone(), crossings }
+    }
+}
