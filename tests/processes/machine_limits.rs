@@ -62,7 +62,7 @@ fn a_stop_is_heard_before_the_first_step() {
         let mut running = place.start("coordinator flag.toml --workers 2 --executor cpu --out out");
         running.wait_for("its run", |_| fs::read_dir(place.path("tmp")).ok()?.next().map(|_| ()));
         signal(running.pid(), stop);
-        running.wait().expect(code).says(&["stopped before the first step"]);
+        running.wait().expect(code).says(&["stopped by SIG", "before the first step"]);
         assert!(!place.path("out").exists());
     }
 }

@@ -173,7 +173,12 @@ fn results_never_replace_links_devices_and_pipes() {
             assert!(fs::symlink_metadata(place.path(link)).expect("the link").is_symlink(), "{words} {link}");
         }
         let text = fs::read_to_string(place.path("target")).expect("the result");
-        assert!(text != "old" && text == fs::read_to_string(place.path("new")).expect("the result"), "{words}");
+        // Measured figures differ from one call to the next; the first line does not.
+        let same = |other: &str| match words.starts_with("topology") {
+            true => other.lines().next() == text.lines().next(),
+            false => other == text,
+        };
+        assert!(text != "old" && same(&fs::read_to_string(place.path("new")).expect("the result")), "{words}");
         // A pipe: its reader gets the same.
         let pipe = place.path("pipe");
         assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
@@ -184,7 +189,7 @@ fn results_never_replace_links_devices_and_pipes() {
         let (ended, stderr) = end(&mut place.command(&format!("{words} pipe")));
         assert_eq!(ended, Some(code), "{words} pipe: {stderr}");
         assert!(fs::symlink_metadata(&pipe).expect("the pipe").file_type().is_fifo(), "{words}");
-        assert_eq!(reader.join().expect("the reader"), text, "{words}");
+        assert!(same(&reader.join().expect("the reader")), "{words}");
         // A device. A link to it is enough to see whether it would be replaced.
         symlink("/dev/full", place.path("device")).expect("a link");
         let (_, stderr) = end(&mut place.command(&format!("{words} device")));
