@@ -1,6 +1,6 @@
-//! One time step of one rank [Li et al. 2020, Fig. 2]: the only place that sees all stages.
+//! One time step of one rank [Li et al. 2020, Fig. 2]. This is the only module that uses all stages.
 //!
-//! Every rank of a run calls [`Simulation::step`] with the same step number; the calls inside meet over the transport.
+//! Every rank of a run calls [`Simulation::step`] with the same step number, because the calls inside exchange data.
 
 mod collisions;
 mod comparison;
@@ -35,32 +35,32 @@ use stats::{StageClock, peak_resident_bytes};
 pub use system::ExchangePlan;
 use system::{Assembled, ColumnOrder, StepMatrix, System};
 
-/// Times a step may be cut in two if its end cannot be freed of penetrations otherwise.
+/// Maximum number of halvings of a step whose end cannot be freed of penetrations.
 const HALVINGS_MAX: u32 = 4;
-/// Times a step may be cut in two because its impacts take many rounds: contact forces stop in short steps what zones have to
-/// disentangle after a long one.
+/// Maximum number of halvings of a step whose impacts take many rounds. Shorter steps let contact forces act before
+/// impact zones are needed.
 const HALVINGS_FOR_SPEED: u32 = 2;
-/// Rounds of impact zones before that.
+/// Rounds of impact zones after which a step is halved.
 const ROUNDS_MOST: u32 = 5;
 
 /// One rank's simulation.
 pub struct Simulation {
     executor: Executor,
-    /// Events of the steps for which recording was asked.
+    /// Events of the steps for which recording was requested.
     pub recorder: Recorder,
-    /// Slots over stored blocks of the matrix.
+    /// Slots of the matrix divided by its stored blocks.
     pub padding_ratio: f64,
     cloth: RankCloth,
 }
 
-/// A rank's part of the cloth, and what its steps work with.
+/// A rank's part of the cloth, with the modules that advance it.
 struct RankCloth {
     settings: Settings,
     /// Own rows in the global order.
     rows: Range<usize>,
     pins: Pins,
     pins_move: bool,
-    /// The state was set from outside and no step has been made from it yet.
+    /// True until the first step from the start state or from a state that was set.
     state_is_new: bool,
     motions: Vec<Motion>,
     state: StateVectors,
@@ -103,8 +103,8 @@ impl Simulation {
         Ok(stats)
     }
 
-    /// Goes on from `state`, the own rows of a state that every rank is given before the next step. Nothing that earlier
-    /// steps have left is used again: pins take hold anew, and collisions ask again where the cloth is.
+    /// Continues from `state`, the own rows of a state that every rank receives before the next step. No result of
+    /// earlier steps is reused: pins take hold anew, and collision detection starts anew.
     pub fn set_state(&mut self, state: RankState) {
         let (executor, cloth) = (&self.executor, &mut self.cloth);
         let values = cloth.rows.len() * DIM;
@@ -120,8 +120,8 @@ impl Simulation {
 }
 
 impl RankCloth {
-    /// The state at the start of a run, and what depends on the pattern of the matrix alone; also the slots of the matrix over
-    /// its stored blocks.
+    /// The state at the start of a run, and the data that depends only on the pattern of the matrix; also the slots of
+    /// the matrix divided by its stored blocks.
     fn new(executor: &Executor, model: RankModel, exchange: &ExchangePlan) -> Result<(RankCloth, f64), SetupError> {
         let RankModel { partition, plan, pins, motions, settings, pins_move, collision, arrays } = model;
         let columns = ColumnOrder::new(&partition, exchange);
@@ -235,7 +235,7 @@ impl RankCloth {
         self.pins.targets(time_s, step_s, &self.motions)
     }
 
-    /// Whether a pin of any rank changes its velocity, so that the solve starts from prescribed values. A pin that rests
+    /// True if a pin of any rank changes its velocity, so that the solve starts from prescribed values. A pin at rest
     /// does so only in the first step from a state that was set.
     fn starts_prescribed(&mut self, rank: &mut RankContext<'_>, targets: &PinTargets) -> Result<bool, TransportError> {
         if self.pins_move || !self.state_is_new {
@@ -303,7 +303,7 @@ impl RankCloth {
         Ok(())
     }
 
-    /// Frees the state at t1 of penetrations; moved vertices get the velocity that brought them where they are.
+    /// Frees the state at t1 of penetrations. Moved vertices get the velocity of their motion over the step.
     fn resolve_impacts(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -340,7 +340,7 @@ impl RankCloth {
     }
 }
 
-/// Threads for work that stays on the host: the executor's own, or a rank's share of the cores beside a device.
+/// Threads for work on the host: those of the cpu executor, or with a device a rank's share of the cores.
 fn host_threads(executor: &Executor, ranks: usize) -> CpuExecutor {
     match executor {
         Executor::Cpu(cpu) => CpuExecutor::new(cpu.threads()),

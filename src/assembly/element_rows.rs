@@ -1,4 +1,5 @@
-//! Row -> element lists: which corners of which elements contribute to a row, in ascending element order.
+//! Element lists of rows: the elements that contribute to a row and the row's corner in each, in ascending element
+//! order.
 
 use crate::gpu::DeviceVec;
 
@@ -24,7 +25,7 @@ impl ElementRows {
     /// Largest element number that fits an entry.
     pub const ELEMENTS_MAX: usize = 1 << 30;
 
-    /// Lists of the rows `own` (local indices) over `elements`, given as their corner vertices (local indices).
+    /// Lists of the rows `own` (local indices) over `elements`, each given by its corner vertices (local indices).
     pub fn new<const CORNERS: usize>(own: std::ops::Range<usize>, elements: &[[u32; CORNERS]]) -> ElementRows {
         assert!(elements.len() < Self::ELEMENTS_MAX, "too many elements on one rank");
         let row = |v: u32| (v as usize).checked_sub(own.start).filter(|&r| r < own.len());

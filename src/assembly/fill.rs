@@ -1,6 +1,6 @@
-//! Value filling [Li et al. 2020, Sec. 3.2.2, step 5] and right-hand side of a rank's rows, in one pass because both read the
-//! same element records. The paper adds with atomics per element; here each row gathers from its sorted list, which gives the
-//! same bits for every rank count (docs/papers.md).
+//! Value filling [Li et al. 2020, Sec. 3.2.2, step 5] and right-hand side of a rank's rows. One pass fills both,
+//! because both read the same element records. The paper adds each element's blocks with atomics. Here each row gathers
+//! from its sorted list, which gives the same bits for every rank count (docs/papers.md).
 
 use std::borrow::Cow;
 
@@ -20,7 +20,7 @@ static FILL: KernelSource = KernelSource::new::<FillPass>("assembly/fill.wgsl", 
     .with_libraries(&[include_str!("../forces/element.wgsl")])
     .with_structs(&[TriangleElement::LAYOUT]);
 
-/// What all rows share.
+/// Inputs that are the same for all rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FillParams {
     /// Acceleration of gravity, m/s^2.
@@ -32,7 +32,7 @@ pub struct FillParams {
 }
 
 gpu_struct! {
-    /// Uniform of one dispatch: what is bound, and whether earlier or later ones add to the same blocks.
+    /// Uniforms of one dispatch: the bound ranges, and whether earlier or later dispatches add to the same blocks.
     struct FillPass {
         gravity: [f32; 3],
         step_s: f32,
@@ -55,10 +55,10 @@ const FIRST_PASS: u32 = 1;
 const LAST_PASS: u32 = 2;
 /// SHARE of the shader: invocations per row.
 const SHARE: usize = 16;
-/// Loop turns that one invocation of a kernel may take (the rule is in the prelude of all kernels).
+/// Maximum loop turns of one invocation of a kernel (the prelude of all kernels has the rule).
 const TURNS_MAX: usize = 60_000;
 
-/// Where the contributions of every row come from and go to; fixed until the pattern changes.
+/// Sources and targets of every row's contributions; fixed until the pattern changes.
 pub struct FillTables {
     row_offsets: DeviceVec<u32>,
     block_address: DeviceVec<u32>,
@@ -68,17 +68,17 @@ pub struct FillTables {
     hinge_offsets: DeviceVec<u32>,
     hinge_entries: DeviceVec<u32>,
     hinge_positions: DeviceVec<[u16; 4]>,
-    /// Blocks and contributions of the rows that have most.
+    /// Largest number of blocks and of contributions of a row.
     most_blocks: usize,
     most_contributions: usize,
 }
 
 impl FillTables {
-    /// The tables of the elastic elements (corners are local vertices) and the zero matrix that they fill: the Index Table
-    /// of a run, filled once. The row lists are those of the rows `numbering.own`.
+    /// The tables of the elastic elements (corners are local vertices) and the zero matrix that they fill. This is the
+    /// Index Table of a run, filled once. The row lists belong to the rows `numbering.own`.
     ///
     /// # Errors
-    /// A vertex is coupled to more others than a row can hold.
+    /// A vertex is coupled to more vertices than a row can hold.
     pub fn new(
         executor: &Executor,
         numbering: &Numbering<'_>,
@@ -145,7 +145,8 @@ impl FillTables {
         let Some(cut) = &numbering.sub_vectors else {
             return addresses.iter().map(|&address| columns[address as usize]).collect();
         };
-        // Sections are sub-vectors: the own one first, then in the order of arrival; columns are positions in them.
+        // Sections are sub-vectors: the own one first, then the others in the order of arrival. Columns are positions
+        // in them.
         let own = numbering.global_from_local[numbering.own.start] as usize;
         let starts =
             cut.rows_of.iter().filter(|rows| rows.contains(&own)).chain(cut.order.iter().map(|&r| &cut.rows_of[r]));
@@ -180,17 +181,18 @@ impl FillTables {
     }
 }
 
-/// Consecutive elements whose records one dispatch sees.
+/// Consecutive elements whose records one dispatch binds.
 struct Pass {
     triangles: std::ops::Range<usize>,
     hinges: std::ops::Range<usize>,
 }
 
-/// All triangles, then all hinges, in as few passes as the records need: the order in which a block adds them never changes.
+/// All triangles, then all hinges, in as few passes as the records allow. The order in which a block adds them never
+/// changes.
 fn passes(gpu: &GpuExecutor, triangles: usize, hinges: usize) -> Vec<Pass> {
     let mut triangle_parts: Vec<_> = gpu.windows(triangles, TRIANGLE_RECORD_FLOATS * 4).collect();
     let mut hinge_parts: Vec<_> = gpu.windows(hinges, HINGE_RECORD_FLOATS * 4).collect();
-    // The last triangles and the first hinges fit into one.
+    // The last triangles and the first hinges may share a pass.
     let shared = Pass { triangles: triangle_parts.pop().unwrap_or(0..0), hinges: hinge_parts.remove(0) };
     let before = triangle_parts.into_iter().map(|triangles| Pass { triangles, hinges: 0..0 });
     let after = hinge_parts.into_iter().map(|hinges| Pass { triangles: 0..0, hinges });
@@ -199,7 +201,7 @@ fn passes(gpu: &GpuExecutor, triangles: usize, hinges: usize) -> Vec<Pass> {
 
 /// The fill kernel on one executor.
 pub struct Fill {
-    /// What a device binds in place of the sums of contacts where there are none.
+    /// A device binds this buffer in place of the sums of contacts if there are none.
     no_slots: DeviceVec<u32>,
     no_sums: DeviceVec<f32>,
 }
@@ -287,7 +289,7 @@ fn apply_on_device(
     rhs: &mut DeviceVec<f32>,
     inverse_diagonal: &mut DeviceVec<f32>,
 ) {
-    // An invocation goes through its row's contributions once for the force and once per block, which it reads and writes.
+    // An invocation goes through its row's contributions once for the force and once for each block that it fills.
     let contributions = tables.most_contributions;
     let blocks_max = TURNS_MAX.saturating_sub(contributions) / (contributions + 2 * BLOCK);
     if blocks_max == 0 {

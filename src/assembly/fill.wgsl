@@ -1,5 +1,6 @@
-// Value filling and right-hand side of a rank's rows; fill.rs says what is filled, fill_cpu.rs how. Sixteen invocations
-// share a row: each gathers the contributions to some of its blocks, in ascending element order, triangles before hinges.
+// Value filling and right-hand side of a rank's rows. fill.rs describes the tables, fill_cpu.rs the formulas. Sixteen
+// invocations share a row: each gathers the contributions to some of its blocks, in ascending element order, triangles
+// before hinges.
 // needs ../forces/element.wgsl
 
 struct FillPass {
@@ -9,7 +10,7 @@ struct FillPass {
     // Slots of the Value Table that are bound.
     first_slot: u32,
     slots: u32,
-    // First block of a row that this dispatch fills, and turns of sixteen blocks.
+    // First block of a row that this dispatch fills, and the number of passes over sixteen blocks.
     first_block: u32,
     block_turns: u32,
     // Elements whose records are bound.
@@ -17,7 +18,7 @@ struct FillPass {
     triangles: u32,
     first_hinge: u32,
     hinges: u32,
-    // FIRST_PASS: nothing was added yet. LAST_PASS: nothing will be.
+    // FIRST_PASS: no earlier dispatch has added to the blocks. LAST_PASS: no later one will.
     passes: u32,
     // 1: contact_slots and contact_sums are bound.
     contacts: u32,
@@ -32,7 +33,7 @@ const BLOCK: u32 = 9u;
 const SHARE: u32 = 16u;
 const NO_BLOCK: u32 = 0xffffffffu;
 const NO_SLOT: u32 = 0xffffffffu;
-// Values per row that contacts touch: symmetric diagonal block, right-hand side.
+// Values per row with contacts: symmetric diagonal block, right-hand side.
 const SUMS: u32 = 9u;
 
 @group(0) @binding(0) var<storage, read> row_offsets: array<u32>;
@@ -55,12 +56,12 @@ const SUMS: u32 = 9u;
 @group(0) @binding(17) var<storage, read_write> inverse_diagonal: array<f32>;
 @group(0) @binding(18) var<uniform> params: FillPass;
 
-// The four positions of a contribution's corners in their row.
+// Positions of the four corners of a contribution in its row.
 fn unpacked_positions(words: vec2<u32>) -> vec4<u32> {
     return vec4<u32>(words.x & 0xffffu, words.x >> 16u, words.y & 0xffffu, words.y >> 16u);
 }
 
-// left right', as columns.
+// left right', by columns.
 fn outer(left: vec3<f32>, right: vec3<f32>) -> mat3x3<f32> {
     return mat3x3<f32>(left * right.x, left * right.y, left * right.z);
 }
@@ -74,7 +75,7 @@ fn corner_weights(e: u32, corner: u32) -> vec2<f32> {
     return select(vec2<f32>(u.x, v.x), vec2<f32>(u.y, v.y), corner == 2u);
 }
 
-// Force of triangle e (its number among those bound) on its corner a.
+// Force of triangle e (its index among the bound ones) on its corner a.
 fn triangle_force(e: u32, a: u32) -> vec3<f32> {
     let r3 = triangle_records[e * 6u + 3u];
     let r4 = triangle_records[e * 6u + 4u];
@@ -113,7 +114,7 @@ fn triangle_block(e: u32, a: u32, b: u32) -> mat3x3<f32> {
     return block;
 }
 
-// Corner whose position is k, or NO_BLOCK.
+// Corner at position k, or NO_BLOCK.
 fn corner_at(positions: vec4<u32>, k: u32) -> u32 {
     let hit = positions == vec4<u32>(k);
     let late = select(select(NO_BLOCK, 3u, hit.w), 2u, hit.z);
@@ -135,7 +136,7 @@ fn store_inverse(row: u32, m: mat3x3<f32>) {
     inverse_diagonal[at + 5u] = c.z * scale;
 }
 
-// Where the sums of a row's contacts are, or NO_SLOT.
+// Slot of the sums of a row's contacts, or NO_SLOT.
 fn contact_sums_of(row: u32) -> u32 {
     if (params.contacts == 0u) {
         return NO_SLOT;
@@ -186,7 +187,7 @@ fn fill_block(row: u32, k: u32) {
     }
     var diagonal = false;
     for (var i = triangle_offsets[row]; i < triangle_offsets[row + 1u]; i++) {
-        // A triangle has no fourth corner.
+        // A triangle does not have a fourth corner.
         let corner = corner_at(vec4<u32>(unpacked_positions(triangle_positions[i]).xyz, NO_BLOCK), k);
         let entry = triangle_entries[i];
         if (corner != NO_BLOCK) {

@@ -23,12 +23,12 @@ pub(crate) struct FillInputs<'a> {
     pub hinge_records: &'a [f32],
     pub masses: &'a [f32],
     pub pinned: &'a [u32],
-    /// Per own row its number among those that contacts touch; empty without contacts.
+    /// Per own row its number among the rows with contacts; empty without contacts.
     pub contact_slots: &'a [u32],
     pub contact_sums: &'a [f32],
 }
 
-/// Outputs that several threads write at disjoint places: `values` at the addresses of the own rows' blocks.
+/// Outputs that several threads write at disjoint positions: `values` at the addresses of the own rows' blocks.
 struct Values(*mut f32, usize);
 // SAFETY: block addresses of different rows are disjoint (`SellLayout` hands every address out once).
 unsafe impl Sync for Values {}
@@ -43,9 +43,9 @@ impl Values {
     }
 }
 
-/// Fills the Value Table, the right-hand side dt*f (xyz per row) and the inverted diagonal blocks (xx, xy, xz, yy, yz, zz).
-/// Pinned rows get a zero inverse: that is how the solver knows them. Bytes per row of a cloth: about 1.2 KB of records
-/// read (shared with neighbouring rows in cache), 36 per block, 12 and 24 written.
+/// Fills the Value Table, the right-hand side dt*f (xyz per row) and the inverted diagonal blocks (xx, xy, xz, yy, yz,
+/// zz). A zero inverse marks a pinned row for the solver. Bytes per row of a cloth: about 1.2 KB of records read
+/// (neighboring rows share them in cache), 36 per block, 12 and 24 written.
 pub(super) fn fill(
     cpu: &CpuExecutor,
     params: &FillParams,
@@ -101,14 +101,14 @@ pub(super) fn fill(
     });
 }
 
-/// Adds what the contacts of touched row `slot` sum up to.
+/// Adds the sums of the contacts of row `slot` among the rows with contacts.
 pub(crate) fn add_contacts(inputs: &FillInputs, slot: usize, diagonal: &mut [f32; BLOCK], impulse: &mut [f32; 3]) {
     let [xx, xy, xz, yy, yz, zz, x, y, z] = inputs.contact_sums.as_chunks::<SUMS>().0[slot];
     diagonal.iter_mut().zip([xx, xy, xz, xy, yy, yz, xz, yz, zz]).for_each(|(to, value)| *to += value);
     impulse.iter_mut().zip([x, y, z]).for_each(|(to, value)| *to += value);
 }
 
-/// Adds what one corner of a triangle contributes to its row: blocks at `positions` of the corners, and the force.
+/// Adds the contribution of one corner of a triangle to its row: blocks at `positions` of the corners, and the force.
 pub(crate) fn add_triangle(
     inputs: &FillInputs,
     entry: u32,

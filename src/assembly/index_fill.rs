@@ -1,10 +1,12 @@
-//! Index filling [Li et al. 2020, Sec. 3.2.2, steps 1 to 4]: from the elements that touch a row to its distinct columns, in
-//! ascending global order, their slots in the sliced block-ELL matrix, and the position of every contribution in its row.
+//! Index filling [Li et al. 2020, Sec. 3.2.2, steps 1 to 4]. From the elements that touch a row it computes the row's
+//! distinct columns in ascending global order, their slots in the sliced block-ELL matrix, and the position of every
+//! contribution in its row.
 //!
-//! Four kernels on a table with room for every corner of every contribution (the upper bound of the paper's step 1, which
-//! follows from the row lists): `index_columns` writes the corners' columns, `index_compact` sorts them and merges
-//! duplicates, `index_positions` looks the corners up again, `index_place` writes columns to their slots. In between the
-//! host reads the lengths of the rows and lays out the slices. Elastic tables are filled once, contact tables every step.
+//! Four kernels work on a table with room for every corner of every contribution. This is the upper bound of the
+//! paper's step 1, which follows from the row lists. `index_columns` writes the corners' columns, `index_compact` sorts
+//! them and merges duplicates, `index_positions` looks the corners up again, `index_place` writes columns to their
+//! slots. Before `index_place` the host reads the lengths of the rows and lays out the slices. Elastic tables are
+//! filled once, contact tables every step.
 
 use std::ops::Range;
 
@@ -20,13 +22,13 @@ static COMPACT: KernelSource = KernelSource::new::<IndexParams>("assembly/index_
 static POSITIONS: KernelSource = KernelSource::new::<IndexParams>("assembly/index_fill.wgsl", TEXT, "index_positions");
 static PLACE: KernelSource = KernelSource::new::<IndexParams>("assembly/index_fill.wgsl", TEXT, "index_place");
 
-/// In place of a column that a corner does not have.
+/// Marks a corner without a column.
 pub(super) const NO_COLUMN: u32 = u32::MAX;
-/// In place of the position of such a corner.
+/// Position of a corner without a column.
 pub const NO_POSITION: u16 = u16::MAX;
-/// Set in a row's length if it has columns of other ranks.
+/// Bit of a row's length: the row has columns of other ranks.
 pub(super) const REMOTE: u32 = 1 << 31;
-/// Loop turns that one invocation of a kernel may take (the rule is in the prelude of all kernels).
+/// Maximum loop turns of one invocation of a kernel (the prelude of all kernels has the rule).
 const TURNS_MAX: usize = 60_000;
 
 gpu_struct! {
@@ -50,30 +52,30 @@ gpu_struct! {
     }
 }
 
-/// A row with more columns than positions can name.
+/// A row has more columns than positions can index.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error("vertex {local} is coupled to {columns} others; at most {max} fit", max = NO_POSITION - 1)]
 pub struct RowTooLong {
     /// Own row.
     pub local: usize,
-    /// Its columns.
+    /// Number of its columns.
     pub columns: usize,
 }
 
-/// The local vertices of a rank, and which of them are rows and columns of the system.
+/// The local vertices of a rank, with the ranges that are rows and columns of the system.
 #[derive(Clone, Debug)]
 pub struct Numbering<'a> {
     /// Own rows among the local vertices.
     pub own: Range<usize>,
-    /// Local vertices with a column; those from here on belong to obstacles.
+    /// Number of local vertices with a column; the vertices after them belong to obstacles.
     pub columns: usize,
-    /// Global row of every local vertex with a column: the order of a row's columns. Distinct.
+    /// Global row of every local vertex with a column. The values are distinct and order the columns of a row.
     pub global_from_local: &'a [u32],
     /// Sub-vectors of the `full` exchange, None in `halo` mode.
     pub sub_vectors: Option<SubVectors<'a>>,
 }
 
-/// How `full` cuts a row.
+/// Cuts of a row at sub-vector boundaries, in `full` mode.
 #[derive(Clone, Copy, Debug)]
 pub struct SubVectors<'a> {
     /// Global rows of every rank: consecutive ranges from 0.
@@ -86,12 +88,12 @@ pub struct SubVectors<'a> {
 pub(super) struct IndexRows {
     pub own: Range<usize>,
     pub columns: usize,
-    /// True: every row is a column of itself; false: no row is.
+    /// True: every row has its diagonal column. False: no row has it.
     pub own_column: bool,
 }
 
 impl IndexRows {
-    /// Where row `r` begins in the table; `kinds`: corners and list offsets.
+    /// Start of row `r` in the table. `kinds`: corners and list offsets.
     pub(super) fn start<'a>(&self, r: usize, kinds: impl Iterator<Item = (usize, &'a [u32])>) -> usize {
         let own = if self.own_column { r } else { 0 };
         own + kinds.map(|(corners, offsets)| corners * offsets[r] as usize).sum::<usize>()
@@ -145,25 +147,26 @@ impl<'a> Elements<'a> {
     }
 }
 
-/// One kind of element and who gathers it.
+/// Elements of one kind and their row lists.
 pub(super) struct Kind<'a> {
     pub elements: Elements<'a>,
-    /// Row lists ([`super::ElementRows`]) on the host and where the kernels find them.
+    /// Row lists ([`super::ElementRows`]) on the host, and their copies on the executor.
     pub host_offsets: &'a [u32],
     pub offsets: &'a DeviceVec<u32>,
     pub entries: &'a DeviceVec<u32>,
-    /// Out: position in its row of every corner of every entry, [`NO_POSITION`] for none.
+    /// Output: position in its row of every corner of every entry, [`NO_POSITION`] for none.
     pub positions: &'a mut DeviceVec<[u16; 4]>,
 }
 
-/// The tables of an index; kept from one filling to the next.
+/// The tables of an index; their memory is reused by the next filling.
 pub(super) struct IndexFill {
     table: DeviceVec<u32>,
     lengths: DeviceVec<u32>,
     global_from_local: DeviceVec<u32>,
     part_ends: DeviceVec<u32>,
     lanes: DeviceVec<[u32; 4]>,
-    /// Lengths on the host: per row one of every sub-vector, [`REMOTE`] set if there is only one.
+    /// Lengths on the host: per row one length for each sub-vector. With a single sub-vector the length carries
+    /// [`REMOTE`].
     host_lengths: Vec<u32>,
     parts: usize,
     nothing: DeviceVec<u32>,
@@ -196,7 +199,7 @@ impl IndexFill {
     /// Distinct columns of `count` rows, their lengths, and the positions of the corners.
     ///
     /// # Errors
-    /// A row has more columns than positions can name; its number among the `count` rows is in the error.
+    /// A row has more columns than positions can index; the error holds its number among the `count` rows.
     pub(super) fn fill(
         &mut self,
         executor: &Executor,
@@ -243,7 +246,7 @@ impl IndexFill {
         Ok(())
     }
 
-    /// Segments of the lanes that [`IndexFill::place`] placed last.
+    /// Segments of the lanes of the last call of [`IndexFill::place`].
     pub(super) fn lanes(&self) -> &DeviceVec<[u32; 4]> {
         &self.lanes
     }
@@ -253,8 +256,8 @@ impl IndexFill {
         self.host_lengths[r * self.parts..(r + 1) * self.parts].iter().map(|&n| (n & !REMOTE) as usize).sum()
     }
 
-    /// The rows cut into the sections of the exchange mode. `own_row`: own row of every row of the tables; `late`: rows that
-    /// belong to the second section of `halo` whatever their columns.
+    /// The rows cut into the sections of the exchange mode. `own_row`: own row of every row of the tables. `late`: rows
+    /// that always belong to the second section of `halo`.
     pub(super) fn segments(
         &self,
         numbering: &Numbering<'_>,
@@ -286,8 +289,8 @@ impl IndexFill {
         sections
     }
 
-    /// Writes the columns of `placement` into `matrix`, which has room for them. With `row_offsets` (start of every row in
-    /// pattern order) also the address of every block.
+    /// Writes the columns of `placement` into `matrix`, which has room for them. With `row_offsets` (start of every row
+    /// in pattern order) it also writes the address of every block.
     #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
     pub(super) fn place(
         &mut self,
@@ -319,7 +322,7 @@ impl IndexFill {
                     let params = IndexParams { lanes: placement.lanes.len() as u32, ..window.params };
                     let (row_offsets, block_address) = match &mut addresses {
                         Some((row_offsets, addresses)) => (row_offsets.binding(), addresses.binding_mut()),
-                        // Never written, as no row keeps addresses.
+                        // Placeholder that no kernel writes, because no row stores addresses.
                         None => (self.part_ends.binding(), self.nothing.binding_mut()),
                     };
                     let bindings = [
@@ -388,7 +391,8 @@ impl IndexFill {
         }
     }
 
-    /// Consecutive rows whose parts of the table can be bound together. A single row may be too large: the device refuses it.
+    /// Consecutive rows whose parts of the table can be bound together. The device refuses a single row that is too
+    /// large.
     fn windows(&self, gpu: &GpuExecutor, rows: &IndexRows, count: usize, kinds: &[Kind<'_>]) -> Vec<Window> {
         let most = gpu.window_items(size_of::<u32>());
         let corners = |k: usize| kinds.get(k).map_or(0, |kind| kind.elements.corners() as u32);
@@ -397,7 +401,7 @@ impl IndexFill {
         while first_row < count {
             let first = row_start(rows, kinds, first_row) / WINDOW_STEP * WINDOW_STEP;
             let fits = |end: usize| row_start(rows, kinds, end) <= first + most;
-            // Largest end that fits: starts ascend.
+            // Largest end that fits; starts ascend.
             let (mut end, mut past) = (first_row + 1, count + 1);
             while past - end > 1 {
                 let middle = end.midpoint(past);
@@ -477,7 +481,7 @@ fn row_start(rows: &IndexRows, kinds: &[Kind<'_>], r: usize) -> usize {
     rows.start(r, kinds.iter().map(|kind| (kind.elements.corners(), kind.host_offsets)))
 }
 
-/// Why the device cannot take the rows, if one has too many contributions for a single invocation.
+/// The refusal, if one row has too many contributions for a single invocation.
 fn too_many_turns(rows: &IndexRows, kinds: &[Kind<'_>], count: usize) -> Option<String> {
     let items = |r: usize| row_start(rows, kinds, r + 1) - row_start(rows, kinds, r);
     let longest = (0..count).max_by_key(|&r| items(r))?;

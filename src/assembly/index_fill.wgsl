@@ -1,5 +1,6 @@
-// Index filling [Li et al. 2020, Sec. 3.2.2]; index_fill.rs says what the four kernels hand to each other. A row works on
-// its own part of the table: one item for itself (own_column), then the corners of its contributions, kind a before b.
+// Index filling [Li et al. 2020, Sec. 3.2.2]; index_fill.rs describes the data flow between the four kernels. A row
+// works on its own part of the table: one item for itself (own_column), then the corners of its contributions, kind a
+// before kind b.
 
 struct IndexParams {
     // Rows (or lanes, for index_place) of this dispatch.
@@ -7,7 +8,7 @@ struct IndexParams {
     rows: u32,
     // First item of the table that is bound.
     table_first: u32,
-    // 1: every row is a column of itself. 0: no row is.
+    // 1: every row has its diagonal column. 0: no row has it.
     own_column: u32,
     // Own rows among the local vertices.
     own_start: u32,
@@ -34,7 +35,7 @@ const LANES: u32 = 16u;
 const NO_COLUMN: u32 = 0xffffffffu;
 const NO_ROW: u32 = 0xffffffffu;
 const NO_POSITION: u32 = 0xffffu;
-// Set in a row's length if it has columns of other ranks.
+// Bit of a row's length: the row has columns of other ranks.
 const REMOTE: u32 = 0x80000000u;
 
 @group(0) @binding(0) var<storage, read> offsets_a: array<u32>;
@@ -53,13 +54,13 @@ const REMOTE: u32 = 0x80000000u;
 @group(0) @binding(13) var<storage, read_write> block_address: array<u32>;
 @group(0) @binding(14) var<uniform> params: IndexParams;
 
-// Where the row's part of the table begins.
+// Start of the row's part of the table.
 fn row_start(r: u32) -> u32 {
     let before = params.own_column * r + params.corners_a * offsets_a[r] + params.corners_b * offsets_b[r];
     return before - params.table_first;
 }
 
-// Contributions of row r of the kind that is bound.
+// Contributions of row r, of the bound kind.
 fn contributions(r: u32) -> vec2<u32> {
     if (params.kind == 0u) {
         return vec2<u32>(offsets_a[r], offsets_a[r + 1u]);
@@ -80,7 +81,7 @@ fn column_of(e: u32, corner: u32, own: u32) -> u32 {
     return v;
 }
 
-// Columns are in the order of global rows; what is no column comes last.
+// Key of a column: its global row. Items without a column sort last.
 fn key(column: u32) -> u32 {
     if (column == NO_COLUMN) {
         return NO_COLUMN;
@@ -116,7 +117,7 @@ fn index_columns(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_work
     }
 }
 
-// Moves item `start` of the heap of n items at `base` down to its place.
+// Sifts item `start` of the heap of n items at `base` down.
 fn sift(base: u32, start: u32, n: u32) {
     var root = start;
     let value = table[base + root];
@@ -204,7 +205,7 @@ fn row_length(r: u32) -> u32 {
     return length;
 }
 
-// Position of a column among the row's, which hold it.
+// Position of a column among the columns of the row, which contain it.
 fn position_of(column: u32, base: u32, length: u32) -> u32 {
     if (column == NO_COLUMN) {
         return NO_POSITION;

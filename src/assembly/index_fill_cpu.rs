@@ -1,4 +1,4 @@
-//! CPU twin of `index_fill.wgsl`. One pass per row does what three kernels do there: it collects the distinct columns in a
+//! CPU twin of `index_fill.wgsl`. One pass per row replaces three of the kernels: it collects the distinct columns in a
 //! small hash table, sorts them, and looks the corners' positions up in the same table.
 
 use super::index_fill::{IndexRows, NO_COLUMN, NO_POSITION, REMOTE};
@@ -9,14 +9,14 @@ use crate::gpu::CpuExecutor;
 pub(super) struct KindInputs<'a> {
     pub offsets: &'a [u32],
     pub entries: &'a [u32],
-    /// Elements as words: `stride` each, the vertices first.
+    /// Elements as words: `stride` words each, the vertices first.
     pub words: &'a [u32],
     pub stride: usize,
     pub corners: usize,
     pub positions: &'a mut [[u16; 4]],
 }
 
-/// An array that several threads write at disjoint places.
+/// An array that several threads write at disjoint positions.
 struct Shared<T>(*mut T, usize);
 // SAFETY: every row or lane writes its own items only, and belongs to one thread.
 unsafe impl<T: Send> Sync for Shared<T> {}
@@ -36,10 +36,10 @@ impl<T> Shared<T> {
     }
 }
 
-/// The distinct columns of one row: an open-addressed hash table over a list, numbered as they came.
+/// The distinct columns of one row: an open-addressed hash table over a list, numbered in order of insertion.
 #[derive(Default)]
 struct RowSet {
-    /// Number of the column plus one, 0 for a free slot; a power of two of slots.
+    /// Number of the column plus one, 0 for a free slot. The number of slots is a power of two.
     slots: Vec<u32>,
     /// Columns (local vertices) by number.
     columns: Vec<u32>,
@@ -51,7 +51,7 @@ struct RowSet {
 }
 
 impl RowSet {
-    /// Empties the set, with room for `bound` columns.
+    /// Empties the set and makes room for `bound` columns.
     fn clear(&mut self, bound: usize) {
         let slots = (bound + bound / 4 + 1).next_power_of_two().max(8);
         self.columns.clear();
@@ -60,7 +60,7 @@ impl RowSet {
         self.shift = 32 - slots.trailing_zeros();
     }
 
-    /// Number of `column`, which is put in if it was not there.
+    /// Number of `column`, which is inserted if it is new.
     #[inline(always)]
     fn insert(&mut self, column: u32) -> u32 {
         let mut at = (column.wrapping_mul(0x9e37_79b1) >> self.shift) as usize;
@@ -113,7 +113,7 @@ pub(super) fn index_rows(
             if rows.own_column {
                 set.insert((rows.own.start + r) as u32);
             }
-            // Positions hold the numbers of the columns until these are sorted.
+            // Positions hold the numbers of the columns until the columns are sorted.
             for (kind, positions) in kinds.iter().zip(&positions) {
                 let list = kind.offsets[r] as usize..kind.offsets[r + 1] as usize;
                 // SAFETY: contributions of this row, which is visited once.
@@ -146,7 +146,7 @@ pub(super) fn index_rows(
     });
 }
 
-/// Columns of an element's corners, seen from its corner in `entry`.
+/// Columns of an element's corners, seen from the corner that `entry` names.
 #[inline(always)]
 fn columns<'a>(rows: &'a IndexRows, kind: &'a KindInputs<'_>, entry: u32) -> impl Iterator<Item = u32> + 'a {
     let at = (entry >> 2) as usize * kind.stride;
@@ -173,7 +173,7 @@ fn measure(rows: &IndexRows, set: &RowSet, part_ends: &[u32], lengths: &mut [u32
     }
 }
 
-/// Columns of every lane of the layout, and the address of every block where rows keep them.
+/// Columns of every lane of the layout, and the addresses of the blocks of rows that store them.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub(super) fn index_place(
     cpu: &CpuExecutor,

@@ -1,13 +1,13 @@
-//! Layout of a sliced block-ELL matrix (SELL-C-sigma [Kreutzer et al. 2014]): which row sits in which lane of which slice,
-//! and where each block of a row is stored. P-Cloth pads every row to the longest of the rank [Li et al. 2020,
-//! Sec. 3.2.2]; slices of 16 rows sorted by length pad about 2 percent instead of 70 (docs/papers.md).
+//! Layout of a sliced block-ELL matrix (SELL-C-sigma [Kreutzer et al. 2014]): the slice and lane of each row, and the
+//! address of each block. P-Cloth pads every row to the longest of the rank [Li et al. 2020, Sec. 3.2.2]; slices of 16
+//! rows sorted by length pad about 2 percent instead of 70 (docs/papers.md).
 
 use std::ops::Range;
 
 /// Rows per slice.
 pub const LANES: usize = 16;
-/// Rows are sorted by length within windows of this many rows: long enough to even out slices, short enough to keep the
-/// locality of the row order.
+/// Rows are sorted by length within windows of this many rows. The window is long enough to even out slices and short
+/// enough to keep the locality of the row order.
 pub const SORT_WINDOW: usize = 256;
 /// Lane without a row.
 pub const NO_ROW: u32 = u32::MAX;
@@ -27,22 +27,22 @@ pub struct SellLayout {
     pub block_address: Vec<u32>,
 }
 
-/// A stretch of one row's columns that belongs to one section.
+/// A contiguous range of one row's columns that belongs to one section.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Segment {
-    /// Number of the row in the tables that the columns come from.
+    /// Number of the row in the tables of its columns.
     pub index: u32,
     /// Own row.
     pub row: u32,
-    /// Sub-vector of its columns (`full`).
+    /// Sub-vector of its columns (`full` mode).
     pub part: u32,
-    /// Position in the row of the first of its columns.
+    /// Position of its first column in the row.
     pub first: u32,
-    /// Columns.
+    /// Number of its columns.
     pub length: u32,
 }
 
-/// Which segment sits in which lane, before any column is known.
+/// Lanes of the segments, determined before any column is known.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Placement {
     /// See [`SellLayout::row_of_lane`].
@@ -53,18 +53,19 @@ pub(super) struct Placement {
     pub sections: Vec<Range<u32>>,
     /// Segment of every lane: index ([`NO_ROW`] for none), part, first, length.
     pub lanes: Vec<[u32; 4]>,
-    /// Columns of all segments.
+    /// Number of columns of all segments.
     pub blocks: usize,
 }
 
 impl Placement {
-    /// Places the segments of each section: sorted by length within windows of [`SORT_WINDOW`], then cut into slices.
+    /// Assigns the segments of each section to lanes: sorted by length within windows of [`SORT_WINDOW`], then cut into
+    /// slices.
     pub(super) fn new(sections: &[Vec<Segment>]) -> Placement {
         let mut placement = Placement { slice_offsets: vec![0], ..Default::default() };
         let mut order: Vec<u64> = Vec::new();
         for segments in sections {
             order.clear();
-            // Longest first, equal ones in their own order.
+            // Longest first; ties keep their order.
             order.extend(segments.iter().enumerate().map(|(i, s)| u64::from(u32::MAX - s.length) << 32 | i as u64));
             order.chunks_mut(SORT_WINDOW).for_each(<[u64]>::sort_unstable);
             let first_slice = placement.slice_offsets.len() as u32 - 1;
@@ -91,7 +92,7 @@ impl Placement {
 }
 
 impl SellLayout {
-    /// Two sections for the `halo` exchange: rows with own columns only, then rows that read halo columns. Every row keeps
+    /// Two sections for the `halo` exchange: rows with own columns only, then rows that read halo columns. A row keeps
     /// all its blocks together in ascending column order, so its sum does not depend on the section.
     pub fn halo(offsets: &[u32], columns: &[u32], own: Range<usize>) -> SellLayout {
         let mut sections = [Vec::new(), Vec::new()];
@@ -104,9 +105,9 @@ impl SellLayout {
         Self::place(offsets, columns, &sections, |_, c| c)
     }
 
-    /// One section per rank for the `full` exchange: the blocks A_ij of row block i [Li et al. 2020, Eq. 5], the own one
-    /// first, the others in the order `order`. Columns are indices into sub-vector j. The own section holds every row, so
-    /// multiplying it initialises the result.
+    /// One section per rank for the `full` exchange: the blocks A_ij of row block i [Li et al. 2020, Eq. 5], first the
+    /// own one, then the others in the order `order`. Columns are indices into sub-vector j. The own section holds
+    /// every row, so its product initializes the result.
     pub fn full(
         offsets: &[u32],
         columns: &[u32],
@@ -175,7 +176,7 @@ impl SellLayout {
         self.columns.len()
     }
 
-    /// Slots over stored blocks: 1 = no padding.
+    /// Slots divided by stored blocks; 1 means no padding.
     pub fn padding_ratio(&self) -> f64 {
         self.slots() as f64 / self.block_address.len().max(1) as f64
     }

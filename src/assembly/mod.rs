@@ -1,5 +1,6 @@
-//! Dynamic matrix assembly into sliced block ELL [Li et al. 2020, Sec. 3.2]: element records -> Index Table -> Value Table,
-//! right-hand side and preconditioner of a rank's rows. Gathers per row, so no atomics and a fixed order of every sum.
+//! Dynamic matrix assembly into sliced block ELL [Li et al. 2020, Sec. 3.2]: element records -> Index Table -> Value
+//! Table, right-hand side and preconditioner of a rank's rows. Each row gathers its contributions, so that every sum
+//! has a fixed order without atomics.
 
 mod element_rows;
 pub mod fill;

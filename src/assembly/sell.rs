@@ -1,8 +1,8 @@
 //! A rank's rows as a sliced block-ELL matrix on the device: Index Table and Value Table in structure-of-arrays form.
 //!
 //! Value of component c (row-major in the 3x3 block) at block address a = slot * LANES + lane:
-//! `values[(slot * 9 + c) * LANES + lane]`. Lanes are contiguous, so neighbouring device invocations and SIMD lanes read
-//! neighbouring words.
+//! `values[(slot * 9 + c) * LANES + lane]`.
+//! Lanes are contiguous, so neighboring device invocations and SIMD lanes read neighboring words.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ pub fn value_index(address: u32, c: usize) -> usize {
     (slot * BLOCK + c) * LANES + lane
 }
 
-/// A block matrix; its pattern is fixed until it is built anew.
+/// A block matrix with a fixed pattern until it is rebuilt.
 pub struct SellMatrix {
     /// Own rows.
     pub rows: usize,
@@ -41,24 +41,24 @@ pub struct SellMatrix {
     pub longest_row: usize,
     /// Own rows of all sections but the first, ascending.
     pub(crate) late_rows: Vec<u32>,
-    /// Per section, parts that a device can bind; one each on the cpu executor.
+    /// Parts of each section that a device can bind; on the cpu executor one per section.
     pub(crate) parts: Vec<Vec<SellPart>>,
-    /// The same for all sections together.
+    /// Parts of all sections together.
     pub(crate) fill_parts: Vec<SellPart>,
 }
 
-/// Consecutive slices, and the slots they are stored in.
+/// Consecutive slices and the range of their slots.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SellPart {
     pub(crate) slices: Range<u32>,
-    /// Rounded outwards to multiples of [`PART_STEP`], as far as there are slots.
+    /// Rounded outward to multiples of [`PART_STEP`], at most to the number of slots.
     pub(crate) slots: Range<usize>,
 }
 
-/// Slots of a part begin at multiples of this: then its columns and values begin at multiples of 64 words.
+/// Slots of a part begin at multiples of this number, so that its columns and values begin at multiples of 64 words.
 const PART_STEP: usize = 4;
 
-/// Cuts `section` into parts of at most `slots_max` slots (a single slice may have more: the device then refuses it).
+/// Cuts `section` into parts of at most `slots_max` slots. A single slice may have more; the device then refuses it.
 fn parts(slice_offsets: &[u32], section: &Range<u32>, slots_max: usize) -> Vec<SellPart> {
     let mut parts = Vec::new();
     let mut first = section.start;
@@ -108,8 +108,8 @@ impl SellMatrix {
         }
     }
 
-    /// Makes room for `placement`. Columns are to be filled by the caller, then values, padding included; where the matrix
-    /// had no memory before, both are zeros.
+    /// Makes room for `placement`. The caller fills columns, then values, padding included. Newly allocated memory is
+    /// zero.
     pub(super) fn place(&mut self, executor: &Executor, placement: &Placement) {
         let Placement { row_of_lane, slice_offsets, sections, blocks, .. } = placement;
         self.allocate(executor, row_of_lane, slice_offsets, sections, *blocks);
@@ -151,7 +151,7 @@ impl SellMatrix {
         self.late_rows.dedup();
     }
 
-    /// Slots over stored blocks: 1 = no padding.
+    /// Slots divided by stored blocks; 1 means no padding.
     pub fn padding_ratio(&self) -> f64 {
         self.columns.len() as f64 / self.blocks.max(1) as f64
     }
@@ -162,8 +162,8 @@ impl SellMatrix {
         self.sections.iter().map(|section| offsets[section.end as usize]).collect()
     }
 
-    /// Calls `visit(section, row, column, block)` for all blocks, padding included, row by row, in the order in which a row is
-    /// summed. From a device all of it is copied.
+    /// Calls `visit(section, row, column, block)` for all blocks, padding included, row by row, in the order of a row's
+    /// sum. On a device this copies the whole matrix.
     pub fn for_each_block(&self, executor: &Executor, mut visit: impl FnMut(usize, u32, u32, [f32; BLOCK])) {
         let (offsets, lanes) = (self.slice_offsets.host(executor), self.row_of_lane.host(executor));
         let (columns, values) = (self.columns.host(executor), self.values.host(executor));
@@ -184,7 +184,7 @@ impl SellMatrix {
         }
     }
 
-    /// Bytes that multiplying section `section` moves: values and columns once, the vector entries at least once.
+    /// Bytes moved by a product with section `section`: values and columns once, the vector entries at least once.
     pub fn section_bytes(&self, section: usize) -> u64 {
         (self.section_slots[section] * (BLOCK * 4 + 4) + self.sections[section].len() * LANES * 12) as u64
     }
@@ -198,13 +198,13 @@ impl SellMatrix {
     }
 }
 
-/// The matrix of a step as the sum of two: what the elastic elements couple, with every diagonal block, and what only
-/// contacts couple. y = elastic x + contact x, each row in this order, so contacts never move an elastic block.
+/// The matrix of a step as a sum of two: the elastic matrix with every diagonal block, and the couplings that only
+/// contacts make. y = elastic x + contact x, each row in this order, so contacts never move an elastic block.
 #[derive(Clone, Copy)]
 pub struct SystemMatrix<'a> {
     /// Fixed pattern; diagonal blocks hold masses and the contacts' share, too.
     pub elastic: &'a SellMatrix,
-    /// Blocks off the diagonal of the rows that contacts touch; sections as those of `elastic`. None without contacts.
+    /// Off-diagonal contact blocks of the rows with contacts, in the same sections as `elastic`. None without contacts.
     pub contact: Option<&'a SellMatrix>,
 }
 
@@ -220,7 +220,7 @@ impl SystemMatrix<'_> {
         std::iter::once(self.elastic).chain(self.contact)
     }
 
-    /// Bytes that multiplying section `section` of both moves; the contact rows are read and written once more.
+    /// Bytes moved by a product with section `section` of both; rows with contacts are read and written once more.
     pub fn section_bytes(&self, section: usize) -> u64 {
         let again = self.contact.map_or(0, |contact| contact.sections[section].len() * LANES * 24);
         self.parts().map(|matrix| matrix.section_bytes(section)).sum::<u64>() + again as u64

@@ -1,4 +1,4 @@
-//! Advances the own rows by a solved step.
+//! Kernel that updates velocities and positions of the own rows at the end of a step.
 
 use super::advance_cpu;
 use crate::gpu::{DeviceVec, Executor, KernelSource, gpu_struct};

@@ -1,5 +1,5 @@
-//! Backward Euler [Baraff and Witkin 1998; Li et al. 2020, Eqs. 1-3]: with dv from the solver,
-//! v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); prescribed vertices are set exactly.
+//! Backward Euler [Baraff and Witkin 1998; Li et al. 2020, Eqs. 1-3]: with dv from the solver, v(t1) = v(t0) + dv and
+//! x(t1) = x(t0) + dt v(t1). Prescribed vertices are set exactly.
 
 pub mod advance;
 mod advance_cpu;

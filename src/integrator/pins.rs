@@ -1,7 +1,8 @@
-//! Prescribed vertices of a rank: which are held at a time and where they have to be. Host only; a cloth has few of them.
+//! Prescribed vertices of a rank: the vertices held at a time, and their targets. Host only, because a cloth has few of
+//! them.
 //!
 //! A pin moves by the *change* of its motion since it took hold, so a pin that takes hold later does not jump. Targets
-//! depend on the scene and on the state at t0 only, never on the steps before: a resumed run gives the same bits.
+//! depend on the scene and the state at t0 only, never on earlier steps, so a resumed run gives the same bits.
 
 use crate::math::{DVec3, Vec3};
 use crate::scene::Motion;
@@ -11,13 +12,13 @@ use crate::scene::Motion;
 pub struct RankPin {
     /// Own row.
     pub row: u32,
-    /// Start position of the vertex, metres.
+    /// Start position of the vertex, meters.
     pub start_m: [f32; 3],
-    /// Motion, if it moves.
+    /// Motion of a moving pin.
     pub motion: Option<u32>,
-    /// Held from, seconds.
+    /// Start of the hold, seconds.
     pub start_s: f64,
-    /// Held until, seconds.
+    /// End of the hold, seconds.
     pub end_s: f64,
 }
 
@@ -35,12 +36,12 @@ pub struct Pins {
     held: Vec<Option<Held>>,
 }
 
-/// Rows to prescribe in a step.
+/// Rows to prescribe in a step, with their targets.
 #[derive(Debug, Default, PartialEq)]
 pub struct PinTargets {
     /// Own rows, in the order of the pins.
     pub rows: Vec<u32>,
-    /// Positions at t1, metres.
+    /// Positions at t1, meters.
     pub positions: Vec<[f32; 3]>,
     /// Velocities at t1, m/s.
     pub velocities: Vec<[f32; 3]>,
@@ -49,12 +50,13 @@ pub struct PinTargets {
 }
 
 impl Pins {
-    /// No pin is held yet.
+    /// Pins of a rank, none of them held yet.
     pub fn new(pins: Vec<RankPin>) -> Pins {
         Pins { held: vec![None; pins.len()], pins }
     }
 
-    /// True if the set of held rows changes in the step that starts at `time_s` (always in the first step from a state that was set).
+    /// True if the set of held rows changes in the step that starts at `time_s`, which it always does in the first step
+    /// from a state that was set.
     pub fn changes(&self, time_s: f64, step_s: f64) -> bool {
         self.pins
             .iter()
@@ -62,12 +64,12 @@ impl Pins {
             .any(|(pin, held)| is_held((pin.start_s, pin.end_s), time_s, step_s) != held.is_some())
     }
 
-    /// Lets go of all pins, because the state is another one. The next step takes hold of what it must.
+    /// Releases all pins, because another state has been set. The next step takes hold of the pins that are due.
     pub fn release_all(&mut self) {
         self.held.fill(None);
     }
 
-    /// Takes hold of and releases pins for the step that starts at `time_s`, given the own rows' state. Call when
+    /// Takes hold of and releases pins for the step that starts at `time_s`, given the own rows' state. Call it if
     /// [`Pins::changes`]; returns the held rows.
     pub fn regrip(&mut self, time_s: f64, step_s: f64, positions: &[f32], velocities: &[f32]) -> Vec<u32> {
         for (pin, held) in self.pins.iter().zip(&mut self.held) {
@@ -89,7 +91,7 @@ impl Pins {
         let mut out = PinTargets::default();
         for (pin, held) in self.pins.iter().zip(&mut self.held) {
             let Some(held) = held else { continue };
-            // A pin held from the beginning follows its motion without adding up rounding errors.
+            // A pin held from the beginning follows its motion directly, so that rounding errors do not accumulate.
             let (from, since) = if pin.start_s <= 0.0 {
                 (DVec3::from_array(pin.start_m.map(f64::from)), 0.0)
             } else {
@@ -110,9 +112,10 @@ impl Pins {
     }
 }
 
-/// Whether a pin that holds from `span.0` to `span.1` seconds holds during the step that starts at `time_s`.
+/// True if a pin with the hold `span` (seconds) is held during the step that starts at `time_s`.
 pub fn is_held(span: (f64, f64), time_s: f64, step_s: f64) -> bool {
-    // Half a step of slack: a pin that ends at a step's end is held through that step, whatever the rounding of the time.
+    // Half a step of slack, so that a pin whose hold ends at a step's end is held through that step in spite of
+    // rounding.
     time_s + 0.5 * step_s >= span.0 && time_s + 0.5 * step_s <= span.1
 }
 

@@ -1,4 +1,5 @@
-//! Sets prescribed rows (pins) of a vector; a cloth has few of them, so they travel from the host every time.
+//! Kernel that sets prescribed rows (pins) of a vector. The host uploads them in every step, because a cloth has few of
+//! them.
 
 use super::scatter_cpu;
 use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource, gpu_struct};

@@ -1,5 +1,5 @@
-//! Steps and products without a stored matrix, and products after all transfers, for benchmarks [Li et al. 2020, Figs. 5, 18].
-//! Without a stored matrix: native executor and halo rows only.
+//! Steps and products without a stored matrix, and products after all transfers, for benchmarks
+//! [Li et al. 2020, Figs. 5, 18]. Without a stored matrix: native executor and halo rows only.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -24,13 +24,13 @@ struct Unassembled {
     kernel: MatrixFree,
 }
 
-/// Which triangles and which hinges an own row gathers.
+/// Triangles and hinges that each own row gathers.
 struct ElasticLists {
     triangles: Lists,
     hinges: Lists,
 }
 
-/// Which elements of one kind an own row gathers.
+/// Elements of one kind that each own row gathers.
 struct Lists {
     offsets: DeviceVec<u32>,
     entries: DeviceVec<u32>,
@@ -142,11 +142,11 @@ impl StepMatrix for Unassembled {
 }
 
 impl Simulation {
-    /// Gives the stored matrix up: from now on every product is computed from the element records, with block Jacobi as the
-    /// preconditioner. Own rows have the same bits on any number of ranks, but not those of the stored product.
+    /// Drops the stored matrix. From now on every product is computed from the element records, with block Jacobi as
+    /// the preconditioner. Own rows have the same bits on any number of ranks, but not the bits of the stored product.
     ///
     /// # Errors
-    /// On a device, and with whole sub-vectors: only the cpu executor and halo rows have such a product.
+    /// On a device, and with whole sub-vectors, because only the cpu executor with halo rows has such a product.
     pub fn drop_matrix(&mut self) -> Result<(), SetupError> {
         let cloth = &mut self.cloth;
         if !matches!(self.executor, Executor::Cpu(_)) || cloth.solver.spmv.mode() != ExchangeMode::Halo {
@@ -159,7 +159,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// As [`Simulation::time_products`] with products that wait for all sub-vectors before they multiply
+    /// As [`Simulation::time_products`], with products that receive all sub-vectors before they multiply
     /// [Cevahir et al. 2009]. Whole sub-vectors and a stored matrix only.
     pub fn time_gather_first(
         &mut self,

@@ -1,4 +1,4 @@
-//! Elastic elements of a rank and the records that a step makes of them. Matrix and right-hand side read the records only.
+//! Elastic elements of a rank and their records of a step. Matrix and right-hand side read the records only.
 
 use super::collisions::Span;
 use super::own_state::StateVectors;

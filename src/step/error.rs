@@ -1,5 +1,5 @@
-//! Why a rank could not be set up, and why it cannot go on. A [`Failure`] is made on the rank, travels to the coordinator as
-//! it is and is put into words in one place, [`Failure::sentence`].
+//! Errors of the setup and of the steps of a rank. A [`Failure`] is created on the rank and travels to the coordinator
+//! unchanged; [`Failure::sentence`] is the only place that puts it into words.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -10,19 +10,19 @@ use thiserror::Error;
 use crate::linear_system::SolveError;
 use crate::transport::TransportError;
 
-/// Why a rank could not be set up.
+/// Error of the setup of a rank.
 #[derive(Debug, Error)]
 pub enum SetupError {
-    /// A vertex with too many neighbours.
+    /// A vertex has too many neighbors.
     #[error(transparent)]
     RowTooLong(#[from] crate::assembly::RowTooLong),
-    /// The preconditioner that was asked for is not to be had on this executor.
+    /// The requested preconditioner is not available on this executor.
     #[error("{0}")]
     Preconditioner(String),
-    /// Products without a stored matrix are made by one executor and in one exchange mode alone.
+    /// Products without a stored matrix were requested on another executor or in another exchange mode.
     #[error("products without a stored matrix need the cpu executor and --exchange halo")]
     MatrixFree,
-    /// What collisions are to work on does not fit together.
+    /// The data for collisions is inconsistent.
     #[error("collisions: {0}")]
     Collision(String),
     /// The device refused.
@@ -30,7 +30,7 @@ pub enum SetupError {
     Device(#[from] crate::gpu::GpuError),
 }
 
-/// What is moved by the scene and cannot give way to cloth.
+/// An object that the scene moves, so that cloth cannot push it away.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Imposed {
     /// An obstacle, by its name.
@@ -39,25 +39,25 @@ pub enum Imposed {
     Pin(u32),
 }
 
-/// Why a rank cannot go on. Rows count in the global order.
+/// Error that ends the steps of a rank. Rows are global.
 #[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Failure {
-    /// A transfer failed: another rank is gone or silent, or the run was told to stop. The reason lies elsewhere.
+    /// A transfer failed: another rank ended, is silent, or the run was told to stop. The cause lies elsewhere.
     Transport(String),
-    /// Bad input that only a rank could see.
+    /// Bad input that only a rank can detect.
     BadInput(String),
-    /// A value that is not finite; `suspect` names the fields of the scene that usually cause it.
+    /// A value that is not finite. `suspect` names the fields of the scene that usually cause it.
     NotFinite { step: u32, row: u32, quantity: Cow<'static, str>, cause: String, suspect: Cow<'static, str> },
     /// No state without penetration was found at the end of the step.
     Squeezed { step: u32, imposed: Vec<Imposed> },
-    /// A step failed for another reason: collision detection, the solve, the device.
+    /// A step failed for another reason: collision detection, the solve or the device.
     Step { step: u32, cause: String },
     /// Anything else.
     Other(String),
 }
 
-/// [`Failure::Squeezed`] names at most this many culprits of each kind.
+/// Maximum number of culprits of each kind that [`Failure::Squeezed`] names.
 const NAMED_MOST: usize = 3;
 
 impl Failure {
@@ -66,7 +66,7 @@ impl Failure {
         Failure::Step { step, cause: cause.to_string() }
     }
 
-    /// The sentence for the user; `vertex_name` names the vertex of a global row.
+    /// The sentence for the user. `vertex_name` names the vertex of a global row.
     pub fn sentence(&self, vertex_name: &dyn Fn(u32) -> String) -> String {
         match self {
             Failure::Transport(text) | Failure::BadInput(text) | Failure::Other(text) => text.clone(),

@@ -1,4 +1,4 @@
-//! What others may ask a simulation: its state, its memory, and why a solve failed.
+//! Queries of a simulation: its state, its memory, and the cause of a failed solve.
 
 use super::{Failure, RankCloth, Simulation};
 use crate::gpu::Executor;
@@ -7,12 +7,12 @@ use crate::scene::PreconditionerKind;
 use crate::solver::PcgError;
 
 impl Simulation {
-    /// State of the own rows; one wait for the executor if it has changed since the last time.
+    /// State of the own rows. It waits for the executor once if the state has changed since the last call.
     pub fn state(&self) -> RankState {
         self.cloth.state.own(&self.executor).as_ref().clone()
     }
 
-    /// Gives all of it up but the executor, for another simulation.
+    /// Drops everything but the executor, for another simulation.
     pub fn into_executor(self) -> Executor {
         self.executor
     }
@@ -34,7 +34,7 @@ impl RankCloth {
         self.elements.bytes() + self.state.bytes() + self.system.bytes() + self.matrix.bytes() + self.solver.bytes()
     }
 
-    /// Finds the vertex behind a failed solve and names what usually causes it.
+    /// Finds the vertex that caused a failed solve and names the usual causes.
     pub(super) fn explain(&self, executor: &Executor, step: u32, error: PcgError) -> Failure {
         let cause = match error {
             PcgError::Transport(error) => return error.into(),

@@ -1,5 +1,6 @@
-//! Positions and velocities of a rank: on the executor for all local rows, and a host copy of the own rows. The copy is read
-//! once after each change, because on a device every read is a wait; later readers share it.
+//! Positions and velocities of a rank: on the executor for all local rows, and a host copy of the own rows' state. The
+//! copy is read from the executor once after each change, because every read makes a device wait; later readers share
+//! it.
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -19,15 +20,15 @@ use crate::transport::TransportError;
 
 /// The state that the executor holds.
 pub(super) struct StateVectors {
-    /// Metres, xyz of all local rows; then of the obstacle vertices that contacts touch.
+    /// Meters, xyz of all local rows, then of the obstacle vertices that contacts touch.
     pub positions: DeviceVec<f32>,
-    /// m/s, as `positions`.
+    /// m/s, in the order of `positions`.
     pub velocities: DeviceVec<f32>,
     /// Values of the own rows.
     own: Range<usize>,
-    /// What the host knows of the own rows; none after a change.
+    /// Host copy of the own rows; none after a change.
     copy: RefCell<Option<Rc<RankState>>>,
-    /// Bytes received since they were taken last.
+    /// Bytes received since the last [`StateVectors::take_received_bytes`].
     traffic: TrafficCounter,
     advance: Advance,
     scatter: Scatter,
@@ -47,7 +48,7 @@ impl StateVectors {
         }
     }
 
-    /// The state of the own rows; one wait for the executor if it has changed since the last time.
+    /// The state of the own rows. It waits for the executor once if the state has changed since the last call.
     pub(super) fn own(&self, executor: &Executor) -> Rc<RankState> {
         if let Some(known) = &*self.copy.borrow() {
             return Rc::clone(known);
@@ -62,7 +63,7 @@ impl StateVectors {
         state
     }
 
-    /// As [`StateVectors::own`], within a step: what is read is recorded.
+    /// As [`StateVectors::own`], within a step: the recorder counts the read.
     pub(super) fn recorded(&self, rank: &mut RankContext<'_>) -> Rc<RankState> {
         let known = self.copy.borrow().clone();
         known.unwrap_or_else(|| {
@@ -73,14 +74,14 @@ impl StateVectors {
         })
     }
 
-    /// The own rows become `state`.
+    /// Sets the own rows to `state`.
     pub(super) fn set(&mut self, executor: &Executor, state: Rc<RankState>) {
         self.positions.write_range(executor, self.own.start, &state.positions);
         self.velocities.write_range(executor, self.own.start, &state.velocities);
         self.copy.replace(Some(state));
     }
 
-    /// Obstacle vertices (xyz) follow the `rows` local rows.
+    /// Appends obstacle vertices (xyz) to the `rows` local rows.
     pub(super) fn put_obstacles(&mut self, executor: &Executor, rows: usize, positions: &[f32], velocities: &[f32]) {
         for (local, obstacles) in [(&mut self.positions, positions), (&mut self.velocities, velocities)] {
             let local_len = rows * 3 + obstacles.len();
@@ -105,13 +106,13 @@ impl StateVectors {
         Ok(())
     }
 
-    /// `velocity_changes` (own rows) becomes those of `targets`, zero elsewhere.
+    /// Sets `velocity_changes` (own rows) to those of `targets` on prescribed rows, and to zero elsewhere.
     pub(super) fn prescribe(&self, executor: &Executor, targets: &PinTargets, velocity_changes: &mut DeviceVec<f32>) {
         velocity_changes.fill_zero(executor);
         self.scatter.apply(executor, &targets.rows, &targets.velocity_changes, 0, velocity_changes);
     }
 
-    /// v += `velocity_changes` (own rows), x += dt v; then pinned rows exactly.
+    /// v += `velocity_changes` (own rows), x += dt v; then sets prescribed rows exactly.
     pub(super) fn advance(
         &mut self,
         rank: &mut RankContext<'_>,

@@ -1,5 +1,5 @@
-//! The matrix of a state on its own, for benchmarks: assembled with its contacts and multiplied, without solving or moving
-//! anything. Where the matrix is not stored (`comparison`), the same calls make products from the element records.
+//! The matrix of a state by itself, for benchmarks: assembled with its contacts and multiplied, without a solve or
+//! motion. If the matrix is not stored (`comparison`), the same calls multiply from the element records.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -14,8 +14,8 @@ use crate::telemetry::Event;
 use crate::transport::{Transport, TransportError};
 
 impl Simulation {
-    /// Stages 1 to 4 of step `step` (from 1) [Li et al. 2020, Fig. 2]: contacts, element records, matrix, right-hand side.
-    /// Positions and velocities stay. Returns the number of contacts over all ranks.
+    /// Runs stages 1 to 4 of step `step` (from 1) [Li et al. 2020, Fig. 2]: contacts, element records, matrix,
+    /// right-hand side. Positions and velocities do not change. Returns the number of contacts over all ranks.
     pub fn assemble(&mut self, transport: &mut dyn Transport, step: u32) -> Result<u64, Failure> {
         let span = Span::of_step(step, self.cloth.settings.step_s);
         let mut stats = StepStats { step, ..StepStats::default() };
@@ -37,7 +37,7 @@ impl Simulation {
         self.cloth.rows.clone()
     }
 
-    /// A x of the assembled matrix; `x`: xyz per own row, as the result.
+    /// A x of the assembled matrix. `x` and the result: xyz per own row.
     pub fn product(&mut self, transport: &mut dyn Transport, x: &[f32]) -> Result<Vec<f32>, TransportError> {
         let own = self.cloth.solver.spmv.own_start();
         self.cloth.solver.vectors.u.write_range(&self.executor, own, x);
@@ -56,8 +56,9 @@ impl Simulation {
         done.map(|()| events)
     }
 
-    /// Start and end of each of `repeat` products on this rank, after one that warms up. All ranks wait for each other before
-    /// each, so that the earliest start and the latest end over the ranks belong together.
+    /// Start and end of each of `repeat` products on this rank, after one product for warm-up. All ranks wait for each
+    /// other before each product, so that the earliest start and the latest end over the ranks belong to the same
+    /// product.
     pub fn time_products(
         &mut self,
         transport: &mut dyn Transport,
@@ -71,7 +72,7 @@ impl Simulation {
         self.cloth.matrix.product_bytes(&self.cloth.elements, &self.cloth.system)
     }
 
-    /// Calls `work` with the matrix of the last assembly, the vector that it multiplies and one for the result.
+    /// Calls `work` with the matrix of the last assembly, the vector that it multiplies and a vector for the result.
     fn with_operator<T>(
         &mut self,
         transport: &mut dyn Transport,
@@ -88,7 +89,7 @@ impl Simulation {
     }
 }
 
-/// Start and end of each of `repeat` products y = A u, after one that warms up.
+/// Start and end of each of `repeat` products y = A u, after one product for warm-up.
 pub(super) fn time_operator(
     rank: &mut RankContext<'_>,
     operator: &mut dyn Operator,

@@ -1,4 +1,4 @@
-//! What a step cost and found: counts repeat exactly, seconds do not.
+//! Costs and results of a step. Counts repeat exactly; seconds do not.
 
 use std::time::Instant;
 
@@ -7,16 +7,16 @@ use serde::{Deserialize, Serialize};
 use crate::gpu::Executor;
 use crate::impact_zone::ZoneCounts;
 
-/// Seconds of the stages of a step: on a rank its wall time, waiting for others included; in a report those of the rank that
-/// was slowest in each stage.
+/// Seconds of the stages of a step. On a rank: its wall time, including waits for other ranks. In a report: the time of
+/// the slowest rank in each stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct StageSeconds {
     /// Proximity query: broad and narrow phase.
     pub proximity: f64,
-    /// Contacts to the ranks that own their rows.
+    /// Transfer of contacts to the ranks that own their rows.
     pub contacts: f64,
-    /// Positions and velocities of other ranks' vertices.
+    /// Transfer of positions and velocities of other ranks' vertices.
     pub exchange: f64,
     /// Element records.
     pub elements: f64,
@@ -28,18 +28,18 @@ pub struct StageSeconds {
     pub solve: f64,
     /// New velocities and positions.
     pub advance: f64,
-    /// Candidate positions of all vertices to all ranks.
+    /// Transfer of the candidate positions of all vertices to all ranks.
     pub positions: f64,
     /// Continuous collision detection, all rounds.
     pub continuous: f64,
-    /// Impact zones: grouping, solving, sharing what they moved.
+    /// Impact zones: grouping, solving, transfer of the moved vertices.
     pub zones: f64,
     /// The whole step.
     pub total: f64,
 }
 
 impl StageSeconds {
-    /// The longer time of each stage.
+    /// The maximum of each stage.
     pub fn max(self, other: StageSeconds) -> StageSeconds {
         StageSeconds {
             proximity: self.proximity.max(other.proximity),
@@ -58,21 +58,22 @@ impl StageSeconds {
     }
 }
 
-/// What collision detection did in the queries of one kind in a step, on one rank or on all ranks together.
+/// Statistics of the collision queries of one kind in a step, on one rank or on all ranks together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct QueryStats {
     /// Triangle-triangle tests.
     pub tests: u64,
-    /// Patches of triangles that were searched, and all there are, over the queries; the others were proven free of
-    /// collisions as a whole or had nothing near. Of all ranks, the same on each; 0 where a device searched.
+    /// Patches of triangles that were searched, and the number of all patches, over the queries. The others were proven
+    /// free of collisions or had no patch nearby. The numbers are the same on each rank; they are 0 if a device
+    /// searched.
     pub patches: [u64; 2],
     /// Pairs of features handed to the narrow phase.
     pub pairs: u64,
-    /// Contacts or impacts, as found (those found twice counted twice).
+    /// Contacts or impacts found; duplicates count twice.
     pub found: u64,
-    /// Batches that the queries took on one rank, the most of all ranks; more than the number of queries if a memory limit
-    /// was in the way, or cells emptier than those of other ranks.
+    /// Batches of the queries on one rank, the maximum over all ranks. It exceeds the number of queries if a memory
+    /// limit required smaller batches, or if cells were emptier than those of other ranks.
     pub batches: u64,
     /// Thread seconds of the broad phase.
     pub broad_s: f64,
@@ -90,7 +91,7 @@ impl QueryStats {
         self.pairs += query.tested;
         self.found += query.found;
         self.batches += broad.batches;
-        // The tests of the broad phase hold the narrow phase.
+        // The time of the broad phase includes the narrow phase.
         self.broad_s += seconds(broad.count_ns + broad.fill_ns + broad.test_ns.saturating_sub(query.narrow_ns));
         self.narrow_s += seconds(query.narrow_ns);
     }
@@ -107,7 +108,7 @@ impl QueryStats {
     }
 }
 
-/// What a rank reports of a step.
+/// Report of a rank on a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepStats {
     /// Step number, from 1.
@@ -130,7 +131,7 @@ pub struct StepStats {
     pub resident_bytes: u64,
     /// Contacts in the matrix, over all ranks.
     pub contacts: u64,
-    /// Smallest distance among the pairs closer than the thickness, metres; none if there are none.
+    /// Smallest distance among the pairs closer than the thickness, meters; none without such pairs.
     pub smallest_gap_m: Option<f32>,
     /// Proximity query.
     pub proximity: QueryStats,
@@ -154,7 +155,7 @@ pub(super) fn peak_resident_bytes() -> u64 {
         .map_or(0, |kilobytes| kilobytes * 1024)
 }
 
-/// Splits a step's time into stages.
+/// Stopwatch that divides the time of a step among its stages.
 pub(super) struct StageClock {
     start: Instant,
     last: std::cell::Cell<Instant>,
@@ -166,12 +167,13 @@ impl StageClock {
         StageClock { start: now, last: std::cell::Cell::new(now) }
     }
 
-    /// Forgets the time since the last lap: it was counted elsewhere.
+    /// Discards the time since the last lap, because it was counted elsewhere.
     pub(super) fn restart(&self) {
         self.last.set(Instant::now());
     }
 
-    /// As [`StageClock::lap`] for a stage of kernels: waits until they are done, or their time would count for a later stage.
+    /// As [`StageClock::lap`] for a stage of kernels. It waits until they end, because their time would otherwise count
+    /// for a later stage.
     pub(super) fn lap_kernels(&self, executor: &Executor, stage: &mut f64) {
         executor.finish();
         self.lap(stage);

@@ -19,22 +19,22 @@ use crate::solver::{
 };
 use crate::telemetry::{Activity, EventName};
 
-/// How the ranks of a run exchange and who receives what when.
+/// Exchange mode of a run and the own work queue.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ExchangePlan {
-    /// What SpMV exchanges.
+    /// Exchange mode of SpMV.
     pub mode: ExchangeMode,
     /// Own work queue: one sub-vector per stage.
     pub queue: Vec<QueueNode>,
 }
 
-/// What own rows have besides the elastic part of the matrix.
+/// Data of the own rows besides the elastic part of the matrix.
 pub(super) struct System {
     /// Contacts of the step, as elements and as blocks.
     pub contacts: ContactSystem,
-    /// kg.
+    /// Masses, kg.
     pub masses: DeviceVec<f32>,
-    /// 1 where a pin holds the row.
+    /// 1 for rows that a pin holds, 0 for others.
     pub pinned: DeviceVec<u32>,
     /// dt (f + dt K v), xyz.
     pub rhs: DeviceVec<f32>,
@@ -64,7 +64,7 @@ impl System {
     }
 }
 
-/// How columns are numbered, which the exchange mode decides.
+/// Numbering of columns, which depends on the exchange mode.
 pub(super) struct ColumnOrder {
     /// Row blocks of all ranks.
     rows_of: Vec<Range<usize>>,
@@ -94,9 +94,9 @@ impl ColumnOrder {
     }
 }
 
-/// A way to hold the matrix of a step: assembled, or as the records that it would be made of (`comparison`).
+/// Representation of the matrix of a step: assembled, or as element records (`comparison`).
 pub(super) trait StepMatrix {
-    /// Takes the contacts of a step over; see [`ContactSystem::build`].
+    /// Sets the contacts of a step; see [`ContactSystem::build`].
     fn take_contacts(
         &mut self,
         executor: &Executor,
@@ -105,7 +105,7 @@ pub(super) trait StepMatrix {
         numbering: &Numbering<'_>,
     ) -> Result<(), RowTooLong>;
 
-    /// The matrix, right-hand side and inverse diagonal from the records.
+    /// Computes the matrix, right-hand side and inverse diagonal from the records.
     fn fill(&mut self, rank: &mut RankContext<'_>, params: &FillParams, elements: &Elements, system: &mut System);
 
     /// Solves for dv = `solver.vectors.x`.
@@ -134,7 +134,7 @@ pub(super) trait StepMatrix {
     /// Device bytes.
     fn bytes(&self) -> u64;
 
-    /// The stored elastic blocks, if there are any.
+    /// The stored elastic blocks; none without a stored matrix.
     fn stored(&self) -> Option<&SellMatrix>;
 }
 
@@ -149,7 +149,7 @@ impl Assembled {
     /// The Index Table of the elastic elements and a zero matrix.
     ///
     /// # Errors
-    /// A vertex is coupled to more others than a row can hold.
+    /// A vertex is coupled to more vertices than a row can hold.
     pub(super) fn new(
         executor: &Executor,
         arrays: &RankArrays,
@@ -167,7 +167,7 @@ impl Assembled {
         Ok(Assembled { tables, elastic, fill: Fill::new(executor) })
     }
 
-    /// Slots over stored blocks.
+    /// Slots divided by stored blocks.
     pub(super) fn padding_ratio(&self) -> f64 {
         self.elastic.padding_ratio()
     }
