@@ -1,30 +1,33 @@
-//! Files from outside, opened as plain bytes: gzip and UTF-16 are decoded here, so that no parser has to know of them.
+//! Opens input files as plain bytes. It decodes gzip and UTF-16, so that parsers see plain text or binary data only.
 //!
-//! Looks at the first bytes of a file, never at its name, and does not parse. A damaged archive is an error of the reader.
+//! The first bytes of a file decide, never its name. Nothing is parsed here. A damaged archive is reported as a read
+//! error.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Cursor, Read};
 use std::path::Path;
 
-/// Deflate makes at most this many bytes of one, because no match is longer than 258 bytes and none takes less than 2 bits.
+/// A byte of a Deflate stream expands to at most this many bytes, because a match has at most 258 bytes and takes at
+/// least 2 bits.
 const EXPANSION_MAX: u64 = 1032;
 
-/// A file as its parser sees it.
+/// An opened input file.
 pub struct Input {
     /// The decoded bytes.
     pub reader: Box<dyn BufRead>,
-    /// Most bytes that the reader can give: what a header may make its reader reserve.
+    /// Upper bound of the bytes that the reader gives. It limits the memory that a parser reserves on the word of a
+    /// header.
     pub bytes: u64,
-    /// Whether it gives exactly so many; of an archive only a bound is known.
+    /// True if the reader gives exactly `bytes` bytes. The exact size of an archive is not known.
     pub exact: bool,
 }
 
-/// What is to be done about pipes and devices.
+/// How pipes and devices are treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Streams {
-    /// Only files: what is named in a scene is read again when the run is resumed.
+    /// Only regular files are opened, because files named in a scene are read again when a run is resumed.
     Refused,
-    /// A pipe is read to its end before it is parsed.
+    /// A pipe is read to its end before parsing.
     Accepted,
 }
 
@@ -32,7 +35,7 @@ impl Input {
     /// Opens a file.
     ///
     /// # Errors
-    /// It cannot be opened or read, or is not a file.
+    /// The path cannot be opened or read, or is not a file.
     pub fn open(path: &Path, streams: Streams) -> io::Result<Input> {
         let file = File::open(path)?;
         let metadata = file.metadata()?;
@@ -49,7 +52,7 @@ impl Input {
         Input::decoded(Cursor::new(all), bytes)
     }
 
-    /// The content of `reader`, which gives `bytes` bytes.
+    /// Wraps `reader`, which gives `bytes` bytes, and decodes its content.
     pub fn decoded(mut reader: impl BufRead + 'static, mut bytes: u64) -> io::Result<Input> {
         if first_bytes(&mut reader)?.starts_with(&[0x1f, 0x8b]) {
             bytes = bytes.saturating_mul(EXPANSION_MAX);
@@ -79,7 +82,7 @@ impl Input {
     }
 }
 
-/// Up to three bytes, which stay where they are. A reader that hands out less at once has less.
+/// Up to three bytes, without consuming them. A reader that returns fewer bytes at once yields fewer.
 fn first_bytes(reader: &mut impl BufRead) -> io::Result<Vec<u8>> {
     loop {
         match reader.fill_buf() {
@@ -121,7 +124,7 @@ mod tests {
         for form in forms {
             assert_eq!(read(&form).unwrap(), text);
             assert_eq!(read(&zipped(&form)).unwrap(), text);
-            // Two archives one after the other are one file.
+            // A concatenation of two archives is one file.
             let twice = [zipped(&form[..4]), zipped(&form[4..])].concat();
             assert_eq!(read(&twice).unwrap(), text);
         }

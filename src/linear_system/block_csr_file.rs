@@ -1,4 +1,5 @@
-//! CLTHBSR1, a binary file of 3x3 blocks in compressed rows with a right-hand side. Little-endian, no padding:
+//! CLTHBSR1: a binary file with a matrix of 3x3 blocks in compressed rows and a right-hand side. Little-endian, no
+//! padding:
 //!
 //! ```text
 //! offset 0   8 bytes  "CLTHBSR1"
@@ -24,14 +25,14 @@ use crate::math::DIM;
 pub const BLOCK_CSR_MAGIC: &[u8; 8] = b"CLTHBSR1";
 
 const HEADER_BYTES: u64 = 32;
-/// Row starts are read and narrowed this many at a time.
+/// Row starts are read and converted to u32 in chunks of this many.
 const CHUNK: usize = 1 << 14;
 
-/// Reads a CLTHBSR1 file, the matrix and the right-hand side stored with it, from `input`, which holds `bytes` bytes; `file`
-/// names it in errors. Nothing larger than `bytes` is allocated.
+/// Reads a CLTHBSR1 file with its matrix and right-hand side from `input`, which holds `bytes` bytes. `file` names it
+/// in errors. Allocations are never larger than `bytes`.
 ///
 /// # Errors
-/// Unreadable, of another size than its header says, or not a matrix the solver takes.
+/// The file cannot be read, its size differs from what its header says, or the solver does not accept the matrix.
 pub fn parse_block_csr(input: impl Read, bytes: u64, file: &str) -> Result<(BlockSystem, Vec<f64>), SystemError> {
     let mut input = Input { input, offset: 0, file };
     let mut header = [0u8; HEADER_BYTES as usize];
@@ -54,7 +55,7 @@ pub fn parse_block_csr(input: impl Read, bytes: u64, file: &str) -> Result<(Bloc
     if rows == 0 {
         return Err(input.error(8, "the matrix has no rows".to_string()));
     }
-    // Device tables address slots with 32 bits; padding may add a little to the blocks.
+    // Device tables address slots with 32 bits; the limit leaves room for padding.
     let limit = u64::from(u32::MAX) / 2;
     if rows > limit || blocks > limit {
         return Err(input.error(8, format!("{rows} rows and {blocks} blocks; at most {limit} of each are supported")));

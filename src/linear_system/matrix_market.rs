@@ -1,7 +1,7 @@
-//! Matrix Market matrices [Boisvert et al. 1996]: `coordinate real|integer symmetric|general`. Scalar rows of any number
-//! are grouped by three into blocks; the last block row is padded.
+//! Matrix Market matrices [Boisvert et al. 1996]: `coordinate real|integer symmetric|general`. Scalar rows are grouped
+//! by three into blocks. The last block row is padded.
 //!
-//! Duplicate entries are added in the order of the file. A general matrix must be symmetric in its numbers.
+//! Duplicate entries are added in the order of the file. A matrix declared general must have symmetric values.
 
 use std::io::BufRead;
 
@@ -11,15 +11,17 @@ use super::validate::validated;
 use crate::assembly::sell::BLOCK;
 use crate::math::DIM;
 
-/// The shortest line of an entry, "1 1 1" without a line end after the last one: bounds what a header can make us allocate.
+/// Shortest line of an entry, "1 1 1" without a line end after the last one. It bounds the entries that a header can
+/// claim.
 const ENTRY_BYTES: u64 = 6;
-/// Entries for which memory is reserved before they have been read: of a zipped file only a bound of its size is known.
+/// Most entries for which memory is reserved before they are read, because only an upper bound of the size of a zipped
+/// file is known.
 const RESERVED_MOST: u64 = 1 << 24;
 
 /// Reads a Matrix Market file from `input`, which holds at most `bytes` bytes; `file` names it in errors.
 ///
 /// # Errors
-/// Unreadable, malformed, of a kind that is not supported, or not a matrix the solver takes.
+/// The file cannot be read, is malformed, is of an unsupported kind, or holds a matrix that the solver does not accept.
 pub fn parse_matrix_market(input: impl BufRead, bytes: u64, file: &str) -> Result<BlockSystem, SystemError> {
     let mut lines = Lines { input, file, number: 0, line: Vec::new() };
     let symmetric = lines.banner()?;
@@ -79,14 +81,14 @@ pub fn parse_matrix_market(input: impl BufRead, bytes: u64, file: &str) -> Resul
         .map_err(|what| SystemError::System { file: file.to_string(), what })
 }
 
-/// One entry, counted from 0.
+/// One entry; row and column count from 0.
 struct Triplet {
     row: u32,
     column: u32,
     value: f64,
 }
 
-/// A value on its way into its block row: block column, place in the block, value.
+/// A value to be added to a block row: block column, place in the block, value.
 #[derive(Clone, Copy, Default)]
 struct Placed {
     column: u32,
@@ -94,7 +96,7 @@ struct Placed {
     value: f64,
 }
 
-/// Block rows from entries. Entries of one place are added in the order of the file, also when they are mirrored, so a
+/// Builds block rows from entries. Duplicate entries are added in the order of the file, mirrored ones too, so a
 /// symmetric file gives an exactly symmetric matrix.
 fn blocks(rows: usize, triplets: Vec<Triplet>, symmetric: bool) -> (Vec<u32>, Vec<u32>, Vec<f64>) {
     let block_rows = rows.div_ceil(DIM);
@@ -107,7 +109,7 @@ fn blocks(rows: usize, triplets: Vec<Triplet>, symmetric: bool) -> (Vec<u32>, Ve
                 add(t.column, t.row, t.value);
             }
         }
-        // Reserves the place; `validated` sets the value.
+        // Reserves the slot; `validated` sets the value.
         padding.clone().for_each(|row| add(row, row, 1.0));
     };
     each(&mut |row, _, _| starts[row as usize / DIM + 1] += 1);
@@ -137,7 +139,7 @@ fn blocks(rows: usize, triplets: Vec<Triplet>, symmetric: bool) -> (Vec<u32>, Ve
     (offsets, columns, values)
 }
 
-/// Lines of a Matrix Market file.
+/// Reads a Matrix Market file line by line.
 pub(super) struct Lines<'a, R> {
     pub(super) input: R,
     pub(super) file: &'a str,
@@ -153,7 +155,7 @@ impl<R: BufRead> Lines<'_, R> {
 
     /// Reads the next line; false at the end of the file.
     pub(super) fn next(&mut self) -> Result<bool, SystemError> {
-        /// No line of a valid file is longer; bounds what a file without line ends makes us hold.
+        /// Longest line that is accepted. It bounds the memory that a file without line ends takes.
         const LINE_MAX: u64 = 1 << 16;
         self.line.clear();
         let mut limited = std::io::Read::take(&mut self.input, LINE_MAX);
@@ -222,7 +224,7 @@ fn unsigned(text: &[u8]) -> Option<u64> {
     std::str::from_utf8(text).ok()?.parse().ok()
 }
 
-/// A finite number, also with an exponent as Fortran writes it: `1.5D+00`, `1.5d0`, `1.5-100` (for E-100).
+/// Parses a finite number. Fortran exponents are accepted: `1.5D+00`, `1.5d0`, `1.5-100` (for E-100).
 pub(super) fn real(text: &[u8]) -> Option<f64> {
     let text = std::str::from_utf8(text).ok()?;
     let fortran = || -> Option<f64> {
@@ -233,7 +235,7 @@ pub(super) fn real(text: &[u8]) -> Option<f64> {
     text.parse().ok().or_else(fortran).filter(|v: &f64| v.is_finite())
 }
 
-/// Text of a file as it can be shown in a message.
+/// The first 60 bytes of a text, for a message. Bytes that are not UTF-8 are replaced.
 pub(super) fn shown(text: &[u8]) -> String {
     String::from_utf8_lossy(&text[..text.len().min(60)]).into_owned()
 }

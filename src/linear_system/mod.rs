@@ -1,7 +1,8 @@
-//! Linear systems of any origin: readers of matrix and right-hand-side files, block form, the parts of the ranks, and the
-//! distributed solve of one system to a residual that is checked in double precision.
+//! Linear systems from any source: readers of matrix and right-hand-side files, block storage, the split over ranks,
+//! and a distributed solve whose residual is checked in double precision.
 //!
-//! Rows are taken in an order of locality where that serves the preconditioner (`order`), else in the order of the file.
+//! Rows are reordered for locality where that helps the preconditioner (see `order`), else they keep the order of the
+//! file.
 
 mod block_csr_file;
 mod matrix_market;
@@ -31,7 +32,7 @@ use thiserror::Error;
 
 use crate::input::{Input, Streams};
 
-/// Why a file is not a system that can be solved. Every message names the file and the place in it.
+/// Why a file does not hold a system that can be solved. Every message names the file and the place in it.
 #[derive(Debug, Error)]
 pub enum SystemError {
     /// The file cannot be read.
@@ -39,7 +40,7 @@ pub enum SystemError {
     Io {
         /// The file.
         file: String,
-        /// The system's words.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
     /// A text file is malformed.
@@ -62,7 +63,7 @@ pub enum SystemError {
         /// What is wrong and what would be right.
         what: String,
     },
-    /// The numbers are readable and are no system that this solver takes.
+    /// The file is well-formed, but this solver does not accept the system.
     #[error("{file}: {what}")]
     System {
         /// The file.
@@ -72,8 +73,8 @@ pub enum SystemError {
     },
 }
 
-/// Reads a system from a file or a pipe: CLTHBSR1 if it starts with those letters, else Matrix Market; either may be
-/// zipped (.gz). The second value is the right-hand side stored in the file (CLTHBSR1 only).
+/// Reads a system from a file or a pipe. The format is CLTHBSR1 if the data begins with those letters, else Matrix
+/// Market. Either may be compressed (.gz). The second value is the right-hand side stored in the file (CLTHBSR1 only).
 ///
 /// # Errors
 /// The file is unreadable, malformed, or not symmetric with a positive diagonal.
@@ -88,7 +89,7 @@ pub fn read_system(path: &Path) -> Result<(BlockSystem, Option<Vec<f64>>), Syste
     if !is_block_csr {
         return Ok((parse_matrix_market(reader, bytes, &file)?, None));
     }
-    // Its header is checked against the exact size.
+    // The reader checks the header against the exact size.
     let mut all = Vec::new();
     if !exact {
         reader.read_to_end(&mut all).map_err(io)?;

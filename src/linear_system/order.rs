@@ -1,10 +1,11 @@
-//! An order of the rows for locality, from the pattern alone: files may come in any order, and the preconditioner's chunks are
-//! ranges of consecutive rows.
+//! Reorders the rows for locality, because files list rows in any order and the chunks of the preconditioner are ranges
+//! of consecutive rows.
 //!
-//! Pairs of the most strongly coupled rows are merged, then pairs of pairs, up to one cluster [Karypis and Kumar 1998 coarsen
-//! so]; the order lists the leaves of that tree. Then rows change places between the halves of the order, the halves of these and
-//! so on down to chunks, where that cuts less coupling [Kernighan and Lin 1970]. Values decide what is strong, so layers that
-//! touch end up together.
+//! The most strongly coupled rows are merged in pairs, then the pairs, until one cluster is left, as multilevel graph
+//! partitioners coarsen [Karypis and Kumar 1998]. The order lists the leaves of that tree. Then rows are exchanged
+//! between the two halves of the order, and recursively within each half down to single chunks, where this reduces the
+//! coupling between halves [Kernighan and Lin 1970]. The matrix values decide which couplings are strong, so layers in
+//! contact end up together.
 
 use super::system::{BlockSystem, Values};
 use crate::assembly::sell::BLOCK;
@@ -12,31 +13,32 @@ use crate::math::DIM;
 
 /// Passes over the rows of two halves.
 const PASSES: usize = 8;
-/// A row is tried in the other half if its own couplings outweigh those with the other half by at most this much (a coupling
-/// as strong as the diagonal weighs 1): a partner that gains more may come back for it.
+/// A row is tried in the other half if its coupling to its own half exceeds its coupling to the other half by at most
+/// this much (1 = a coupling as strong as the diagonal), because an exchange partner can gain more than the row loses.
 const LOSS_TRIED: f32 = 0.3;
-/// The order of a file is local if half of the coupled pairs are less than one in so many rows apart. On a grid of n rows they
-/// are about sqrt(n) apart.
+/// The order of a file counts as local if half of the coupled pairs are less than 1/CLOSE of all rows apart. On a grid
+/// of n rows they are about sqrt(n) apart.
 const CLOSE: usize = 50;
-/// Least gain of an exchange, so that rounding does not move rows to and fro.
+/// Least gain of an exchange. Without it rounding could move rows back and forth endlessly.
 const GAIN_MIN: f32 = 1e-4;
 
-/// `old_from_new`, a permutation of the block rows for chunks of `chunk_rows` rows; does not depend on ranks. About
-/// O(blocks log chunks).
+/// Returns `old_from_new`, a permutation of the block rows for chunks of `chunk_rows` rows. It does not depend on the
+/// number of ranks. Cost about O(blocks log chunks).
 pub fn locality_order(system: &BlockSystem, chunk_rows: usize) -> Vec<u32> {
     let mut finest = Graph::of(system);
     let mut order = merged_order(finest.clone());
-    // Strong couplings count, but so do the many weak ones.
+    // The square root gives the many weak couplings some weight beside the few strong ones.
     finest.weights.iter_mut().for_each(|weight| *weight = weight.sqrt());
     finest.refine(&mut order, chunk_rows, &mut vec![0; finest.nodes()]);
     if finest.is_local() {
-        // Sweeps along the rows of a grid carry further than along those of merged pairs.
+        // The preconditioner sweeps in row order; sweeps along grid rows propagate farther than sweeps along merged
+        // pairs.
         order.chunks_mut(chunk_rows).for_each(<[u32]>::sort_unstable);
     }
     order
 }
 
-/// The leaves of the tree of merged pairs.
+/// The leaves of the merge tree in order.
 fn merged_order(mut graph: Graph) -> Vec<u32> {
     let mut levels: Vec<Vec<[u32; 2]>> = Vec::new();
     while graph.nodes() > 1 {
@@ -55,7 +57,7 @@ fn merged_order(mut graph: Graph) -> Vec<u32> {
     order
 }
 
-/// The share of blocks that couple different ranges of `chunk_rows` rows, if the rows come in this order.
+/// Fraction of the blocks that couple different chunks of `chunk_rows` rows when the rows are in this order.
 pub fn share_between_chunks(system: &BlockSystem, order: &[u32], chunk_rows: usize) -> f64 {
     let mut chunk = vec![0; order.len()];
     order.iter().enumerate().for_each(|(new, &old)| chunk[old as usize] = new / chunk_rows);
@@ -68,7 +70,7 @@ pub fn share_between_chunks(system: &BlockSystem, order: &[u32], chunk_rows: usi
 }
 
 impl BlockSystem {
-    /// The system with rows and columns in another order; the rows of padding count as rows.
+    /// Permutes rows and columns. Padding rows count as rows of the system afterwards.
     pub fn reordered(&self, order: &[u32]) -> BlockSystem {
         let mut place = vec![0u32; order.len()];
         order.iter().zip(0..).for_each(|(&old, new)| place[old as usize] = new);
@@ -95,10 +97,10 @@ impl BlockSystem {
     }
 }
 
-/// The second of a pair of one.
+/// Second entry of a pair that has one node only.
 const NONE: u32 = u32::MAX;
 
-/// Couplings without the diagonal.
+/// Couplings between rows, without the diagonal.
 #[derive(Clone)]
 struct Graph {
     offsets: Vec<u32>,
@@ -141,7 +143,7 @@ impl Graph {
         self.columns[range.clone()].iter().copied().zip(self.weights[range].iter().copied())
     }
 
-    /// True if most nodes that are coupled are close to each other in the order of the file.
+    /// True if the order of the file already puts most coupled nodes near each other; see `CLOSE`.
     fn is_local(&self) -> bool {
         let mut distances: Vec<u32> = Vec::with_capacity(self.columns.len());
         for node in 0..self.nodes() {
@@ -151,8 +153,8 @@ impl Graph {
         distances.len() > 1 && *distances.select_nth_unstable(middle).1 as usize * CLOSE < self.nodes()
     }
 
-    /// Lets rows of `order` change places until its halves (whole chunks), their halves and so on down to chunks are coupled
-    /// less. `side`: zeros, one per node.
+    /// Exchanges rows between the two halves of `order` (cut between whole chunks), then recursively within each half
+    /// down to chunks, to reduce the coupling between them. `side`: zeros, one per node.
     fn refine(&self, order: &mut [u32], chunk_rows: usize, side: &mut [u8]) {
         let chunks = order.len().div_ceil(chunk_rows);
         if chunks <= 1 {
@@ -176,7 +178,8 @@ impl Graph {
         self.refine(second, chunk_rows, side);
     }
 
-    /// Exchanges nodes of side 1 with as many of side 2, the likeliest first; how many pairs.
+    /// Exchanges nodes of side 1 with as many nodes of side 2, those of largest gain first. Returns the number of
+    /// pairs.
     fn exchange(&self, nodes: &[u32], side: &mut [u8]) -> usize {
         let candidates = |of: u8, side: &[u8]| {
             let own = nodes.iter().filter(|&&node| side[node as usize] == of);
@@ -188,7 +191,7 @@ impl Graph {
         let (first, second) = (candidates(1, side), candidates(2, side));
         let (mut i, mut j, mut pairs) = (0, 0, 0);
         while let (Some(&(_, a)), Some(&(_, b))) = (first.get(i), second.get(j)) {
-            // Gains as they are after the exchanges so far.
+            // The gains after the exchanges made so far.
             let gain_a = self.gain(a, side);
             if gain_a < -LOSS_TRIED {
                 i += 1;
@@ -211,7 +214,7 @@ impl Graph {
         pairs
     }
 
-    /// Coupling of `node` with the other side less that with its own; nodes of no side do not count.
+    /// Coupling of `node` with the other side minus its coupling with its own side. Nodes on neither side do not count.
     fn gain(&self, node: u32, side: &[u8]) -> f32 {
         let own = side[node as usize];
         self.of_node(node as usize)
@@ -223,8 +226,8 @@ impl Graph {
             .sum()
     }
 
-    /// Every node once, with the free neighbour it is coupled to most, if there is one. The coarse nodes that follow each other
-    /// come from nodes that do.
+    /// Matches every node with the unmatched neighbor it is coupled to most, if there is one. The pairs are in the order of
+    /// their first nodes.
     fn pairs(&self) -> Vec<[u32; 2]> {
         let mut taken = vec![false; self.nodes()];
         let mut pairs = Vec::with_capacity(self.nodes() / 2 + 1);
@@ -247,7 +250,7 @@ impl Graph {
         pairs
     }
 
-    /// The graph of the pairs; weights between two pairs add up.
+    /// The graph of the pairs. The weights of all couplings between two pairs are added.
     fn merged(&self, pairs: &[[u32; 2]]) -> Graph {
         let mut coarse = vec![0u32; self.nodes()];
         for (index, pair) in pairs.iter().enumerate() {
@@ -276,7 +279,7 @@ impl Graph {
 mod tests {
     use super::*;
 
-    /// A grid whose rows are scattered over the file; `coupling` of points (i, j) and (a, _).
+    /// A grid whose rows are scattered over the file. `coupling` is the weight between points (i, j) and (a, _).
     fn scattered_grid(n: usize, coupling: impl Fn(usize, usize, usize) -> f32) -> BlockSystem {
         let at = |i: usize, j: usize| (i * n + j) * 7919 % (n * n);
         let mut rows: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n * n];

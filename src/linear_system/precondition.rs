@@ -1,23 +1,23 @@
-//! Inverses of the diagonal blocks in double precision: block Jacobi, or scalar Jacobi where a block is singular within
+//! Inverses of the diagonal blocks in double precision: block Jacobi, or scalar Jacobi where a block is singular up to
 //! rounding.
 
 use crate::assembly::sell::BLOCK;
 
-/// Relative size below which a pivot counts as zero.
+/// A pivot smaller than this, relative to its diagonal value, counts as zero.
 const PIVOT_ZERO: f64 = 1e-6;
 
-/// What the pivots of a symmetric block say.
+/// Definiteness of a symmetric block, from the signs of its pivots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pivots {
     /// Positive definite.
     Positive,
-    /// Singular within rounding.
+    /// Singular up to rounding.
     Zero,
-    /// Some direction has negative curvature.
+    /// The block has a direction of negative curvature.
     Negative,
 }
 
-/// Signs of the pivots of the elimination of a symmetric 3x3 block, each relative to the diagonal value it began as.
+/// Classifies a symmetric 3x3 block by the pivots of its elimination, each relative to its original diagonal value.
 pub(super) fn pivots(block: &[f64; BLOCK]) -> Pivots {
     let [a, b, c, _, d, e, _, _, f] = *block;
     let (l10, l20) = (b / a, c / a);
@@ -26,7 +26,8 @@ pub(super) fn pivots(block: &[f64; BLOCK]) -> Pivots {
     let l21 = if d1.abs() > PIVOT_ZERO * d { e1 / d1 } else { 0.0 };
     let f1 = f - l20 * c - l21 * e1;
     let relative = [1.0, d1 / d, f1 / f];
-    // A zero second pivot needs a zero beside it: otherwise the 2x2 block below it has a negative eigenvalue.
+    // If the second pivot is zero, its off-diagonal entry must be zero too; otherwise the remaining 2x2 block has a
+    // negative eigenvalue.
     let hidden = d1.abs() <= PIVOT_ZERO * d && e1.abs() > PIVOT_ZERO.sqrt() * (d * f).sqrt() * 2.0;
     if hidden || relative.iter().any(|&p| p < -PIVOT_ZERO) {
         Pivots::Negative
@@ -37,14 +38,15 @@ pub(super) fn pivots(block: &[f64; BLOCK]) -> Pivots {
     }
 }
 
-/// Inverse of a symmetric block with positive diagonal as xx, xy, xz, yy, yz, zz; of its diagonal alone if the block is
-/// singular within rounding.
+/// Inverse of a symmetric block with positive diagonal, as xx, xy, xz, yy, yz, zz. If the block is singular up to
+/// rounding, the inverse of its diagonal.
 pub(super) fn inverse_block(block: &[f64; BLOCK]) -> [f64; 6] {
     let [a, b, c, _, d, e, _, _, f] = *block;
     if pivots(block) != Pivots::Positive {
         return [1.0 / a, 0.0, 0.0, 1.0 / d, 0.0, 1.0 / f];
     }
-    // Scaled to a unit diagonal first, so that blocks of very different entries neither over- nor underflow.
+    // The block is scaled to a unit diagonal first, so that entries of very different size neither overflow nor
+    // underflow.
     let (p, q, s) = (a.sqrt().recip(), d.sqrt().recip(), f.sqrt().recip());
     let (b, c, e) = (b * p * q, c * p * s, e * q * s);
     let (xx, yy, zz) = (1.0 - e * e, 1.0 - c * c, 1.0 - b * b);

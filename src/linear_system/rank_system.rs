@@ -1,5 +1,5 @@
-//! One rank's part of a linear system: its rows, its halo, its right-hand side. Built by the coordinator, sent to the worker
-//! as a small header and flat arrays.
+//! The part of a linear system that one rank owns: its rows, halo and right-hand side. The coordinator builds it and
+//! sends it to the worker as a small header and flat arrays.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -9,20 +9,21 @@ use crate::assembly::sell::BLOCK;
 use crate::math::DIM;
 use crate::partition::{HaloPlan, RowPartition, halo_plans};
 
-/// Everything a worker needs to solve for its rows. Columns are local indices of `plan`.
+/// All data that a worker needs to solve for its rows. Columns are local indices of `plan`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RankSystem {
-    /// Rows and ranks.
+    /// Distribution of the rows over the ranks.
     pub partition: RowPartition,
     /// Halo of this rank.
     pub plan: HaloPlan,
-    /// Power of two near the largest diagonal value: the solve divides the matrix by it, so that f32 holds any units.
+    /// Power of two near the largest diagonal value. The solve divides the matrix by it, so that values in any unit fit
+    /// f32.
     pub matrix_scale: f64,
-    /// Power of two near the largest value of the right-hand side.
+    /// Power of two near the largest value of the right-hand side. The solve divides the right-hand side by it.
     pub rhs_scale: f64,
     /// True if the values of the matrix are f64.
     pub double_precision: bool,
-    /// Bulk data; travels beside the header.
+    /// The bulk arrays. They are sent separately from the serialized header.
     #[serde(skip)]
     pub arrays: RankSystemArrays,
 }
@@ -30,7 +31,7 @@ pub struct RankSystem {
 /// Flat arrays of a [`RankSystem`], in the units of the file.
 #[derive(Clone, Debug, Default)]
 pub struct RankSystemArrays {
-    /// Start of each own row; one more than own rows.
+    /// Start of each own row in `columns`; one entry more than own rows.
     pub offsets: Vec<u32>,
     /// Local column of each block, ascending in a row.
     pub columns: Vec<u32>,
@@ -40,7 +41,7 @@ pub struct RankSystemArrays {
     pub rhs: Vec<f64>,
 }
 
-/// Why bytes are not the arrays of a system.
+/// Why bytes cannot be decoded into the arrays of a system.
 #[derive(Debug, Error)]
 pub enum RankSystemError {
     /// Wrong number of arrays or an array of the wrong length.
@@ -49,12 +50,11 @@ pub enum RankSystemError {
 }
 
 impl BlockSystem {
-    /// Splits the system with right-hand side `rhs` (one value per row of the file) over the ranks of `partition`; `emit`
-    /// receives the parts in rank order, one at a time. The only part of a single rank takes the arrays over instead of
-    /// copying them.
+    /// Splits the system with right-hand side `rhs` (one value per row of the file) over the ranks of `partition`.
+    /// `emit` receives the parts in rank order, one at a time. With a single rank, the arrays are moved, not copied.
     ///
     /// # Errors
-    /// Those of `emit`.
+    /// The errors of `emit`.
     pub fn split<E>(
         mut self,
         mut rhs: Vec<f64>,
@@ -82,7 +82,7 @@ impl BlockSystem {
         Ok(())
     }
 
-    /// Columns that the rows read and that lie outside of them, ascending.
+    /// Columns outside the own rows that the own rows read, ascending.
     fn halo_of(&self, rows: std::ops::Range<usize>) -> Vec<u32> {
         let blocks = self.offsets[rows.start] as usize..self.offsets[rows.end] as usize;
         let outside = |c: &u32| !rows.contains(&(*c as usize));
@@ -112,18 +112,18 @@ impl BlockSystem {
     }
 }
 
-/// The power of two at or below `value`; 1 for 0. Dividing by it is exact.
+/// The largest power of two that is at most `value`; 1 for 0. Division by it is exact.
 pub(super) fn power_of_two(value: f64) -> f64 {
     if value <= 0.0 {
         return 1.0;
     }
-    // Kept within the normal numbers, so that its reciprocal is one, too.
+    // The range is limited to normal numbers, so that the reciprocal is normal too.
     let exponent = value.log2().floor().clamp(-1000.0, 1000.0);
     exponent.exp2()
 }
 
 impl RankSystemArrays {
-    /// The arrays as bytes, in a fixed order.
+    /// The arrays as bytes, in the order offsets, columns, values, right-hand side.
     pub fn to_bytes(&self) -> [&[u8]; 4] {
         let values = match &self.values {
             Values::F32(values) => bytemuck::cast_slice(values),
@@ -137,10 +137,10 @@ impl RankSystemArrays {
         ]
     }
 
-    /// The arrays from bytes in the order of [`RankSystemArrays::to_bytes`]; `double_precision` is in the header.
+    /// Decodes bytes in the order of [`RankSystemArrays::to_bytes`]. The header gives `double_precision`.
     ///
     /// # Errors
-    /// Another number of arrays, or lengths that do not fit each other.
+    /// The number of arrays is wrong, or their lengths do not match.
     pub fn from_bytes(bytes: &[&[u8]], double_precision: bool) -> Result<RankSystemArrays, RankSystemError> {
         let [offsets, columns, values, rhs] = bytes else {
             return Err(RankSystemError::Arrays(format!("{} arrays instead of 4", bytes.len())));
@@ -164,9 +164,9 @@ impl RankSystemArrays {
 }
 
 impl RankSystem {
-    /// Values of the longest message this rank publishes in either exchange mode.
+    /// Number of values of the longest message that this rank publishes in either exchange mode.
     pub fn message_values(&self) -> usize {
-        // The exchange of a solution in double precision carries two f32 per value.
+        // A solution in double precision takes two f32 per value.
         (self.plan.publish_rows.len() * DIM * 2).max(self.partition.sub_vector_rows() * DIM)
     }
 }

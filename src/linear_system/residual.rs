@@ -1,7 +1,8 @@
-//! Residual b - A x in double precision from the values of the file: what the f32 solve is held against.
+//! The residual b - A x in double precision, from the matrix values of the file. It decides whether the f32 solve has
+//! converged.
 //!
-//! x is kept as a pair of f32 (48 bits), so that a halo row has the same bits on every rank that reads it. Runs on the host
-//! whatever the executor of the solve is.
+//! x is stored as a pair of f32 (48 bits), so that a halo row has the same bits on every rank that reads it. The residual is
+//! computed on the host for every executor of the solve.
 
 use super::rank_system::RankSystem;
 use super::system::Values;
@@ -13,8 +14,8 @@ use crate::solver::{HaloExchange, ReductionTree, TrafficCounter};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
-/// The solution of one rank's rows and what computes its residual. Everything is in scaled units: the matrix over
-/// `matrix_scale`, the right-hand side over `rhs_scale`.
+/// The solution on one rank's rows and the buffers that its residual needs. All values are scaled: the matrix is divided by
+/// `matrix_scale`, the right-hand side by `rhs_scale`.
 pub(super) struct Residual<'a> {
     system: &'a RankSystem,
     cpu: CpuExecutor,
@@ -26,12 +27,12 @@ pub(super) struct Residual<'a> {
     tree: ReductionTree,
     /// b - A x of the own rows.
     pub(super) r: Vec<f64>,
-    /// Bytes received for residuals.
+    /// Bytes received by halo exchanges of residuals.
     pub(super) traffic: TrafficCounter,
 }
 
 impl<'a> Residual<'a> {
-    /// x = 0, r = b.
+    /// Starts with x = 0, r = b.
     pub(super) fn new(system: &'a RankSystem, queue: Vec<QueueNode>, threads: usize) -> Residual<'a> {
         let host = Executor::cpu(1);
         let len = system.plan.local_rows * DIM;
@@ -51,7 +52,7 @@ impl<'a> Residual<'a> {
         residual
     }
 
-    /// x = 0, r = b.
+    /// Sets x = 0, r = b.
     pub(super) fn reset(&mut self) {
         let scale = self.system.rhs_scale.recip();
         self.r.clear();
@@ -61,7 +62,7 @@ impl<'a> Residual<'a> {
         self.traffic = TrafficCounter::default();
     }
 
-    /// x += scale * d on the own rows.
+    /// Adds scale * d to x on the own rows.
     pub(super) fn add(&mut self, scale: f64, d: &[f32]) {
         let own = self.system.plan.own.start * DIM..self.system.plan.own.end * DIM;
         let (high, low) = (&mut self.high.as_mut_slice()[own.clone()], &mut self.low.as_mut_slice()[own]);
@@ -72,7 +73,7 @@ impl<'a> Residual<'a> {
         }
     }
 
-    /// r = b - A x, on all ranks together.
+    /// Sets r = b - A x; all ranks must call it together.
     pub(super) fn update(
         &mut self,
         transport: &mut dyn Transport,
@@ -107,7 +108,7 @@ impl<'a> Residual<'a> {
         Ok(())
     }
 
-    /// 2-norm of r over all ranks, the same bits for every rank count.
+    /// 2-norm of r over all ranks. The result has the same bits for every number of ranks.
     pub(super) fn norm(&mut self, transport: &mut dyn Transport) -> Result<f64, TransportError> {
         let chunk = self.system.partition.chunk_rows() * DIM;
         let sums: Vec<[f64; 1]> = self.r.chunks(chunk).map(|r| [r.iter().map(|v| v * v).sum::<f64>()]).collect();
@@ -122,7 +123,8 @@ impl<'a> Residual<'a> {
     }
 }
 
-/// r -= scale A x, every row in ascending column order. Bytes per block: 36 or 72 of values and 4 of columns.
+/// Subtracts scale * A x from r; each row is summed in ascending column order. A block reads 36 or 72 bytes of values and 4
+/// bytes of columns.
 fn subtract<T: Copy + Into<f64> + Sync>(
     cpu: &CpuExecutor,
     offsets: &[u32],

@@ -1,4 +1,4 @@
-//! Right-hand sides and solutions as text: a Matrix Market array of one column, or plainly one number per line.
+//! Right-hand sides and solutions as text: a Matrix Market array of one column, or one number per line.
 
 use std::io::{BufRead, Write};
 use std::path::Path;
@@ -7,17 +7,18 @@ use super::SystemError;
 use super::matrix_market::{Lines, fields, real, shown};
 use crate::input::{Input, Streams};
 
-/// Reads a right-hand side of `rows` values. In plain text blank lines and lines that start with `%` or `#` are skipped.
+/// Reads a right-hand side of `rows` values. In plain text, blank lines and lines that start with `%` or `#` are
+/// skipped.
 ///
 /// # Errors
-/// Unreadable, malformed, or of another length.
+/// The file cannot be read, is malformed, or does not hold `rows` values.
 pub fn read_right_hand_side(path: &Path, rows: usize) -> Result<Vec<f64>, SystemError> {
     let file = path.display().to_string();
     let input = Input::open(path, Streams::Accepted).map_err(|cause| SystemError::Io { file: file.clone(), cause })?;
     parse_right_hand_side(input.reader, rows, &file)
 }
 
-/// As [`read_right_hand_side`] from `input`; `file` names it in errors.
+/// Like [`read_right_hand_side`], from `input`. `file` names it in errors.
 pub fn parse_right_hand_side(input: impl BufRead, rows: usize, file: &str) -> Result<Vec<f64>, SystemError> {
     let mut lines = Lines { input, file, number: 0, line: Vec::new() };
     let mut values = Vec::with_capacity(rows);
@@ -59,7 +60,7 @@ pub fn parse_right_hand_side(input: impl BufRead, rows: usize, file: &str) -> Re
     Ok(values)
 }
 
-/// Writes a solution as a Matrix Market array, every value with as many digits as it needs to be read back unchanged.
+/// Writes a solution as a Matrix Market array. Each value has enough digits to be read back unchanged.
 pub fn write_solution(out: &mut dyn Write, x: &[f64]) -> std::io::Result<()> {
     writeln!(out, "%%MatrixMarket matrix array real general\n{} 1", x.len())?;
     for value in x {

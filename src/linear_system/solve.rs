@@ -1,9 +1,9 @@
 //! Distributed solve of a linear system: PCG in single precision inside iterative refinement in double precision
 //! [Wilkinson 1963; Carson and Higham 2018].
 //!
-//! The residual that counts is b - A x in f64. One PCG reaches it down to about 1e-5 of b (less for ill-conditioned
-//! systems); then the correction A d = r is solved in turn, which converges as long as the f32 copy of the matrix is a good
-//! preconditioner: condition numbers (after block Jacobi) up to about 1e6.
+//! Convergence is judged by b - A x in f64. A single PCG in f32 reduces it to about 1e-5 of b (less for ill-conditioned
+//! systems). Then A d = r is solved for a correction d, repeatedly. This converges while the f32 copy of the matrix is
+//! a good preconditioner, that is, for condition numbers (after block Jacobi) up to about 1e6.
 
 use std::time::Instant;
 
@@ -25,34 +25,34 @@ use crate::solver::{
 use crate::telemetry::{Activity, Event, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
-/// Deepest relative residual asked of one PCG in f32.
+/// Smallest relative residual that a single PCG in f32 is asked for.
 const INNER_TOLERANCE: f64 = 1e-5;
-/// A refinement must bring the residual at least down to this part of the one before, else there is no progress.
+/// The solve gives up if a refinement does not reduce the residual to at most this fraction of the previous one.
 const PROGRESS: f64 = 0.5;
-/// Products timed on their own.
+/// Number of products in the separate timing of products.
 const TIMED_PRODUCTS: u32 = 20;
 
-/// What is asked of a solve; the same on all ranks.
+/// Parameters of a solve; equal on all ranks.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct SolveParams {
     /// Stop when |b - A x| <= this * |b|, 2-norms in f64.
     pub relative_tolerance: f64,
     /// Stop after this many PCG iterations in total.
     pub max_iterations: u32,
-    /// Solve this many times from zero (at least once); for timing.
+    /// Number of solves from zero (at least one), for timing.
     pub repeat: u32,
-    /// Also time products on their own.
+    /// True if matrix-vector products are timed separately as well.
     pub time_products: bool,
-    /// Threads of the residual on the host.
+    /// Threads that compute the residual on the host.
     pub host_threads: usize,
-    /// What PCG multiplies the residual by.
+    /// The preconditioner of PCG.
     pub preconditioner: PreconditionerKind,
-    /// Keep the events of the first so many solves.
+    /// The events of this many first solves are kept.
     pub record_solves: u32,
 }
 
 impl Default for SolveParams {
-    /// One solve to a residual of 1 %, as in a step.
+    /// One solve to a relative residual of 1 %, as in a simulation step.
     fn default() -> SolveParams {
         SolveParams {
             relative_tolerance: 0.01,
@@ -66,10 +66,10 @@ impl Default for SolveParams {
     }
 }
 
-/// What came of it; the same on all ranks.
+/// Result figures of a solve; equal on all ranks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SolveStats {
-    /// PCG iterations, all refinements together.
+    /// PCG iterations, summed over all refinements.
     pub iterations: u32,
     /// True if the residual met the tolerance.
     pub converged: bool,
@@ -81,33 +81,34 @@ pub struct SolveStats {
     pub products: u32,
     /// The preconditioner that was used.
     pub preconditioner: PreconditionerKind,
-    /// Seconds of each solve: the slowest rank, from the set-up of the preconditioner, which follows the values of the matrix,
-    /// to the last iteration. The residual that confirms the result is left out, those that lead to a refinement are in.
+    /// Seconds of each solve on the slowest rank, from the set-up of the preconditioner (which depends on the matrix
+    /// values) to the last iteration. The residual that confirms the result is excluded; residuals that lead to a
+    /// refinement are included.
     pub seconds: Vec<f64>,
     /// Bytes received by all ranks in one solve, residuals included.
     pub bytes_exchanged: u64,
-    /// Of these, for products.
+    /// The part of `bytes_exchanged` that matrix-vector products cause.
     pub product_bytes: u64,
     /// Stored blocks of all ranks.
     pub blocks: u64,
-    /// Block slots of all ranks, padding included.
+    /// Block slots of all ranks, including padding.
     pub slots: u64,
-    /// Seconds of one product (best, slowest rank) and bytes that the kernels of all ranks move in it, if timed.
+    /// If timed: seconds of one product (best time, slowest rank), and bytes that the kernels of all ranks move in it.
     pub product: Option<(f64, u64)>,
 }
 
-/// What a rank hands back.
+/// Result of one rank.
 #[derive(Clone, Debug)]
 pub struct SolveResult {
     /// Numbers of the solve.
     pub stats: SolveStats,
     /// Solution on the own rows, three values per block row (padding included), in the units of the file.
     pub x: Vec<f64>,
-    /// What it recorded.
+    /// Device, memory and events.
     pub record: SolveRecord,
 }
 
-/// What a rank recorded of its solves.
+/// Device, memory and events of one rank during its solves.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct SolveRecord {
     /// Name of the rank's device.
@@ -116,38 +117,39 @@ pub struct SolveRecord {
     pub epoch_unix_ns: u64,
     /// Bytes of device memory that the rank holds.
     pub memory_bytes: u64,
-    /// Events of the first [`SolveParams::record_solves`] solves, each a step, from 1. Not serialized: bulk data.
+    /// Events of the first [`SolveParams::record_solves`] solves. Each solve counts as a step, from 1. They are not
+    /// serialized because they are bulk data.
     #[serde(skip)]
     pub events: Vec<Event>,
 }
 
-/// Why there is no solution.
+/// Why a solve yields no solution.
 #[derive(Debug, Error)]
 pub enum SolveError {
     /// A transfer failed.
     #[error(transparent)]
     Transport(#[from] TransportError),
-    /// The preconditioner that was asked for is not to be had here.
+    /// The requested preconditioner is not available for this system or executor.
     #[error("{0}")]
     Preconditioner(String),
-    /// Indefinite, or too ill-conditioned to be told from it in f32.
+    /// The matrix is indefinite, or too ill-conditioned for f32 to tell the difference.
     #[error(
         "the matrix is not positive definite, or too ill-conditioned for single precision: p'Ap = {curvature:.3e} in iteration {iteration}, with a relative residual of {relative_residual:.3e}"
     )]
     NotPositiveDefinite {
-        /// PCG iteration, all refinements together.
+        /// PCG iteration, summed over all refinements.
         iteration: u32,
         /// p'Ap in scaled units.
         curvature: f64,
-        /// Residual reached.
+        /// Relative residual reached so far.
         relative_residual: f64,
     },
-    /// Overflow.
+    /// The numbers overflowed.
     #[error(
         "the solve met a value that is not finite in iteration {iteration}; the matrix is likely close to singular"
     )]
     NotFinite {
-        /// PCG iteration, all refinements together.
+        /// PCG iteration, summed over all refinements.
         iteration: u32,
     },
 }
@@ -156,7 +158,8 @@ pub enum SolveError {
 /// failed transfers.
 ///
 /// # Errors
-/// A transfer failed, or the matrix is not positive definite. Not converging is no error but `converged == false`.
+/// A transfer failed, or the matrix is not positive definite. A solve that does not converge returns `Ok` with
+/// `converged == false`.
 pub fn solve_rank(
     executor: &Executor,
     transport: &mut dyn Transport,
@@ -165,7 +168,8 @@ pub fn solve_rank(
     queue: &[QueueNode],
     params: &SolveParams,
 ) -> Result<SolveResult, SolveError> {
-    // Where rounding ends a descent, the next one begins with a residual in f64, so no tolerance is too tight.
+    // Tolerance 1: `auto` may choose Schwarz at any tolerance of the solve, because every PCG here starts from a residual in
+    // f64 and rounding in one of them is corrected by the next.
     let schwarz =
         Schwarz::wanted(params.preconditioner, executor, &system.partition, 1.0).map_err(SolveError::Preconditioner)?;
     let mut solver = RankSolver::new(executor, system, mode, queue, params, schwarz);
@@ -190,7 +194,7 @@ pub fn solve_rank(
     Ok(SolveResult { stats, x, record: solver.record() })
 }
 
-/// What one rank holds during solves.
+/// State of one rank during solves.
 struct RankSolver<'a> {
     executor: &'a Executor,
     matrix: SellMatrix,
@@ -240,7 +244,7 @@ impl<'a> RankSolver<'a> {
         }
     }
 
-    /// The solver, the system that is solved, and the rank's context.
+    /// Splits the borrow into the solver, the system and the rank's context.
     fn parts<'b>(
         &'b mut self,
         transport: &'b mut dyn Transport,
@@ -261,7 +265,7 @@ impl<'a> RankSolver<'a> {
         }
     }
 
-    /// 2-norm of the residual.
+    /// 2-norm of the residual over all ranks.
     fn norm(&mut self, transport: &mut dyn Transport) -> Result<f64, TransportError> {
         let start = self.recorder.now();
         let norm = self.residual.norm(transport)?;
@@ -269,7 +273,7 @@ impl<'a> RankSolver<'a> {
         Ok(norm)
     }
 
-    /// One solve from x = 0. Adds to `seconds`; counts are those of this rank.
+    /// One solve from x = 0. It appends to `seconds`. The counts are those of this rank alone.
     fn solve(
         &mut self,
         transport: &mut dyn Transport,
@@ -290,7 +294,8 @@ impl<'a> RankSolver<'a> {
         while !stats.converged {
             let relative = norm / b_norm;
             let wanted = params.relative_tolerance / relative;
-            // A correction aims a little below, or rounding would ask for one more.
+            // The tolerance of a correction is tightened by 10 %, because rounding could otherwise require one more
+            // correction.
             let wanted = if stats.iterations == 0 { wanted } else { 0.9 * wanted };
             let inner = PcgParams {
                 relative_tolerance: wanted.max(INNER_TOLERANCE),
@@ -325,7 +330,7 @@ impl<'a> RankSolver<'a> {
         Ok(stats)
     }
 
-    /// x += d with A d = r solved by PCG; the curvature if PCG met one that is not positive.
+    /// Solves A d = r by PCG and adds d to x. Returns the curvature if PCG met one that is not positive.
     fn correct(
         &mut self,
         transport: &mut dyn Transport,
@@ -333,7 +338,7 @@ impl<'a> RankSolver<'a> {
         params: &PcgParams,
         stats: &mut SolveStats,
     ) -> Result<Option<f64>, SolveError> {
-        // A power of two near the largest values keeps the right-hand side exact and within f32.
+        // Division by a power of two is exact and brings the right-hand side into the range of f32.
         let scale = power_of_two(norm);
         let rhs: Vec<f32> = self.residual.r.iter().map(|r| (r / scale) as f32).collect();
         self.rhs.write_range(self.executor, 0, &rhs);
@@ -347,7 +352,7 @@ impl<'a> RankSolver<'a> {
                 stats.products += info.products;
             }
             Err(PcgError::NotPositiveDefinite { iteration, curvature }) => {
-                // Near the end of what f32 can do this is rounding; the residual tells.
+                // Near the accuracy limit of f32 a negative curvature can come from rounding; the f64 residual decides.
                 stats.iterations += iteration;
                 stats.products += iteration + 1;
                 stop = Some(curvature);
@@ -361,7 +366,7 @@ impl<'a> RankSolver<'a> {
         Ok(stop)
     }
 
-    /// Best time of a product (slowest rank) and the bytes its kernels move on all ranks.
+    /// Best time of a product on the slowest rank, and the bytes that its kernels move on all ranks.
     fn time_products(&mut self, transport: &mut dyn Transport) -> Result<(f64, u64), TransportError> {
         let mut best = f64::INFINITY;
         let mut y = DeviceVec::zeros(self.executor, self.rhs.len());
@@ -371,7 +376,7 @@ impl<'a> RankSolver<'a> {
             let clock = Instant::now();
             let (solver, system, mut rank) = self.parts(transport);
             solver.spmv.apply(&mut rank, &system.matrix, &mut solver.vectors.u, &mut y)?;
-            // On a device this waits for the product.
+            // On a device this read waits until the product is done.
             y.read_range(self.executor, 0, &mut one);
             best = best.min(all_max(transport, clock.elapsed().as_secs_f64())?);
         }
@@ -408,7 +413,7 @@ fn all_max(transport: &mut dyn Transport, own: f64) -> Result<f64, TransportErro
 
 fn all_sum<const N: usize>(transport: &mut dyn Transport, own: [u64; N]) -> Result<[u64; N], TransportError> {
     let mut gathered = Vec::new();
-    // Exact: counts stay far below 2^53.
+    // Exact, because counts stay far below 2^53.
     transport.all_gather(&own.map(|v| v as f64), &mut gathered)?;
     let mut sums = [0; N];
     for values in &gathered {

@@ -1,4 +1,5 @@
-//! A symmetric matrix of 3x3 blocks in compressed rows, as it was read: full storage, values in the precision of the file.
+//! A symmetric matrix of 3x3 blocks in compressed rows. Both triangles are stored, with values in the precision of the
+//! file.
 
 use crate::assembly::sell::BLOCK;
 use crate::math::DIM;
@@ -41,7 +42,7 @@ impl Values {
         }
     }
 
-    /// A copy of a range of values.
+    /// Copies a range of values.
     pub fn part(&self, range: std::ops::Range<usize>) -> Values {
         match self {
             Values::F32(values) => Values::F32(values[range].to_vec()),
@@ -50,15 +51,15 @@ impl Values {
     }
 }
 
-/// The system's matrix. Constructed by the readers, which have checked it: columns ascending in a row, every value finite,
-/// symmetric, positive diagonal.
+/// The matrix of a system. Only the readers construct it, after these checks: columns ascending in a row, every value
+/// finite, symmetric, positive diagonal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlockSystem {
-    /// Rows of the matrix in the file; the last block row may hold padding beyond them.
+    /// Rows of the matrix in the file. Further rows in the last block row are padding.
     pub scalar_rows: usize,
-    /// Start of each block row; one more than block rows.
+    /// Start of each block row in `columns`; one entry more than block rows.
     pub offsets: Vec<u32>,
-    /// Block columns.
+    /// Block column of each block.
     pub columns: Vec<u32>,
     /// Nine values per block.
     pub values: Values,
@@ -77,7 +78,8 @@ impl BlockSystem {
         self.columns.len()
     }
 
-    /// A 1, the right-hand side whose solution is 1 everywhere, in double precision. One value per row of the file.
+    /// The product of A and the vector of ones, in double precision: a right-hand side whose solution is 1 everywhere.
+    /// One value per row of the file.
     pub fn times_ones(&self) -> Vec<f64> {
         let mut sums = vec![0.0; self.block_rows() * DIM];
         for row in 0..self.block_rows() {

@@ -33,7 +33,7 @@ fn params(relative_tolerance: f64) -> SolveParams {
     }
 }
 
-/// Solves on `ranks` threads; every rank's result.
+/// Solves on `ranks` threads and returns the result of every rank.
 fn solve(
     system: &BlockSystem,
     rhs: &[f64],
@@ -45,7 +45,7 @@ fn solve(
     let schedule = direct(ranks);
     let mut parts = Vec::new();
     let all: Result<(), ()> = system.clone().split(rhs.to_vec(), &partition, |rank, part| {
-        // Through bytes, as between processes.
+        // The arrays pass through bytes, as between processes.
         let arrays = RankSystemArrays::from_bytes(&part.arrays.to_bytes(), part.double_precision).expect("own bytes");
         assert!(part.message_values() > 0 && rank == part.plan.rank);
         parts.push(RankSystem { arrays, ..part });
@@ -69,7 +69,7 @@ fn solve_one(system: &BlockSystem, rhs: &[f64], relative_tolerance: f64) -> Solv
     solve(system, rhs, 1, ExchangeMode::Halo, params(relative_tolerance)).pop().expect("one rank").expect("solves")
 }
 
-/// x of all ranks and their (equal) numbers.
+/// Joins x of all ranks; their figures must be equal.
 fn joined(results: Vec<Result<SolveResult, SolveError>>) -> (Vec<f64>, SolveStats) {
     let results: Vec<SolveResult> = results.into_iter().map(|result| result.expect("solves")).collect();
     let stats = SolveStats { seconds: Vec::new(), ..results[0].stats.clone() };
@@ -79,7 +79,7 @@ fn joined(results: Vec<Result<SolveResult, SolveError>>) -> (Vec<f64>, SolveStat
     (results.into_iter().flat_map(|result| result.x).collect(), stats)
 }
 
-/// A grid of `side * side` vertices, each with three unknowns coupled to each other and to the neighbours.
+/// A grid of `side * side` vertices, each with three unknowns coupled to each other and to the neighbors.
 fn grid(side: usize) -> BlockSystem {
     let mut text = String::new();
     let mut entries = 0;
@@ -222,7 +222,7 @@ fn an_indefinite_matrix_is_an_error_on_every_rank() {
 
 #[test]
 fn a_singular_matrix_ends() {
-    // A ring of second differences (zero row sums) and a right-hand side that no x reaches.
+    // A ring of second differences (zero row sums) with an inconsistent right-hand side.
     let body: String =
         (1..=9).map(|i| format!("{i} {i} 2\n")).chain((2..=9).map(|i| format!("{i} {} -1\n", i - 1))).collect();
     let system = market(&symmetric(&format!("9 9 18\n{body}9 1 -1\n"))).expect("looks fine");

@@ -1,19 +1,20 @@
-//! What every matrix must hold before it is solved: finite values, a positive diagonal within the range of single
-//! precision, symmetry, no diagonal block with a negative direction. Positive definiteness as a whole shows in the solve.
+//! Checks of every matrix before a solve: finite values, symmetry, a positive diagonal within the range of single
+//! precision, and no diagonal block with a negative eigenvalue. The solve itself detects other indefinite matrices.
 
 use super::precondition::{Pivots, pivots};
 use super::system::{BlockSystem, Values};
 use crate::assembly::sell::BLOCK;
 use crate::math::DIM;
 
-/// Smallest diagonal value relative to the largest: below, the f32 copy of the matrix would underflow.
+/// Smallest diagonal value relative to the largest. Below it the f32 copy of the matrix would underflow.
 const SMALLEST_DIAGONAL: f64 = 1e-24;
 
-/// Checks and completes a matrix; `values` are those of the file. The diagonal of padding rows (rows past `scalar_rows`) is
-/// set to the largest diagonal value, so that padding never widens the range of values; its solution is 0.
+/// Checks and completes a matrix; `values` are those of the file. The diagonal of padding rows (rows past
+/// `scalar_rows`) is set to the largest diagonal value, so that padding does not widen the range of values. Their
+/// solution is 0.
 ///
 /// # Errors
-/// A sentence about the first thing that is wrong, with rows and columns counted from 1.
+/// A sentence about the first fault, with rows and columns counted from 1.
 pub(super) fn validated(
     scalar_rows: usize,
     offsets: Vec<u32>,
@@ -100,10 +101,10 @@ fn diagonal_blocks(system: &BlockSystem) -> Result<Vec<u32>, String> {
     (0..system.block_rows()).map(row_of).collect()
 }
 
-/// Compares every block with the one across the diagonal. A block that is missing there counts as zero. One cursor per
-/// row: the rows that point at row j come in ascending order, as do the columns of row j.
+/// Compares every block with its transposed counterpart. A missing counterpart counts as zero. One cursor per row
+/// suffices, because the rows that refer to row j come in ascending order, as do the columns of row j.
 fn symmetric(system: &BlockSystem, diagonal: &[u32]) -> Result<(), String> {
-    // Rounding of a matrix that was summed in another order above and below the diagonal.
+    // Allows for the rounding of a matrix whose two triangles were summed in different orders.
     let tolerance = match system.values {
         Values::F32(_) => 1e-5,
         Values::F64(_) => 1e-10,
