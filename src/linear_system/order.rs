@@ -226,8 +226,8 @@ impl Graph {
             .sum()
     }
 
-    /// Matches every node with the unmatched neighbor it is coupled to most, if there is one. The pairs are in the order of
-    /// their first nodes.
+    /// Matches every node with the unmatched neighbor it is coupled to most, if there is one. The pairs are in the
+    /// order of their first nodes.
     fn pairs(&self) -> Vec<[u32; 2]> {
         let mut taken = vec![false; self.nodes()];
         let mut pairs = Vec::with_capacity(self.nodes() / 2 + 1);

@@ -1,8 +1,8 @@
 //! The residual b - A x in double precision, from the matrix values of the file. It decides whether the f32 solve has
 //! converged.
 //!
-//! x is stored as a pair of f32 (48 bits), so that a halo row has the same bits on every rank that reads it. The residual is
-//! computed on the host for every executor of the solve.
+//! x is stored as a pair of f32 (48 bits), so that a halo row has the same bits on every rank that reads it. The
+//! residual is computed on the host for every executor of the solve.
 
 use super::rank_system::RankSystem;
 use super::system::Values;
@@ -14,8 +14,8 @@ use crate::solver::{HaloExchange, ReductionTree, TrafficCounter};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
-/// The solution on one rank's rows and the buffers that its residual needs. All values are scaled: the matrix is divided by
-/// `matrix_scale`, the right-hand side by `rhs_scale`.
+/// The solution on one rank's rows and the buffers that its residual needs. All values are scaled: the matrix is
+/// divided by `matrix_scale`, the right-hand side by `rhs_scale`.
 pub(super) struct Residual<'a> {
     system: &'a RankSystem,
     cpu: CpuExecutor,
@@ -123,8 +123,8 @@ impl<'a> Residual<'a> {
     }
 }
 
-/// Subtracts scale * A x from r; each row is summed in ascending column order. A block reads 36 or 72 bytes of values and 4
-/// bytes of columns.
+/// Subtracts scale * A x from r; each row is summed in ascending column order. A block reads 36 or 72 bytes of values
+/// and 4 bytes of columns.
 fn subtract<T: Copy + Into<f64> + Sync>(
     cpu: &CpuExecutor,
     offsets: &[u32],

@@ -168,8 +168,8 @@ pub fn solve_rank(
     queue: &[QueueNode],
     params: &SolveParams,
 ) -> Result<SolveResult, SolveError> {
-    // Tolerance 1: `auto` may choose Schwarz at any tolerance of the solve, because every PCG here starts from a residual in
-    // f64 and rounding in one of them is corrected by the next.
+    // Tolerance 1: `auto` may choose Schwarz at any tolerance of the solve, because every PCG here starts from a
+    // residual in f64 and rounding in one of them is corrected by the next.
     let schwarz =
         Schwarz::wanted(params.preconditioner, executor, &system.partition, 1.0).map_err(SolveError::Preconditioner)?;
     let mut solver = RankSolver::new(executor, system, mode, queue, params, schwarz);

@@ -1,7 +1,7 @@
 //! Import of ARCSim's scene files: JSON with comments -> [`ParsedScene`].
 //!
-//! What has no counterpart here is left out with one sentence each in `Scene::left_out`; a scene is refused only if its
-//! cloth or a handle of it cannot be had. Formats: ARCSim 0.2/0.3 [Narain et al. 2012, 2013].
+//! Every feature that has no counterpart here is left out and adds a sentence to `Scene::left_out`. A scene is refused
+//! only if its cloth or one of its handles cannot be read. Formats: ARCSim 0.2/0.3 [Narain et al. 2012, 2013].
 
 mod common;
 mod left_out;
@@ -25,10 +25,11 @@ use super::{Fabric, Motion, SceneError, Settings, load_fabric};
 use common::{UNMOVED, find, placement};
 use left_out::LeftOut;
 
-/// ARCSim's limit of an endless scene is the user's patience; ours is this many seconds.
+/// Seconds that a scene without an end runs. ARCSim runs it until the user stops it.
 const ENDLESS_S: f64 = 10.0;
 
-/// Reads an ARCSim scene; the files it names are looked up beside it, in the folder above and in the working directory.
+/// Reads an ARCSim scene. Files that it names are looked up beside it, in the folder above and in the working
+/// directory.
 pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> {
     let value = parse_json(text, path)?;
     let root = Json::root(path, &value);
@@ -74,7 +75,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     Ok(scene.warn_of_sizes())
 }
 
-/// Reads a cloth; the second value is a sentence about what of its file is left out.
+/// Reads a cloth. The second value is a sentence about parts of its file that are left out.
 fn cloth(cloth: &Json, left_out: &mut LeftOut) -> Result<(ClothSource, Option<String>), SceneError> {
     let file = cloth.required("mesh")?;
     let placement = cloth.or("transform", UNMOVED, placement)?;
@@ -98,7 +99,7 @@ fn cloth(cloth: &Json, left_out: &mut LeftOut) -> Result<(ClothSource, Option<St
     if cloth.get("remeshing").is_some() {
         left_out.module("remeshing", "remeshing: left out, the mesh keeps its triangles");
     }
-    // A rigid motion: v + w x (x - o).
+    // Velocity field of a rigid motion: v + w x (x - o).
     let [linear, angular, origin] = match cloth.get("velocity") {
         None => [DVec3::ZERO; 3],
         Some(velocity) if velocity.value.is_array() => [velocity.vector()?, DVec3::ZERO, DVec3::ZERO],
@@ -201,7 +202,8 @@ fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError>
         frames = ENDLESS_S / frame_s;
         left_out.say(format!("the scene has no end; it runs for {ENDLESS_S} s here"));
     }
-    // Rounded up as ARCSim runs until the end has been reached; the margin is for 10 / 0.04.
+    // Rounded up, because ARCSim runs until the end time has been reached. The margin absorbs the rounding of quotients
+    // such as 10 / 0.04.
     let frames = (frames - 1e-6).ceil().max(0.0);
     if frames > 1e7 {
         return Err(root

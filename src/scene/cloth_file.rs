@@ -55,7 +55,8 @@ pub(super) const CLOTH_FIELDS: [&str; 14] = [
     "friction",
 ];
 
-/// Triangles of every cloth's sheet (0 where it is a mesh): shares of the scene's own resolution, by area unless given.
+/// Triangles of every cloth's sheet (0 for a mesh). Without a count of its own, a sheet gets a share of the scene's
+/// resolution in proportion to its area.
 pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<f64>, SceneError> {
     let mut areas = Vec::new();
     let mut given = Vec::new();
@@ -72,7 +73,7 @@ pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<
     Ok((0..cloths.len()).map(share).collect())
 }
 
-/// Where sentences about a file go.
+/// Lists that collect sentences about files.
 pub(super) struct Remarks<'a> {
     pub warnings: &'a mut Vec<String>,
     pub left_out: &'a mut Vec<String>,

@@ -1,4 +1,4 @@
-//! What a scene file says of a piece of cloth, before the piece has a resolution.
+//! Description of a piece of cloth as a scene file gives it, before a resolution is chosen.
 
 use crate::math::{DVec3, Vec3};
 use crate::mesh::FileMesh;
@@ -7,24 +7,24 @@ use super::error::Place;
 use super::fabric::Fabric;
 use super::placement::Placement;
 
-/// A piece of cloth at no resolution yet.
+/// Source of a piece of cloth; a resolution turns it into a mesh.
 #[derive(Clone, Debug)]
 pub(super) struct ClothSource {
-    /// Shown in messages and selected by pins.
+    /// Name in messages; pins select the cloth by it.
     pub name: String,
     pub shape: Shape,
     pub velocity: StartVelocity,
     pub fabric: Fabric,
-    /// Friction coefficient of its own, if it has one.
+    /// Friction coefficient of this piece; none = that of the scene.
     pub friction: Option<f64>,
 }
 
-/// What a piece of cloth is made from.
+/// Geometry of a piece of cloth.
 #[derive(Clone, Debug)]
 pub(super) enum Shape {
-    /// A rectangle, meshed at the resolution that is asked for.
+    /// A rectangle, meshed at the requested resolution.
     Sheet(SheetSource),
-    /// The mesh of a file at its place in the scene; the same at every resolution.
+    /// A mesh from a file, already placed in the scene; the same at every resolution.
     Mesh(FileMesh),
 }
 
@@ -32,10 +32,10 @@ pub(super) enum Shape {
 #[derive(Clone, Debug)]
 pub(super) struct SheetSource {
     pub size_m: [f64; 2],
-    /// Directions of warp and weft before it is placed.
+    /// Directions of warp and weft before the placement.
     pub axes: [DVec3; 2],
     pub placement: Placement,
-    /// Triangles where no resolution is asked for; a fraction, so that shares add up.
+    /// Triangles at the scene's own resolution. It is a fraction, so that the shares of several sheets add up.
     pub triangles: f64,
     pub at: Place,
 }
@@ -44,7 +44,7 @@ pub(super) struct SheetSource {
 #[derive(Clone, Debug)]
 pub(super) enum StartVelocity {
     Same(Vec3),
-    /// One per vertex of a mesh from a file.
+    /// One velocity per vertex of a mesh from a file.
     PerVertex(Vec<Vec3>),
 }
 

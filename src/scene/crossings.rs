@@ -1,4 +1,4 @@
-//! What is known of a start state that crosses: the sentence of its refusal, and what untangling did.
+//! Report about a start state that crosses itself: the sentence of the refusal and the result of untangling.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -6,59 +6,59 @@ use std::path::PathBuf;
 use crate::math::Vec3;
 use crate::mesh::MOST_PAIRS;
 
-/// Pairs that meet, and where they are.
+/// Pairs of triangles that cross or touch at the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Crossings {
     /// The triangles of the first pair, such as "triangle 1 of `flag`", counting from 1.
     pub first: [String; 2],
-    /// Pairs that have been found; the search ends at about 10,000.
+    /// Number of pairs found. The search ends at about 10,000.
     pub pairs: usize,
-    /// Positions of the triangles that meet, three each, metres.
+    /// Positions of the triangles that cross, three per triangle, meters.
     pub positions: Vec<Vec3>,
-    /// The command that writes a mesh of them.
+    /// A command that writes a mesh of these triangles.
     pub command: String,
-    /// A file that holds a mesh of them, if there is one already.
+    /// File with a mesh of these triangles, once it has been written.
     pub written: Option<PathBuf>,
-    /// What splits them, if it is a seam of a mesh that has its vertices twice.
+    /// The split seam that causes crossings, if there is one.
     pub doubled: Option<Doubled>,
-    /// How far untangling went, if it was asked for: then all of the above is about its best state.
+    /// Result of an untangling that failed. If it is set, the other fields describe the state that it reached.
     pub best: Option<BestState>,
 }
 
-/// A piece of cloth that has vertices at the place of other ones: exporters split seams of texture and of parts so.
+/// A piece of cloth with several vertices at one place, as exporters make them where they split texture seams or parts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Doubled {
     /// Name of the piece.
     pub cloth: String,
-    /// Its vertices that lie exactly at the place of an earlier one.
+    /// Vertices that lie exactly at the place of an earlier vertex.
     pub vertices: usize,
-    /// Pairs of triangles that meet there.
+    /// Pairs of triangles that cross there.
     pub pairs: usize,
 }
 
-/// What untangling that failed has reached.
+/// Best state that an untangling reached before it gave up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BestState {
-    /// Pairs that met at the start.
+    /// Pairs that crossed before.
     pub pairs_before: usize,
-    /// Positions of the cloth, metres.
+    /// Positions of the cloth, meters.
     pub positions: Vec<Vec3>,
     /// Triangles of the cloth.
     pub triangles: Vec<[u32; 3]>,
-    /// A file that holds this mesh, if there is one already.
+    /// File with this mesh, once it has been written.
     pub written: Option<PathBuf>,
 }
 
-/// A start state that was untangled.
+/// Figures of a successful untangling.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Untangling {
-    /// Pairs of triangles that met before; the search ends at 10,000.
+    /// Pairs of triangles that crossed before. The search ends at 10,000.
     pub pairs: usize,
-    /// Rounds of pushing.
+    /// Iterations of the untangling.
     pub rounds: usize,
     /// Vertices that were moved.
     pub vertices_moved: usize,
-    /// Longest way that a vertex was moved, metres.
+    /// Largest displacement of a vertex, meters.
     pub largest_m: f64,
 }
 
@@ -73,7 +73,7 @@ impl fmt::Display for Crossings {
         match self.pairs {
             1 => {}
             2 => write!(f, ", and 1 more pair does")?,
-            // The search ends with a full list.
+            // A full list means that the search ended early.
             pairs if pairs >= MOST_PAIRS => write!(f, ", and at least {} more pairs do", pairs - 1)?,
             pairs => write!(f, ", and {} more pairs do", pairs - 1)?,
         }
@@ -103,7 +103,7 @@ impl fmt::Display for Crossings {
 }
 
 impl Crossings {
-    /// The triangles that meet as vertex indices of [`Crossings::positions`].
+    /// Triangles over [`Crossings::positions`].
     pub fn triangles(&self) -> Vec<[u32; 3]> {
         (0..self.positions.len() as u32 / 3).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect()
     }

@@ -1,4 +1,4 @@
-//! [`SceneError`], and [`Place`]: the field of a scene file that a refusal names.
+//! [`SceneError`], and [`Place`], the position of a field in a scene file.
 
 use std::path::PathBuf;
 
@@ -10,13 +10,13 @@ use super::crossings::Crossings;
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// A file is missing or cannot be read, or is no scene at all.
+    /// A file is missing, cannot be read or is not a scene.
     #[error("{}: {what}", path.display())]
     File { path: PathBuf, what: String },
     /// The text is not TOML or JSON.
     #[error("{}{}: {what}", path.display(), line_suffix(*line))]
     Syntax { path: PathBuf, line: Option<usize>, what: String },
-    /// A field has a value it must not have.
+    /// A field has an invalid value.
     #[error("{}{}: field `{field}`: {what}", path.display(), line_suffix(*line))]
     Field { path: PathBuf, line: Option<usize>, field: String, what: String },
     /// The start state crosses itself or an obstacle.
@@ -31,23 +31,23 @@ fn line_suffix(line: Option<usize>) -> String {
     line.map(|line| format!(", line {line}")).unwrap_or_default()
 }
 
-/// Where a refusal points.
+/// Position of a field, for error messages.
 #[derive(Clone, Debug)]
 pub(super) struct Place {
     pub path: PathBuf,
-    /// Counting from 1; formats without lines have none.
+    /// Line number from 1; none for formats without lines.
     pub line: Option<usize>,
-    /// With the tables it lies in.
+    /// Full name of the field, including the tables that contain it.
     pub field: String,
 }
 
 impl Place {
-    /// The refusal of what stands here.
+    /// Error about this field.
     pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
         SceneError::Field { path: self.path.clone(), line: self.line, field: self.field.clone(), what: what.into() }
     }
 
-    /// The refusal of a cloth whose start state crosses.
+    /// Error about cloth at this field whose start state crosses.
     pub(super) fn crossing(&self, crossings: Box<Crossings>) -> SceneError {
         SceneError::Crossing { path: self.path.clone(), line: self.line, field: self.field.clone(), crossings }
     }

@@ -1,7 +1,7 @@
 //! Fabrics: presets, ARCSim's measured-fabric files, checks.
 //!
-//! The presets are plausible values of our own, not measurements. Stiffness tables may hold negative entries at single
-//! strains (measured ones do); keeping the matrix positive is the forces' business.
+//! The presets are plausible values, not measurements. Stiffness tables can hold negative entries at single strains, as
+//! measured tables do. The force code keeps the matrix positive definite.
 
 use std::path::Path;
 
@@ -26,8 +26,8 @@ pub struct Fabric {
 }
 
 impl Fabric {
-    /// A fabric of the same stiffness at every strain, direction and curvature.
-    /// `stretching_n_m` = warp, cross, weft, shear.
+    /// A fabric with the same stiffness at every strain, direction and curvature. `stretching_n_m` = warp, cross, weft,
+    /// shear.
     pub fn uniform(name: &str, density_kg_m2: f64, stretching_n_m: [f64; 4], bending_n_m: f64) -> Fabric {
         Fabric {
             name: name.into(),
@@ -38,7 +38,7 @@ impl Fabric {
         }
     }
 
-    /// The preset of this name.
+    /// The preset with this name, if there is one.
     pub fn preset(name: &str) -> Option<Fabric> {
         PRESETS.iter().find(|preset| preset.0 == name).map(|&(name, density, stretching, bending)| Fabric {
             bending_n_m: bending.map(|row| [row; 5]),
@@ -51,12 +51,13 @@ impl Fabric {
         PRESETS.iter().map(|preset| preset.0)
     }
 
-    /// The same cloth `factor` times as thick, as ARCSim thickens: density, stretching and bending times `factor`.
+    /// The fabric at `factor` times the thickness. Density, stretching and bending are multiplied by `factor`, as in
+    /// ARCSim.
     pub fn thickened(&self, factor: f64) -> Fabric {
         self.scaled(factor, factor, factor)
     }
 
-    /// The fabric with its density, stretching and bending multiplied.
+    /// Multiplies density, stretching and bending.
     pub(super) fn scaled(&self, density: f64, stretching: f64, bending: f64) -> Fabric {
         Fabric {
             density_kg_m2: self.density_kg_m2 * density,
@@ -66,7 +67,7 @@ impl Fabric {
         }
     }
 
-    /// Checks the values; the reason names the table entry counting from 1.
+    /// Checks the values. An error names the table entry, counted from 1.
     pub fn check(&self) -> Result<(), String> {
         let usable = |value: f64| (value as f32).is_finite();
         if !(usable(self.density_kg_m2) && self.density_kg_m2 > 0.0) {
@@ -85,7 +86,7 @@ impl Fabric {
                 return Err(format!("bending row {}, column {} must be a number of at least 0", row + 1, column + 1));
             }
         }
-        // At rest the fabric has to resist, or a step has no force to be implicit about.
+        // The fabric must resist at rest, because an implicit step needs a force.
         if let Some(column) = [0, 2].into_iter().find(|&column| self.stretching_n_m[0][column] <= 0.0) {
             return Err(format!("stretching row 1, column {} (at rest) must be above 0", column + 1));
         }
@@ -144,7 +145,7 @@ mod tests {
     fn the_membrane_is_isotropic() {
         let [warp, cross, weft, shear] = Fabric::preset("membrane").unwrap().stretching_n_m[0];
         assert_eq!(warp, weft);
-        // Energy of a uniaxial strain along the diagonal (all three entries 1/2) against one along the warp.
+        // The energy of a uniaxial strain along the diagonal (all three entries 1/2) must equal that along the warp.
         let diagonal = (warp + 2.0 * cross + weft + shear) / 4.0;
         assert!((diagonal - warp).abs() < 1e-3);
     }

@@ -1,7 +1,7 @@
-//! Reading a TOML document field by field, so that every refusal names the file, the line and the field.
+//! Reads a TOML document field by field, so that every error names the file, the line and the field.
 //!
-//! Used in place of serde's derive because value checks (a negative thickness, an unknown fabric) need the line as much
-//! as type errors do, and serde hands it out for type errors only.
+//! serde's derive is not used because value checks (a negative thickness, an unknown fabric) need the line too, and
+//! serde reports the line of type errors only.
 
 use std::path::Path;
 
@@ -12,14 +12,14 @@ use crate::math::{DQuat, DVec3};
 
 use super::error::{Place, SceneError};
 
-/// The text that line numbers refer to.
+/// Text of the document, for line numbers.
 pub(super) struct Source<'a> {
     pub path: &'a Path,
     pub text: &'a str,
 }
 
 impl Source<'_> {
-    /// The fault at a byte of the text.
+    /// An error at byte `offset` of the text.
     pub(super) fn error(&self, offset: Option<usize>, field: &str, what: impl Into<String>) -> SceneError {
         self.place(offset, field).error(what)
     }
@@ -33,7 +33,7 @@ impl Source<'_> {
     }
 }
 
-/// A table of the document; reads of an absent table find no fields.
+/// A table of the document. An absent table behaves like an empty one.
 pub(super) struct Fields<'a> {
     source: &'a Source<'a>,
     path: String,
@@ -42,7 +42,7 @@ pub(super) struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    /// The document itself.
+    /// The top-level table. Fields other than `known` are refused.
     pub(super) fn root(
         source: &'a Source<'a>,
         table: &'a DeTable<'a>,
@@ -67,12 +67,12 @@ impl<'a> Fields<'a> {
         if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) }
     }
 
-    /// A fault of the table as a whole.
+    /// An error about the whole table.
     pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
         self.source.error(self.offset, &self.path, what)
     }
 
-    /// A fault of a field that may be absent.
+    /// An error about a field, which may be absent.
     pub(super) fn error_at(&self, key: &str, what: impl Into<String>) -> SceneError {
         match self.get(key) {
             Some(value) => value.error(what),
@@ -80,7 +80,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// Where a field stands that may be absent.
+    /// The position of a field, which may be absent.
     pub(super) fn place_at(&self, key: &str) -> Place {
         match self.get(key) {
             Some(value) => value.place(),
@@ -88,18 +88,18 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// The field, if it is there.
+    /// The field, if present.
     pub(super) fn get(&self, key: &str) -> Option<Value<'a>> {
         let value = self.table?.get(key)?;
         Some(Value { source: self.source, name: self.name_of(key), value })
     }
 
-    /// The field; a fault if it is absent.
+    /// The field; an error if it is absent.
     pub(super) fn required(&self, key: &str) -> Result<Value<'a>, SceneError> {
         self.get(key).ok_or_else(|| self.error_at(key, "is missing"))
     }
 
-    /// The field read by `read`, if it is there.
+    /// Reads a field with `read`, if present.
     pub(super) fn optional<T>(
         &self,
         key: &str,
@@ -108,7 +108,7 @@ impl<'a> Fields<'a> {
         self.get(key).map(|value| read(&value)).transpose()
     }
 
-    /// The field read by `read`, or `default`.
+    /// Reads a field with `read`; `default` if it is absent.
     pub(super) fn or<T>(
         &self,
         key: &str,
@@ -118,7 +118,7 @@ impl<'a> Fields<'a> {
         Ok(self.optional(key, read)?.unwrap_or(default))
     }
 
-    /// The table under `key`; an empty one if it is absent.
+    /// The table `key`; an empty one if it is absent.
     pub(super) fn table(&self, key: &str, known: &[&str]) -> Result<Fields<'a>, SceneError> {
         match self.get(key) {
             Some(value) => value.table(known),
@@ -126,7 +126,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// The `[[key]]` tables; none if they are absent.
+    /// The tables `[[key]]`; none if they are absent.
     pub(super) fn tables(&self, key: &str, known: &[&str]) -> Result<Vec<Fields<'a>>, SceneError> {
         match self.get(key) {
             Some(value) => value.array()?.iter().map(|entry| entry.table(known)).collect(),
@@ -135,7 +135,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// A value with its place in the document.
+/// A value and its position in the document.
 pub(super) struct Value<'a> {
     source: &'a Source<'a>,
     name: String,
@@ -143,12 +143,12 @@ pub(super) struct Value<'a> {
 }
 
 impl<'a> Value<'a> {
-    /// A fault of this value.
+    /// An error about this value.
     pub(super) fn error(&self, what: impl Into<String>) -> SceneError {
         self.place().error(what)
     }
 
-    /// Where it stands.
+    /// The position of this value.
     pub(super) fn place(&self) -> Place {
         self.source.place(Some(self.value.span().start), &self.name)
     }
@@ -216,14 +216,14 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// One of the named choices.
+    /// The choice whose name the value gives.
     pub(super) fn choice<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, SceneError> {
         let names: Vec<&str> = choices.iter().map(|choice| choice.0).collect();
         let found = self.value.get_ref().as_str().and_then(|text| choices.iter().find(|choice| choice.0 == text));
         found.map_or_else(|| self.expected(&format!("one of {}", names.join(", "))), |choice| Ok(choice.1))
     }
 
-    /// The entries of an array; their names carry an index where there is more than one.
+    /// The entries of an array. Their names carry an index if there are several.
     pub(super) fn array(&self) -> Result<Vec<Value<'a>>, SceneError> {
         let DeValue::Array(entries) = self.value.get_ref() else {
             return self.expected("an array");

@@ -13,10 +13,10 @@ use super::pin_file::{PIN_FIELDS, pin};
 use super::settings_file::settings;
 use super::{Fabric, SceneError};
 
-/// Triangles of all sheets together where neither the scene nor the command line says.
+/// Triangles of all sheets together if neither the scene nor the command line gives a resolution.
 const DEFAULT_RESOLUTION: u64 = 10_000;
 
-/// Reads a TOML scene; `path` is where relative file names start and what messages name.
+/// Reads a TOML scene. Relative file names start at the folder of `path`, and messages name `path`.
 pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> {
     let source = Source { path, text };
     let document = DeTable::parse(text).map_err(|error| {

@@ -1,4 +1,4 @@
-//! Files that a scene names: how they are found and read.
+//! Finds and reads files that a scene names.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -7,10 +7,10 @@ use crate::input::{Input, Streams};
 
 use super::error::SceneError;
 
-/// Longest scene text that is read; a scene is written by hand.
+/// Longest text that is read. Scenes are written by hand and stay far below it.
 const LONGEST_TEXT_BYTES: u64 = 16 << 20;
 
-/// The text of a scene file or of a file that it names; refuses streams and texts that are not UTF-8.
+/// Reads the text of a scene file or of a file that it names. Pipes, devices and text that is not UTF-8 are refused.
 pub(super) fn read_text(path: &Path) -> Result<String, SceneError> {
     let fault = |what: String| SceneError::File { path: path.into(), what };
     let unreadable = |error: std::io::Error| fault(format!("cannot be read: {error}"));
@@ -23,7 +23,7 @@ pub(super) fn read_text(path: &Path) -> Result<String, SceneError> {
     String::from_utf8(bytes).map_err(|_| fault("is not UTF-8 text".into()))
 }
 
-/// The file a scene names: beside the scene, or in the working directory.
+/// Looks up a file that a scene names, beside the scene and then in the working directory.
 pub(super) fn find(scene: &Path, name: &str) -> Result<PathBuf, String> {
     let beside = scene.parent().unwrap_or(Path::new("")).join(name);
     let found = [beside, PathBuf::from(name)].into_iter().find(|path| path.is_file());

@@ -1,4 +1,4 @@
-//! Reading JSON with comments (ARCSim's files) so that refusals name the file and the field, or the line for bad syntax.
+//! Reads JSON with comments (ARCSim's files), so that errors name the file and the field, or the line for bad syntax.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::math::{DQuat, DVec3};
 
 use super::error::{Place, SceneError};
 
-/// Deeper nesting than any scene has; the parser recurses once per level.
+/// Deepest nesting that is accepted, because the parser recurses once per level.
 const DEEPEST: usize = 64;
 
 /// Parses JSON with comments, trailing commas and single quotes.
@@ -55,7 +55,7 @@ fn nesting(text: &str) -> usize {
     deepest
 }
 
-/// A value with its path in the file.
+/// A value and its path in the file.
 #[derive(Clone)]
 pub(super) struct Json<'a> {
     pub file: &'a Path,
@@ -80,7 +80,7 @@ impl<'a> Json<'a> {
         if self.name.is_empty() { key.to_owned() } else { format!("{}.{key}", self.name) }
     }
 
-    /// The field, if it is there and not null.
+    /// The field, if present and not null.
     pub(super) fn get(&self, key: &str) -> Option<Json<'a>> {
         let value = self.value.get(key).filter(|value| !value.is_null())?;
         Some(Json { file: self.file, name: self.named(key), value })
@@ -100,7 +100,7 @@ impl<'a> Json<'a> {
         self.get(key).map_or(Ok(default), |value| read(&value))
     }
 
-    /// The entries of the array under `key`; none if it is absent.
+    /// The entries of the array `key`; none if it is absent.
     pub(super) fn entries(&self, key: &str) -> Result<Vec<Json<'a>>, SceneError> {
         self.or(key, Vec::new(), |value| value.array())
     }
@@ -130,7 +130,7 @@ impl<'a> Json<'a> {
         number.ok_or_else(|| self.error("must be a number of at least 0"))
     }
 
-    /// A whole number from `least` to u32's largest. json5 may hand out whole numbers as floats.
+    /// A whole number from `least` to `u32::MAX`. The json5 parser can return whole numbers as floats.
     pub(super) fn whole(&self, least: u32) -> Result<u32, SceneError> {
         let number =
             self.value.as_f64().filter(|&n| n.fract() == 0.0 && n >= f64::from(least) && n <= f64::from(u32::MAX));
@@ -159,7 +159,7 @@ impl<'a> Json<'a> {
         let Some([degrees, x, y, z]) = self.numbers::<4>() else {
             return Err(self.error("must be an array `[degrees, axis x, axis y, axis z]`"));
         };
-        // ARCSim's identity has a zero axis and a zero angle.
+        // ARCSim writes the identity with a zero axis and a zero angle.
         match DVec3::new(x, y, z).try_normalize() {
             Some(axis) => Ok(DQuat::from_axis_angle(axis, degrees.to_radians())),
             None if degrees == 0.0 => Ok(DQuat::IDENTITY),

@@ -5,10 +5,10 @@ use crate::math::{DVec3, Vec3};
 use super::fields::{Fields, Value};
 use super::{Keyframe, Motion, SceneError};
 
-/// Most turns a keyframe may be turned by: an f64 angle keeps 1e-9 of a turn.
+/// Most turns of a keyframe. Up to this number an f64 angle is accurate to 1e-9 of a turn.
 const MOST_TURNS: f64 = 1e6;
 
-/// The motion under `motion`; none if there is no keyframe.
+/// Reads the field `motion`; none if it has no keyframes.
 pub(super) fn motion(fields: &Fields) -> Result<Option<Motion>, SceneError> {
     let known = ["time_s", "translate_m", "rotate_deg", "scale", "pivot_m"];
     let mut keyframes: Vec<Keyframe> = Vec::new();
@@ -42,13 +42,14 @@ pub(super) fn motion(fields: &Fields) -> Result<Option<Motion>, SceneError> {
     Ok((!keyframes.is_empty()).then_some(Motion { keyframes }))
 }
 
-/// Between different axes the shorter way round is taken, which beyond half a turn is not the way that was meant.
+/// True if two keyframes turn about different axes and the rotation between them exceeds half a turn. Interpolation
+/// takes the shorter way, which is then probably not the intended one.
 fn ambiguous(last: &Keyframe, next: &Keyframe) -> bool {
     let (Some((axis, angle)), Some((other, next_angle))) = (last.turn, next.turn) else { return false };
     axis != other && (angle - next_angle).abs() >= std::f64::consts::PI
 }
 
-/// Whether all that the motion makes of the points is finite in f32 at every keyframe.
+/// True if the motion keeps all points finite in f32 at every keyframe.
 pub(super) fn stays_finite(motion: &Motion, points: &[Vec3]) -> bool {
     let (low, high) =
         points.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)));

@@ -1,4 +1,5 @@
-//! Scene file -> validated [`Scene`]: sheets and meshes, fabrics, pins, wind, solver settings. No simulation state.
+//! Reads a scene file into a validated [`Scene`]: meshes, fabrics, pins, obstacles, wind and solver settings. It holds
+//! no simulation state.
 
 mod arcsim;
 mod cloth_file;
@@ -39,29 +40,30 @@ pub use pieces::size_warning;
 pub use preconditioner::PreconditionerKind;
 pub use sheet::{Sheet, sheet_cells};
 
-/// Reads and checks a scene file: `.toml` in the format of `docs/scene.md`, `.json` in ARCSim's.
-/// [`ParsedScene::at`] makes scenes of it.
+/// Reads and checks a scene file: `.toml` in the format of `docs/scene.md` or `.json` in ARCSim's format.
+/// [`ParsedScene::at`] then builds scenes from it.
 pub fn read(path: &Path) -> Result<ParsedScene, SceneError> {
     let parser = parser_of(path)?;
     parser(&files::read_text(path)?, path)
 }
 
-/// [`read`] of a text that was the file `path`: files it names are looked up relative to that place.
+/// Like [`read`], with the text given. Relative file names are looked up as if the text were the file `path`.
 pub fn read_str(text: &str, path: &Path) -> Result<ParsedScene, SceneError> {
     parser_of(path)?(text, path)
 }
 
-/// [`read`], at one resolution.
+/// Reads a scene file and builds the scene at one resolution.
 pub fn load(path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
     read(path)?.at(overrides)
 }
 
-/// [`read`], at one resolution and untangled where needed: see [`ParsedScene::untangled_at`].
+/// Reads a scene file and builds the scene at one resolution; untangles its start state if needed. See
+/// [`ParsedScene::untangled_at`].
 pub fn load_untangled(path: &Path, overrides: &Overrides) -> Result<(Scene, Option<Untangling>), SceneError> {
     read(path)?.untangled_at(overrides)
 }
 
-/// [`read_str`], at one resolution.
+/// Like [`load`], with the text given.
 pub fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
     read_str(text, path)?.at(overrides)
 }

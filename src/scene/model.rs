@@ -1,4 +1,4 @@
-//! [`Scene`]: what a run simulates, with its parts and settings. It holds the start state and nothing that changes in a run.
+//! [`Scene`]: the objects, start state and settings of a run.
 
 use crate::math::Vec3;
 use crate::mesh::{Part, TriangleMesh};
@@ -8,25 +8,25 @@ use super::motion::Motion;
 use super::obstacle::Obstacle;
 use super::preconditioner::PreconditionerKind;
 
-/// What the command line changes in a scene.
+/// Values from the command line that replace those of a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Overrides {
-    /// Triangles of all sheets together; meshes from files keep theirs.
+    /// Triangles of all sheets together. Meshes from files keep their triangles.
     pub resolution: Option<u64>,
     /// Frames to write.
     pub frames: Option<u32>,
 }
 
-/// Resolutions that a sheet can be made in, triangles.
+/// Valid resolutions of a sheet, triangles.
 pub const RESOLUTIONS: std::ops::RangeInclusive<u64> = 2..=20_000_000;
 
-/// Stiffness of contacts where a scene does not say.
+/// Contact stiffness if the scene does not give one.
 pub(super) const CONTACT_STIFFNESS: f64 = 8.0;
 
-/// Thickness of the cloth where a scene does not say, metres.
+/// Thickness of the cloth if the scene does not give one, meters.
 pub const DEFAULT_THICKNESS_M: f64 = 0.002;
 
-/// Everything a run needs to know about what is simulated; all checks have passed.
+/// Input of a run. All checks have passed.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Name shown in reports.
@@ -35,50 +35,51 @@ pub struct Scene {
     pub mesh: TriangleMesh,
     /// Start velocity of every vertex, m/s.
     pub velocities: Vec<Vec3>,
-    /// Fabrics; `fabric_of_triangle` indexes them.
+    /// Fabrics, indexed by `fabric_of_triangle`.
     pub fabrics: Vec<Fabric>,
-    /// Fabric of every triangle.
+    /// Index into `fabrics` of every triangle.
     pub fabric_of_triangle: Vec<u16>,
     /// Pinned vertices.
     pub pins: Vec<Pin>,
     /// Rigid motions that pins follow.
     pub motions: Vec<Motion>,
-    /// The pieces of cloth, ascending by vertices and triangles; empty = one piece with the settings' friction.
+    /// The pieces of cloth, ascending by vertices and triangles. Empty means one piece with the friction of the
+    /// settings.
     pub cloths: Vec<Cloth>,
-    /// Obstacles; [`Obstacles::new`] makes one numbered surface of them.
+    /// Obstacles. [`Obstacles::new`](super::Obstacles::new) merges them into one numbered surface.
     pub obstacles: Vec<Obstacle>,
-    /// Objects and groups that the files of the pieces name, by triangles of the scene; ascending.
+    /// Objects and groups of the pieces' mesh files, as triangles of the scene, ascending.
     pub parts: Vec<Part>,
-    /// Numbers of the run.
+    /// Settings of the run.
     pub settings: Settings,
-    /// One sentence for everything that was repaired or is likely not meant so.
+    /// One sentence for every repair and for every value that is probably a mistake.
     pub warnings: Vec<String>,
     /// One sentence for every feature of an imported scene that is left out.
     pub left_out: Vec<String>,
 }
 
-/// A piece of cloth: its place in the scene's mesh and what contacts need to know of it.
+/// A piece of cloth: its vertices and triangles in the scene's mesh, and its friction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cloth {
-    /// Shown in messages.
+    /// Name in messages.
     pub name: String,
-    /// Its vertices.
+    /// Its vertices in the scene's mesh.
     pub vertices: std::ops::Range<u32>,
-    /// Its triangles.
+    /// Its triangles in the scene's mesh.
     pub triangles: std::ops::Range<u32>,
-    /// Coulomb friction coefficient of its contacts with cloth.
+    /// Coulomb friction coefficient for contacts between cloth.
     pub friction: f64,
 }
 
 impl Scene {
-    /// Friction coefficient of the cloth at a vertex. A contact of two cloths has the mean of theirs, one with
-    /// an obstacle the obstacle's alone.
+    /// Friction coefficient of the cloth at a vertex. A contact of two cloths uses the mean of both coefficients; a
+    /// contact with an obstacle uses that of the obstacle alone.
     pub fn friction_of_vertex(&self, vertex: u32) -> f64 {
         let after = self.cloths.partition_point(|cloth| cloth.vertices.end <= vertex);
         self.cloths.get(after).map_or(self.settings.friction, |cloth| cloth.friction)
     }
 
-    /// A vertex of the mesh as messages name it: where there are several pieces, by its number within its piece.
+    /// Name of a vertex for messages. In a scene with several pieces, the number counts within the piece.
     pub fn vertex_name(&self, vertex: u32) -> String {
         match self.cloths.iter().find(|cloth| cloth.vertices.contains(&vertex)) {
             Some(cloth) if self.cloths.len() > 1 => {
@@ -94,7 +95,8 @@ impl Scene {
 pub struct Pin {
     /// Vertex of the scene's mesh.
     pub vertex: u32,
-    /// Index into `Scene::motions`, applied to the vertex's start position; none = stays where it is.
+    /// Index into `Scene::motions`; the motion is applied to the start position of the vertex. None = the vertex stays
+    /// there.
     pub motion: Option<u32>,
     /// Held from this time, seconds.
     pub start_s: f64,
@@ -102,14 +104,14 @@ pub struct Pin {
     pub end_s: f64,
 }
 
-/// Numbers of a run.
+/// Numerical settings of a run.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Settings {
     /// Length of a step, seconds.
     pub step_s: f64,
     /// Steps per written frame.
     pub steps_per_frame: u32,
-    /// Frames to write (frame 0 is the start state and comes on top).
+    /// Frames to write, in addition to frame 0, which is the start state.
     pub frames: u32,
     /// Acceleration of gravity, m/s^2.
     pub gravity_m_s2: Vec3,
@@ -121,16 +123,16 @@ pub struct Settings {
     pub air_drag_kg_m2_s: f64,
     /// Relative residual at which PCG stops.
     pub relative_tolerance: f64,
-    /// Most PCG iterations per step.
+    /// Limit of PCG iterations per step.
     pub max_iterations: u32,
-    /// What PCG multiplies the residual by.
+    /// The preconditioner of PCG.
     pub preconditioner: PreconditionerKind,
-    /// Thickness of the cloth for contacts, metres.
+    /// Thickness of the cloth for contacts, meters.
     pub thickness_m: f64,
-    /// Coulomb friction coefficient of contacts for everything that has none of its own.
+    /// Coulomb friction coefficient of everything that has no coefficient of its own.
     pub friction: f64,
-    /// Whether contacts are detected and answered at all.
+    /// False switches off detection and response of contacts.
     pub collisions: bool,
-    /// Stiffness of contacts: multiplies (effective mass of the pair) / step_s^2.
+    /// Contact stiffness: a multiple of (effective mass of the pair) / step_s^2.
     pub contact_stiffness: f64,
 }

@@ -1,34 +1,35 @@
-//! Keyframed motions: evaluation in f64, because a keyframe far from the origin times a small step loses digits in f32.
+//! Keyframed motions. They are evaluated in f64, because f32 loses digits for keyframes far from the origin and small
+//! steps.
 
 use crate::math::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 
-/// A rigid (or scaling) motion by keyframes, linear between them (rotation: by angle, or slerp), constant outside;
-/// [`Motion::transform_at`] evaluates it.
+/// A rigid motion with scaling, given by keyframes. It is linear between keyframes (rotation by angle or slerp) and
+/// constant outside. [`Motion::transform_at`] evaluates it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Motion {
     /// Keyframes in ascending time.
     pub keyframes: Vec<Keyframe>,
 }
 
-/// One keyframe: x -> rotation * (scale * x) + translation, rotation about `pivot_m`.
+/// A keyframe: x -> pivot + rotation * (scale * (x - pivot)) + translation.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Keyframe {
     /// Seconds since the start of the run.
     pub time_s: f64,
-    /// Added last, meters.
+    /// Translation, applied last, meters.
     pub translation_m: crate::math::DVec3,
     /// Unit quaternion.
     pub rotation: crate::math::DQuat,
-    /// The rotation as unit axis and angle in radians, where it was given so: the angle may be more than a turn.
+    /// The rotation as unit axis and angle in radians, if it was given so. The angle can exceed a full turn.
     pub turn: Option<(crate::math::DVec3, f64)>,
-    /// Factor about the pivot, above 0.
+    /// Scale factor about the pivot, above 0.
     pub scale: f64,
     /// Center of rotation and scale, meters.
     pub pivot_m: crate::math::DVec3,
 }
 
 impl Keyframe {
-    /// The keyframe that moves nothing.
+    /// A keyframe without translation, rotation or scaling.
     pub fn identity(time_s: f64) -> Keyframe {
         Keyframe {
             time_s,
@@ -40,12 +41,12 @@ impl Keyframe {
         }
     }
 
-    /// The keyframe turned by an angle of any size about a unit axis.
+    /// This keyframe with a rotation by any angle about a unit axis.
     pub fn turned(self, axis: DVec3, angle_rad: f64) -> Keyframe {
         Keyframe { rotation: DQuat::from_axis_angle(axis, angle_rad), turn: Some((axis, angle_rad)), ..self }
     }
 
-    /// Its angle about an axis, if its rotation is one about this axis (or none at all).
+    /// The angle about `axis`, if the keyframe rotates about it or not at all.
     fn angle_about(&self, axis: DVec3) -> Option<f64> {
         match self.turn {
             Some((own, angle)) => (own == axis).then_some(angle),
@@ -53,7 +54,7 @@ impl Keyframe {
         }
     }
 
-    /// The rotation a share `s` of the way to `next`.
+    /// The rotation at fraction `s` of the way to `next`.
     fn rotation_towards(&self, next: &Keyframe, s: f64) -> DQuat {
         if let Some((axis, _)) = self.turn.or(next.turn)
             && let (Some(from), Some(to)) = (self.angle_about(axis), next.angle_about(axis))
@@ -71,9 +72,10 @@ impl Keyframe {
 }
 
 impl Motion {
-    /// The transform at a time: translation, scale and pivot linear between the keyframes; rotation by angle where two
-    /// keyframes turn about one axis, so through any number of turns, else by slerp (the shorter way round); constant
-    /// before the first and after the last. No keyframes = no motion.
+    /// The transform at a time. Translation, scale and pivot are linear between keyframes. The rotation is linear in
+    /// the angle if both keyframes turn about the same axis (any number of turns), else it is a slerp along the shorter
+    /// way. Before the first and after the last keyframe the transform is constant. Without keyframes it is the
+    /// identity.
     pub fn transform_at(&self, time_s: f64) -> DAffine3 {
         let after = self.keyframes.partition_point(|key| key.time_s <= time_s);
         let (Some(a), Some(b)) = (self.keyframes.get(after.saturating_sub(1)), self.keyframes.get(after)) else {
@@ -94,7 +96,7 @@ impl Motion {
         .transform()
     }
 
-    /// Where the motion has taken a point that starts at `start` by a time.
+    /// Position at `time_s` of a point that starts at `start`.
     pub fn apply(&self, time_s: f64, start: Vec3) -> Vec3 {
         self.transform_at(time_s).transform_point3(start.as_dvec3()).as_vec3()
     }
@@ -118,7 +120,7 @@ mod tests {
     fn turns_about_one_axis_go_by_angle() {
         let full = std::f64::consts::TAU;
         let still = Keyframe::identity;
-        // 2.5 turns, then 1 back; the first keyframe has no rotation at all.
+        // 2.5 turns, then 1 turn back. The first keyframe has no rotation.
         let keyframes =
             vec![still(0.0), still(10.0).turned(DVec3::Y, 2.5 * full), still(14.0).turned(DVec3::Y, 1.5 * full)];
         let motion = Motion { keyframes };
@@ -129,7 +131,7 @@ mod tests {
             let expected = Vec3::new(cos as f32, 0.0, -sin as f32);
             assert!(motion.apply(time_s, Vec3::X).distance(expected) < 1e-6, "at {time_s} s");
         }
-        // Another axis: the shorter way.
+        // With another axis the rotation takes the shorter way.
         let other = Motion { keyframes: vec![still(0.0).turned(DVec3::Y, 0.1), still(1.0).turned(DVec3::X, 0.1)] };
         let slerp = DQuat::from_rotation_y(0.1).slerp(DQuat::from_rotation_x(0.1), 0.5);
         assert!(other.apply(0.5, Vec3::Z).distance((slerp * DVec3::Z).as_vec3()) < 1e-6);

@@ -1,5 +1,5 @@
-//! Obstacles: surfaces that cloth meets and that no cloth moves. Every rank evaluates where they are by itself, from the
-//! same numbers in the same order, so all ranks hold the same bits.
+//! Obstacles: surfaces that collide with cloth and follow a prescribed motion. Every rank evaluates their positions
+//! from the same numbers in the same order, so all ranks hold the same bits.
 
 use bytemuck::cast_slice;
 
@@ -7,41 +7,41 @@ use crate::math::{DAffine3, Vec3};
 
 use super::Motion;
 
-/// An obstacle of a scene, validated.
+/// A validated obstacle of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Obstacle {
-    /// Shown in messages.
+    /// Name in messages.
     pub name: String,
-    /// Coulomb friction coefficient of cloth on it.
+    /// Coulomb friction coefficient between this obstacle and cloth.
     pub friction: f64,
-    /// World positions before any motion, metres.
+    /// World positions before any motion, meters.
     pub positions: Vec<Vec3>,
-    /// Vertex indices of every triangle, from 0 within the obstacle. Vertices in no triangle may exist.
+    /// Vertex indices of every triangle, from 0 within the obstacle. Some vertices can be in no triangle.
     pub triangles: Vec<[u32; 3]>,
-    /// How it moves.
+    /// Prescribed motion.
     pub movement: Movement,
 }
 
-/// How an obstacle moves.
+/// Prescribed motion of an obstacle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Movement {
-    /// Not at all.
+    /// The obstacle does not move.
     Still,
-    /// As a whole: position(t) = motion(t) applied to `positions`.
+    /// The whole obstacle moves: position(t) = motion(t) applied to `positions`.
     Keyframes(Motion),
-    /// Vertex by vertex, linear from frame to frame, still before the first and after the last. The first frame, at
-    /// time 0, is the obstacle's `positions`.
+    /// Every vertex moves on its own, linearly from frame to frame, and rests before the first and after the last. The
+    /// first frame, at time 0, is the obstacle's `positions`.
     Sequence {
         /// Frames per second.
         frames_per_s: f64,
-        /// The frames after the first; each has as many positions as the obstacle. Shared, because scenes of several
-        /// resolutions have the same obstacles.
+        /// The frames after the first; each has as many positions as the obstacle. They are shared, because a scene has
+        /// the same obstacles at every resolution.
         later: std::sync::Arc<Vec<Vec<Vec3>>>,
     },
 }
 
 impl Obstacle {
-    /// Whether it ever moves.
+    /// True if the obstacle moves at any time.
     pub fn moving(&self) -> bool {
         match &self.movement {
             Movement::Still => false,
@@ -54,20 +54,20 @@ impl Obstacle {
     }
 }
 
-/// All obstacles of a scene as one surface with one numbering: vertices and triangles obstacle by obstacle.
+/// All obstacles of a scene as one surface. Vertices and triangles are numbered obstacle by obstacle.
 ///
-/// For the way to a worker it comes apart into a small header and bulk arrays ([`Obstacles::header`],
-/// [`Obstacles::arrays`]) and is put together again by [`Obstacles::from_parts`].
+/// To send it to a worker, it is split into a small header and bulk arrays ([`Obstacles::header`],
+/// [`Obstacles::arrays`]). [`Obstacles::from_parts`] joins them again.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Obstacles {
     header: ObstacleHeader,
-    /// Positions of obstacle 0 (all frames of a sequence, one after the other), then of obstacle 1, .., xyz.
+    /// xyz positions of obstacle 0 (all frames of a sequence in order), then of obstacle 1, and so on.
     positions: Vec<f32>,
-    /// Numbered over all obstacles.
+    /// Vertex indices over all obstacles.
     triangles: Vec<[u32; 3]>,
 }
 
-/// What is small of [`Obstacles`].
+/// Metadata of [`Obstacles`], without the bulk arrays.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ObstacleHeader {
     parts: Vec<Part>,
@@ -98,14 +98,14 @@ impl Part {
         }
     }
 
-    /// Values of all its positions.
+    /// Number of f32 values of its positions, over all frames.
     fn values(&self) -> usize {
         3 * self.vertices as usize * self.frames() as usize
     }
 }
 
 impl Obstacles {
-    /// Numbers the obstacles of a scene.
+    /// Merges the obstacles of a scene.
     pub fn new(obstacles: &[Obstacle]) -> Obstacles {
         let mut all = Obstacles::default();
         let mut first = 0;
@@ -134,7 +134,7 @@ impl Obstacles {
         all
     }
 
-    /// Puts together what [`Obstacles::header`] and [`Obstacles::arrays`] gave; none if they do not fit.
+    /// Joins the results of [`Obstacles::header`] and [`Obstacles::arrays`]; none if they do not match.
     pub fn from_parts(header: ObstacleHeader, positions: Vec<f32>, triangles: Vec<[u32; 3]>) -> Option<Obstacles> {
         let sum = |count: fn(&Part) -> usize| header.parts.iter().map(count).sum::<usize>();
         let vertices = sum(|part| part.vertices as usize);
@@ -145,12 +145,12 @@ impl Obstacles {
         fits.then_some(Obstacles { header, positions, triangles })
     }
 
-    /// Metadata, for a message.
+    /// The metadata, for a message.
     pub fn header(&self) -> &ObstacleHeader {
         &self.header
     }
 
-    /// Bulk arrays, for a message: positions (all frames of sequences included), xyz, and triangles.
+    /// The bulk arrays, for a message: xyz positions (all frames of sequences included) and triangles.
     pub fn arrays(&self) -> (&[f32], &[[u32; 3]]) {
         (&self.positions, &self.triangles)
     }
@@ -160,7 +160,7 @@ impl Obstacles {
         self.header.parts.len()
     }
 
-    /// Whether there is none.
+    /// True if there are no obstacles.
     pub fn is_empty(&self) -> bool {
         self.header.parts.is_empty()
     }
@@ -175,7 +175,7 @@ impl Obstacles {
         &self.triangles
     }
 
-    /// The obstacle that a vertex belongs to. Panics if there is no such vertex.
+    /// The obstacle that a vertex belongs to. It panics if there is no such vertex.
     pub fn obstacle_of_vertex(&self, vertex: usize) -> usize {
         let mut end = 0;
         let found = self.header.parts.iter().position(|part| {
@@ -190,18 +190,18 @@ impl Obstacles {
         &self.header.parts[obstacle].name
     }
 
-    /// Coulomb friction coefficient of cloth on an obstacle.
+    /// Coulomb friction coefficient between an obstacle and cloth.
     pub fn friction(&self, obstacle: usize) -> f64 {
         self.header.parts[obstacle].friction
     }
 
-    /// Whether any obstacle ever moves.
+    /// True if any obstacle moves at any time.
     pub fn moving(&self) -> bool {
         self.header.parts.iter().any(|part| part.moving)
     }
 
-    /// Writes the positions of all vertices at a time to `out`, xyz, replacing what it held. Evaluated in f64 and rounded
-    /// once; depends on nothing but the obstacles and the time.
+    /// Replaces the content of `out` by the xyz positions of all vertices at a time. They are evaluated in f64 and
+    /// rounded once, and depend on nothing but the obstacles and the time.
     pub fn positions_at(&self, time_s: f64, out: &mut Vec<f32>) {
         out.clear();
         out.reserve(3 * self.vertices());
@@ -226,7 +226,7 @@ fn transformed(transform: &DAffine3, positions: &[f32], out: &mut Vec<f32>) {
     }
 }
 
-/// `at` = place in the sequence, in frames.
+/// Linear interpolation. `at` is the time in frames.
 fn interpolated(values: &[f32], frames: usize, at: f64, out: &mut Vec<f32>) {
     let length = values.len() / frames;
     let frame = |i: usize| &values[i * length..(i + 1) * length];

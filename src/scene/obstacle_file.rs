@@ -1,4 +1,4 @@
-//! `[[obstacle]]` of the TOML scene format: shapes, meshes and sequences, placed and set in motion.
+//! `[[obstacle]]` of the TOML scene format: shapes, meshes and sequences, with placement and motion.
 
 use std::path::{Path, PathBuf};
 
@@ -29,15 +29,15 @@ pub(super) const OBSTACLE_FIELDS: [&str; 14] = [
     "motion",
 ];
 
-/// Ways to say what an obstacle is.
+/// Fields that give the geometry; an obstacle has exactly one of them.
 const FORMS: [&str; 7] = ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence"];
-/// Triangles of a shape where the scene does not say.
+/// Triangles of a shape if the scene does not give a number.
 const DEFAULT_TRIANGLES: u64 = 3_000;
-/// Triangles a shape can be made of.
+/// Valid numbers of triangles of a shape.
 const TRIANGLES: std::ops::RangeInclusive<u64> = 12..=5_000_000;
 
-/// Reads an obstacle. `path` = the scene file, `friction` = that of the whole scene; `left_out` gets a sentence about what
-/// of a file is not used.
+/// Reads an obstacle. `path` = the scene file, `friction` = default coefficient. `left_out` receives a sentence about
+/// unused parts of a file.
 pub(super) fn obstacle(
     fields: &Fields,
     index: usize,
@@ -117,7 +117,7 @@ fn sequence_files(value: &Value, scene: &Path) -> Result<Vec<PathBuf>, SceneErro
     pattern.files(scene).map_err(|what| value.error(what))
 }
 
-/// The shape about the origin, where its centre goes, and how its own directions turn it.
+/// The shape centered at the origin, the position of its center, and the rotation that its own directions require.
 fn shape(form: &str, value: &Value) -> Result<(Surface, DVec3, DQuat), SceneError> {
     let known: &[&str] = match form {
         "sphere" => &["center_m", "radius_m", "triangles"],
@@ -167,7 +167,7 @@ fn sides<const N: usize>(value: &Value) -> Result<[f64; N], SceneError> {
     if least > 0.0 && most <= 1e5 * least { Ok(sides) } else { Err(thin()) }
 }
 
-/// Nearly square cells of about this many triangles, at least one each way.
+/// Numbers of nearly square cells for about this many triangles, at least one cell per side.
 fn cells(size: [f64; 2], triangles: f64) -> [u32; 2] {
     let side = (2.0 * size[0] * size[1] / triangles).sqrt();
     size.map(|length| (length / side).round().clamp(1.0, triangles) as u32)
@@ -177,7 +177,7 @@ fn box_of(size: [f64; 3], triangles: f64) -> Surface {
     let area = 2.0 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0]);
     let mut side = (2.0 * area / triangles).sqrt();
     let cells = |side: f64| size.map(|length| (length / side).round().clamp(1.0, triangles) as u32);
-    // The rim of a thin plate is at least one cell high: its triangles are missing elsewhere.
+    // The rim of a thin plate is at least one cell high. The loop takes its triangles off the other sides.
     for _ in 0..3 {
         let [x, y, z] = cells(side).map(f64::from);
         side *= (4.0 * (x * y + y * z + z * x) / triangles).sqrt();
@@ -185,7 +185,7 @@ fn box_of(size: [f64; 3], triangles: f64) -> Surface {
     shapes::cuboid(size, cells(side))
 }
 
-/// A cone without its tip, its lower rim about the origin, with a spout below it.
+/// A truncated cone with a spout below it. Its lower rim lies around the origin.
 fn funnel(fields: &Fields, triangles: f64) -> Result<Surface, SceneError> {
     let bottom = fields.required("bottom_radius_m")?.positive()?;
     let height = fields.required("height_m")?.positive()?;

@@ -1,7 +1,7 @@
-//! A scene as it was written, before it has a resolution: [`ParsedScene`] -> [`Scene`], as often as wanted.
+//! [`ParsedScene`]: a scene file that was read and checked. It builds a [`Scene`] at any resolution, repeatedly.
 //!
-//! Files are read and fields are checked once, when the scene is parsed. What depends on the resolution is made and checked
-//! by [`ParsedScene::at`]: sheets, the vertices that pins select, the start state.
+//! Files are read and fields are checked once, when the scene is parsed. [`ParsedScene::at`] makes and checks
+//! everything that depends on the resolution: sheets, the vertices that pins select, and the start state.
 
 use std::path::PathBuf;
 
@@ -12,11 +12,10 @@ use super::pins::{self, PinSource};
 use super::start::{Start, StartState};
 use super::{Motion, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling};
 
-/// A scene file that was read and checked, at no resolution yet.
+/// A scene file that was read and checked, before a resolution is chosen.
 ///
-/// It keeps what every piece of cloth was made from, so that one scene can be had at several resolutions. The material
-/// coordinates of every triangle's corners come with each of them (`TriangleMesh::material_uv`); those of a sheet have
-/// the same origin and axes at every resolution.
+/// It keeps the source of every piece of cloth, so that one scene can be built at several resolutions. The material
+/// coordinates of a sheet (`TriangleMesh::material_uv`) have the same origin and axes at every resolution.
 #[derive(Clone, Debug)]
 pub struct ParsedScene {
     pub(super) path: PathBuf,
@@ -28,26 +27,26 @@ pub struct ParsedScene {
     pub(super) settings: Settings,
     pub(super) warnings: Vec<String>,
     pub(super) left_out: Vec<String>,
-    /// The field that lists the cloths.
+    /// Position of the field that lists the cloths.
     pub(super) cloths_at: Place,
-    /// The field that lists the pins.
+    /// Position of the field that lists the pins.
     pub(super) pins_at: Place,
 }
 
 impl ParsedScene {
-    /// The scene at a resolution; its own where `overrides` has none.
+    /// Builds the scene at the resolution of `overrides`, or at its own if there is none.
     ///
     /// # Errors
-    /// A resolution that cannot be had, a pin that selects nothing at it, or a start state that crosses itself.
+    /// The resolution is invalid, a pin selects no vertex at it, or the start state crosses itself.
     pub fn at(&self, overrides: &Overrides) -> Result<Scene, SceneError> {
         self.build(overrides, &mut StartState::default())
     }
 
-    /// As [`ParsedScene::at`], but a start state that crosses is untangled where possible: then the scene starts with the
-    /// positions that this led to (its rest shape stays) and the second value says what it took.
+    /// Like [`ParsedScene::at`], but a start state that crosses is untangled if possible. The scene then starts at the
+    /// untangled positions, with its rest shape unchanged, and the second value reports the untangling.
     ///
     /// # Errors
-    /// As [`ParsedScene::at`]; [`SceneError::Crossing`] then holds the best state that was reached.
+    /// Those of [`ParsedScene::at`]; [`SceneError::Crossing`] then holds the best state that was reached.
     pub fn untangled_at(&self, overrides: &Overrides) -> Result<(Scene, Option<Untangling>), SceneError> {
         let mut start = StartState { untangle: true, untangled: None };
         let scene = self.build(overrides, &mut start)?;
@@ -96,7 +95,7 @@ impl ParsedScene {
         })
     }
 
-    /// Adds a sentence for every mesh whose size does not go with the thickness of the cloth.
+    /// Adds a warning for every mesh whose size is implausible for the thickness of the cloth.
     pub(super) fn warn_of_sizes(mut self) -> ParsedScene {
         let thickness_m = self.settings.thickness_m;
         for cloth in &self.cloths {
@@ -107,7 +106,7 @@ impl ParsedScene {
         self
     }
 
-    /// What the triangles of every sheet are multiplied by.
+    /// Factor on the number of triangles of every sheet.
     fn resolution_factor(&self, wanted: Option<u64>) -> Result<f64, SceneError> {
         let Some(wanted) = wanted else { return Ok(1.0) };
         let fault = |what: &str| SceneError::File { path: self.path.clone(), what: what.into() };

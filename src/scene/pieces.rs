@@ -1,4 +1,4 @@
-//! Cloth pieces and how they become one mesh.
+//! Pieces of cloth and their merge into one mesh.
 
 use std::borrow::Cow;
 
@@ -11,7 +11,7 @@ use super::{Cloth, Fabric, SceneError, Sheet, sheet_cells};
 /// One piece of cloth in its start state.
 pub(super) struct Piece<'a> {
     pub source: &'a ClothSource,
-    /// The mesh at its place; pins name vertices by their number in the file.
+    /// The placed mesh. Pins name vertices by their number in the file.
     pub cloth: Cow<'a, FileMesh>,
     /// Present if the piece is a generated sheet.
     pub sheet: Option<Sheet>,
@@ -41,13 +41,13 @@ impl<'a> Piece<'a> {
     }
 }
 
-/// An extent above this many thicknesses is likely no length in metres: 40 m of a cloth of 2 mm.
+/// Above this many thicknesses the extent is probably not in meters: 40 m for a cloth of 2 mm.
 const EXTENT_MOST: f64 = 2e4;
-/// An extent below this many thicknesses is no cloth.
+/// Below this many thicknesses a mesh is too small to be cloth.
 const EXTENT_LEAST: f64 = 10.0;
 
-/// A sentence about a mesh whose size does not go with the thickness of the cloth: most likely its unit is another one.
-/// `extent_m` = longest side of the box around it.
+/// A warning about a mesh whose size is implausible for the thickness of the cloth, most likely because its unit is not
+/// the meter. `extent_m` = longest side of its bounding box.
 pub fn size_warning(name: &str, extent_m: f64, thickness_m: f64) -> Option<String> {
     let ratio = extent_m / thickness_m;
     let what = if ratio > EXTENT_MOST {
@@ -61,7 +61,7 @@ pub fn size_warning(name: &str, extent_m: f64, thickness_m: f64) -> Option<Strin
     Some(format!("{name} is {extent_m:.4} m large, {ratio:.0} times thickness_m = {thickness_m}: {what}"))
 }
 
-/// The pieces as one mesh.
+/// The pieces as one mesh, with the data of each vertex and triangle.
 pub(super) struct Merged {
     pub mesh: TriangleMesh,
     pub velocities: Vec<Vec3>,
@@ -71,7 +71,8 @@ pub(super) struct Merged {
     pub parts: Vec<Part>,
 }
 
-/// Merges pieces in their order; `Err` is the reason as half a sentence. `friction` = that of pieces without one of their own.
+/// Merges pieces in their order. `friction` = coefficient of pieces without one of their own. An error is half a
+/// sentence.
 pub(super) fn merge(pieces: &[Piece], friction: f64) -> Result<Merged, String> {
     let mut merged = Merged {
         mesh: TriangleMesh::default(),

@@ -13,7 +13,7 @@ pub(super) const PIN_FIELDS: [&str; 12] = [
     "cloth", "corners", "edge", "every", "count", "vertices", "group", "box_m", "sphere", "start_s", "end_s", "motion",
 ];
 
-/// Reads a `[[pin]]`; adds its motion to `motions`.
+/// Reads a `[[pin]]` and appends its motion to `motions`.
 pub(super) fn pin(fields: &Fields, cloths: &[ClothSource], motions: &mut Vec<Motion>) -> Result<PinSource, SceneError> {
     let cloth = match fields.get("cloth") {
         None if cloths.len() == 1 => 0,
@@ -40,7 +40,7 @@ pub(super) fn pin(fields: &Fields, cloths: &[ClothSource], motions: &mut Vec<Mot
     Ok(PinSource { cloth, select, motion, start_s, end_s, at: value.place() })
 }
 
-/// How the pin selects vertices, and the field that says so.
+/// The selection of a pin and the field that gives it.
 fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource) -> Result<(Selection, Value<'a>), SceneError> {
     let ways = ["corners", "edge", "vertices", "group", "box_m", "sphere"];
     let given: Vec<&str> = ways.into_iter().filter(|way| pin.get(way).is_some()).collect();
@@ -109,7 +109,7 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource) -> Result<(Selection, Va
     Ok((select, value))
 }
 
-/// The names that a pin may use, for a message.
+/// Names that a pin can use, for a message.
 fn known_parts(mesh: &FileMesh) -> String {
     /// Names that are listed.
     const LISTED: usize = 12;

@@ -1,4 +1,4 @@
-//! Which vertices a pin holds, and the check that no vertex is held in two ways at once.
+//! Selects the vertices of pins and checks that no vertex is held in two ways at once.
 
 use crate::math::DVec3;
 use crate::mesh::TriangleMesh;
@@ -7,21 +7,21 @@ use super::error::Place;
 use super::pieces::Piece;
 use super::{Pin, SceneError, Sheet};
 
-/// A pin as the scene states it: which vertices of a piece, before the piece has a resolution.
+/// A pin as the scene file gives it, before a resolution is chosen.
 #[derive(Clone, Debug)]
 pub(super) struct PinSource {
-    /// Number of the piece.
+    /// Index of the piece.
     pub cloth: usize,
     pub select: Selection,
-    /// Index into the scene's motions.
+    /// Index into the scene's motions; none = the vertices stay in place.
     pub motion: Option<u32>,
     pub start_s: f64,
     pub end_s: f64,
-    /// The field that selects.
+    /// The field that selects the vertices.
     pub at: Place,
 }
 
-/// How a pin selects vertices of its piece.
+/// Selection of vertices of a piece.
 #[derive(Clone, Debug)]
 pub(super) enum Selection {
     /// Corners of a sheet: (right, top).
@@ -32,23 +32,23 @@ pub(super) enum Selection {
     Vertices(Vec<u32>),
     /// Vertices of the mesh of a file.
     MeshVertices(Vec<u32>),
-    /// All that start in a box.
+    /// All vertices that start in a box.
     Box { low: DVec3, high: DVec3 },
-    /// All that start in a sphere.
+    /// All vertices that start in a sphere.
     Sphere { center: DVec3, radius_m: f64 },
 }
 
-/// Which vertices of an edge are held.
+/// Selection of vertices along an edge.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Spread {
-    /// Every k-th.
+    /// Every k-th vertex.
     Every(usize),
-    /// This many, evenly spread.
+    /// This many vertices, evenly spread.
     Count(usize),
 }
 
 impl PinSource {
-    /// The vertices of the piece that the pin selects; at least one.
+    /// The vertices of the piece that the pin selects. It is an error if there are none.
     pub(super) fn vertices(&self, piece: &Piece) -> Result<Vec<u32>, SceneError> {
         let name = &piece.source.name;
         let sheet = || {
@@ -70,7 +70,8 @@ impl PinSource {
             Selection::Vertices(numbers) => {
                 let vertex = |(i, &number): (usize, &u32)| {
                     piece.cloth.vertex(number).ok_or_else(|| {
-                        // As the readers of the two formats name entries: JSON's carry their index even if there is one only.
+                        // The field name follows the reader of each format: JSON entries carry an index even if there
+                        // is only one.
                         let indexed = numbers.len() > 1 || self.at.line.is_none();
                         let index = if indexed { format!("[{i}]") } else { String::new() };
                         let at = Place { field: format!("{}{index}", self.at.field), ..self.at.clone() };
@@ -95,7 +96,7 @@ impl PinSource {
     }
 }
 
-/// A side of a sheet as one looks at it with the warp to the right.
+/// A side of a sheet, seen with the warp pointing right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Edge {
     Left,
@@ -104,7 +105,7 @@ pub(super) enum Edge {
     Top,
 }
 
-/// Names of the corners in scene files, with (right, top).
+/// Names of the corners in scene files, as (right, top).
 pub(super) const CORNERS: [(&str, (bool, bool)); 4] = [
     ("bottom-left", (false, false)),
     ("bottom-right", (true, false)),
@@ -131,7 +132,8 @@ pub(super) fn edge(sheet: &Sheet, edge: Edge) -> Vec<u32> {
     }
 }
 
-/// `count` of the vertices (all if there are fewer), evenly spread, the first and the last among them.
+/// Selects `count` of the vertices, evenly spread and including the first and the last; all vertices if there are
+/// fewer.
 pub(super) fn evenly(vertices: &[u32], count: usize) -> Vec<u32> {
     let last = vertices.len() - 1;
     if count > last {
@@ -140,16 +142,17 @@ pub(super) fn evenly(vertices: &[u32], count: usize) -> Vec<u32> {
     if count == 1 {
         return vec![vertices[0]];
     }
-    // Rounded to the nearest; spacing is at least one vertex, so none is named twice.
+    // Rounded to the nearest vertex. The spacing is at least one vertex, so no vertex is chosen twice.
     (0..count).map(|i| vertices[(2 * i * last + count - 1) / (2 * (count - 1))]).collect()
 }
 
-/// Every vertex for which `inside` holds.
+/// Every vertex whose position satisfies `inside`.
 pub(super) fn region(mesh: &TriangleMesh, inside: impl Fn(DVec3) -> bool) -> Vec<u32> {
     (0..).zip(&mesh.positions).filter(|(_, p)| inside(p.as_dvec3())).map(|(v, _)| v).collect()
 }
 
-/// Sorts the pins by vertex and start and drops repetitions. Fails with a vertex that two different pins hold at once.
+/// Sorts the pins by vertex and start time and merges repetitions. An error is a vertex that two different pins hold at
+/// once.
 pub(super) fn without_conflicts(mut pins: Vec<Pin>) -> Result<Vec<Pin>, u32> {
     pins.sort_by(|a, b| {
         a.vertex.cmp(&b.vertex).then(a.start_s.total_cmp(&b.start_s)).then(b.end_s.total_cmp(&a.end_s))
@@ -158,7 +161,7 @@ pub(super) fn without_conflicts(mut pins: Vec<Pin>) -> Result<Vec<Pin>, u32> {
     for pin in pins {
         match kept.last_mut() {
             Some(last) if last.vertex == pin.vertex && pin.start_s <= last.end_s => {
-                // The same hold twice (a corner and its edge) is one hold, as long as either lasts.
+                // Overlapping holds by the same motion (a corner and its edge) are merged.
                 if last.motion != pin.motion {
                     return Err(pin.vertex);
                 }

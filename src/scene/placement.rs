@@ -1,4 +1,4 @@
-//! Where a piece of cloth or an obstacle is put in the scene.
+//! Placement of a piece of cloth or an obstacle in the scene.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use crate::mesh::{FileMesh, MaterialSource, MeshOptions, TriangleMesh, read_mesh
 
 use super::error::SceneError;
 
-/// Where a piece is put: x -> rotation * (scale * x) + translation. The scale applies to the rest shape, too.
+/// A placement: x -> rotation * (scale * x) + translation. The scale applies to the rest shape as well.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     pub translation_m: DVec3,
@@ -16,7 +16,7 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    /// Moves a mesh to its place.
+    /// Applies the placement to a mesh, including its material coordinates.
     pub(super) fn place(&self, mesh: &mut TriangleMesh) {
         self.move_points(&mut mesh.positions);
         if self.scale != 1.0 {
@@ -24,7 +24,7 @@ impl Placement {
         }
     }
 
-    /// Moves points to their place.
+    /// Applies the placement to points.
     pub(super) fn move_points(&self, points: &mut [Vec3]) {
         for p in points {
             *p = (self.rotation * (p.as_dvec3() * self.scale) + self.translation_m).as_vec3();
@@ -32,7 +32,7 @@ impl Placement {
     }
 }
 
-/// Reads and places a mesh from a file; `weld_m` joins vertices that near at its place.
+/// Reads and places a mesh from a file. Vertices that lie within `weld_m` of each other after placement are joined.
 pub(super) fn placed_mesh(
     path: &Path,
     material: MaterialSource,
@@ -42,7 +42,7 @@ pub(super) fn placed_mesh(
     let weld = weld_m.map(|distance| distance / placement.scale);
     let mut file = read_mesh(path, MeshOptions { material, weld })?;
     placement.place(&mut file.mesh);
-    // Far translations and extreme scales can undo what the file had right.
+    // A far translation or an extreme scale can make a valid mesh invalid.
     validate(&file.mesh)
         .map_err(|fault| SceneError::File { path: path.into(), what: format!("at its place in the scene: {fault}") })?;
     Ok(file)

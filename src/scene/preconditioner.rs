@@ -1,4 +1,4 @@
-//! The choice of a preconditioner, as scenes and command lines name it; `solver` has what it stands for.
+//! Names of preconditioners in scenes and on command lines. `solver` implements them.
 
 use serde::{Deserialize, Serialize};
 

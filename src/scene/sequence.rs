@@ -1,4 +1,4 @@
-//! `dir/frame_%04d.obj`: patterns of numbered files, and the meshes of one deforming obstacle in them.
+//! Numbered files (`dir/frame_%04d.obj`) and the deforming obstacle whose meshes they hold.
 
 use std::path::{Path, PathBuf};
 
@@ -7,12 +7,12 @@ use crate::mesh::{Surface, needles, read_file};
 
 use super::SceneError;
 
-/// Most numbers that all positions of one sequence have: 4 GiB.
+/// Limit of the coordinates of all frames of a sequence: 4 GiB.
 const MOST_VALUES: usize = 1 << 30;
-/// Widest number in a pattern.
+/// Most digits of a number in a pattern.
 const WIDEST: usize = 9;
 
-/// A file name with one number in it, as C's printf writes it: `%d` or `%04d`.
+/// A file name with one number in the notation of C's printf: `%d` or `%04d`.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Pattern {
     before: String,
@@ -21,7 +21,7 @@ pub(super) struct Pattern {
 }
 
 impl Pattern {
-    /// None if the text has no number or more than one, or a `%` that is none.
+    /// None if the text has no number, several numbers or another use of `%`.
     pub(super) fn parse(text: &str) -> Option<Pattern> {
         let (before, rest) = text.split_once('%')?;
         let (width, after) = rest.split_once('d')?;
@@ -31,15 +31,15 @@ impl Pattern {
         plain.then(|| Pattern { before: before.into(), width, after: after.into() })
     }
 
-    /// The name with this number.
+    /// The file name with this number.
     pub(super) fn name(&self, number: u32) -> String {
         format!("{}{number:0width$}{}", self.before, self.after, width = self.width)
     }
 
-    /// The files, from the smallest number there is to the largest, beside the scene or else in the working directory.
+    /// The files from the smallest to the largest existing number, beside the scene or else in the working directory.
     ///
     /// # Errors
-    /// There is none, or a number between the first and the last is missing; half a sentence.
+    /// There are no files, or a number in between is missing. The error is half a sentence.
     pub(super) fn files(&self, scene: &Path) -> Result<Vec<PathBuf>, String> {
         let beside = scene.parent().unwrap_or(Path::new(""));
         let found =
@@ -69,14 +69,14 @@ impl Pattern {
         Ok(numbers.into_iter().map(|number| root.join(self.name(number))).collect())
     }
 
-    /// The first number from `least` on that has a file below a folder.
+    /// The smallest number of at least `least` that has a file below the folder `root`.
     pub(super) fn next_from(&self, root: &Path, least: u32) -> Option<u32> {
         self.numbers(root).into_iter().find(|&number| number >= least)
     }
 
-    /// The numbers of the files below a folder, ascending.
+    /// Numbers of the existing files below the folder `root`, ascending.
     fn numbers(&self, root: &Path) -> Vec<u32> {
-        // The number may stand in the name of a folder as well as of a file.
+        // The number can be part of a folder name.
         let (folder, start) =
             self.before.rsplit_once('/').map_or(("", &self.before[..]), |(folder, start)| (folder, start));
         let folder =
@@ -88,7 +88,7 @@ impl Pattern {
             let name = entry.file_name().into_string().ok()?;
             let digits = name.strip_prefix(start)?.strip_suffix(end)?;
             let number = digits.parse().ok().filter(|_| digits.bytes().all(|c| c.is_ascii_digit()))?;
-            // As many digits as the pattern writes.
+            // The digits must be those that the pattern writes.
             (format!("{number:0width$}", width = self.width) == digits && root.join(self.name(number)).is_file())
                 .then_some(number)
         };
@@ -98,7 +98,7 @@ impl Pattern {
     }
 }
 
-/// The meshes of a sequence.
+/// Meshes of a sequence.
 pub(super) struct Frames {
     pub first: Surface,
     /// Positions of the frames after the first.
@@ -107,8 +107,8 @@ pub(super) struct Frames {
     pub left_out: Option<String>,
 }
 
-/// Reads the frames; every one must have the vertices and triangles of the first. The positions as `place` puts them.
-/// Triangles that have no area in one of the frames are left out.
+/// Reads the frames and moves their positions by `place`. Every frame must have the vertices and triangles of the
+/// first. Triangles without area in one of the frames are left out.
 pub(super) fn read_frames(files: &[PathBuf], place: impl Fn(&mut [Vec3])) -> Result<Frames, SceneError> {
     let fault = |path: &Path, what: String| SceneError::File { path: path.into(), what };
     let mut first: Option<Surface> = None;

@@ -6,7 +6,7 @@ use super::fields::{Fields, Value};
 use super::model::{CONTACT_STIFFNESS, DEFAULT_THICKNESS_M};
 use super::{PreconditionerKind, SceneError, Settings};
 
-/// Reads the settings of the document `root`.
+/// Reads the settings from the document `root`.
 pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Settings, SceneError> {
     let known = [
         "step_s",
@@ -29,7 +29,7 @@ pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Sett
     if relative_tolerance >= 1.0 {
         return Err(simulation.error_at("relative_tolerance", format!("must be below 1, not {relative_tolerance}")));
     }
-    // Without `[air]` there is none, so that free fall is free.
+    // Without `[air]` there is no air, so that free fall has no drag.
     let air = root.table("air", &["wind_m_s", "density_kg_m3", "drag_kg_m2_s"])?;
     let density = if root.get("air").is_some() { 1.2 } else { 0.0 };
     Ok(Settings {
@@ -51,10 +51,10 @@ pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Sett
     })
 }
 
-/// Length of a step where the scene does not say, seconds.
+/// Step length if the scene does not give one, seconds.
 const STEP_S: f64 = 1.0 / 250.0;
 
-/// Length of a step and steps of a frame.
+/// Step length in seconds and number of steps per frame.
 fn step(simulation: &Fields, warnings: &mut Vec<String>) -> Result<(f64, u32), SceneError> {
     let step_s = simulation.or("step_s", STEP_S, Value::positive)?;
     let steps_per_frame = simulation.optional("steps_per_frame", |value| value.whole(1..=1_000_000))?;
@@ -65,11 +65,11 @@ fn step(simulation: &Fields, warnings: &mut Vec<String>) -> Result<(f64, u32), S
         (None, Some(frame_s)) => frame_s,
     };
     let steps = (frame_s / step_s).round();
-    // A thousandth of a step: what rounding 1/24 s to four digits needs.
+    // The tolerance of a thousandth of a step accepts 1/24 s rounded to four digits.
     if (1.0..=1e6).contains(&steps) && (frame_s / step_s - steps).abs() <= 1e-3 * steps {
         return Ok((step_s, steps as u32));
     }
-    // No longer than the step that was given or is the default.
+    // The step is shortened, never lengthened, to fit the frame.
     let steps = (frame_s / step_s).ceil();
     let fitting = frame_s / steps;
     if simulation.get("step_s").is_none() && steps <= 1e6 {

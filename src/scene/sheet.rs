@@ -2,7 +2,8 @@
 
 use crate::math::Vec2;
 
-/// A grid of `columns` x `rows` cells, two triangles each. Vertices row by row from the bottom left corner.
+/// A grid of `columns` x `rows` cells of two triangles each. Vertices are numbered row by row from the bottom left
+/// corner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sheet {
     /// Cells along the first side (u, warp).
@@ -11,13 +12,14 @@ pub struct Sheet {
     pub rows: u32,
 }
 
-/// The grid of nearly square cells with about `triangles` triangles for a sheet of this size.
+/// The grid for a sheet of this size that has nearly square cells and about `triangles` triangles.
 pub fn sheet_cells(size_m: [f64; 2], triangles: u64) -> Sheet {
     let cells = (triangles as f64 / 2.0).max(1.0);
     let most = u32::MAX / 4;
-    // However narrow the sheet: no more rows than cells, or the triangles would outnumber what was asked for.
+    // There are never more rows than cells; otherwise a narrow sheet would exceed the requested number of triangles.
     let rows = (cells * size_m[1] / size_m[0]).sqrt().clamp(1.0, cells.min(f64::from(most)));
-    // Of the two whole numbers of rows, the one that the columns complete best to the wanted number of cells.
+    // Of the two nearest numbers of rows, the one whose best number of columns is closer to the requested number of
+    // cells is taken.
     let complete = |rows: f64| {
         let rows = rows.max(1.0);
         Sheet { columns: (cells / rows).round().clamp(1.0, f64::from(most)) as u32, rows: rows as u32 }
@@ -33,12 +35,12 @@ impl Sheet {
         2 * u64::from(self.columns) * u64::from(self.rows)
     }
 
-    /// The vertex of a grid point.
+    /// Index of the vertex at a grid point.
     pub fn vertex(&self, column: u32, row: u32) -> u32 {
         row * (self.columns + 1) + column
     }
 
-    /// Material coordinates of the vertices: x = warp to the right, y = weft upwards, (0, 0) bottom left.
+    /// Material coordinates of the vertices: x = warp to the right, y = weft upwards, origin at the bottom left corner.
     pub fn coordinates(&self, size_m: [f64; 2]) -> Vec<Vec2> {
         let at = |i: u32, n: u32, size: f64| (size * f64::from(i) / f64::from(n)) as f32;
         let points = (0..=self.rows).flat_map(|row| (0..=self.columns).map(move |column| (column, row)));
@@ -47,8 +49,8 @@ impl Sheet {
             .collect()
     }
 
-    /// The triangles. The diagonal changes its direction from row to row: every inner vertex has six neighbours (even
-    /// matrix rows), yet neither diagonal is stiffer than the other, as it would be with one direction throughout.
+    /// The triangles. The direction of the diagonals alternates from row to row: every inner vertex has six neighbors
+    /// (so matrix rows have equal length), yet the sheet has no stiffer diagonal direction.
     pub fn triangle_corners(&self) -> Vec<[u32; 3]> {
         let mut triangles = Vec::with_capacity(self.triangles() as usize);
         for row in 0..self.rows {

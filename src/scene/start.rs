@@ -1,4 +1,4 @@
-//! The state a scene starts in: no cloth may cross or touch itself, other cloth or an obstacle.
+//! Check of the start state: cloth must not cross or touch itself, other cloth or an obstacle.
 
 use std::path::Path;
 
@@ -9,23 +9,23 @@ use super::crossings::{BestState, Crossings, Doubled, Untangling};
 use super::pieces::Merged;
 use super::{Obstacle, Obstacles, Pin, Settings};
 
-/// Part of the thickness that is left between what was pushed apart: contacts then act and have room to.
+/// Gap that untangling leaves between surfaces, as a fraction of the thickness. Contacts then act but still have room.
 const GAP: f64 = 0.5;
 
-/// What is to be done about crossings, and what was.
+/// Request and result of an untangling.
 #[derive(Debug, Default)]
 pub(super) struct StartState {
-    /// Untangle rather than refuse.
+    /// Untangle instead of refusing the scene.
     pub untangle: bool,
-    /// Set if there was something to untangle and it worked.
+    /// Set if the start state was untangled.
     pub untangled: Option<Untangling>,
 }
 
-/// A scene at time 0, before it is one.
+/// Input of the check: the parts of a scene at time 0.
 pub(super) struct Start<'a> {
     pub path: &'a Path,
     pub resolution: Option<u64>,
-    /// Whether each cloth is a plane sheet.
+    /// True for each cloth that is a plane sheet.
     pub flat: &'a [bool],
     pub obstacles: &'a [Obstacle],
     pub pins: &'a [Pin],
@@ -33,7 +33,7 @@ pub(super) struct Start<'a> {
 }
 
 impl Start<'_> {
-    /// Sees to it that nothing crosses: moves the cloth if `state` says so.
+    /// Checks that nothing crosses, or moves the cloth apart if `state` asks for it.
     pub(super) fn settle(&self, merged: &mut Merged, state: &mut StartState) -> Result<(), Box<Crossings>> {
         if !self.settings.collisions {
             return Ok(());
@@ -44,7 +44,7 @@ impl Start<'_> {
             return Ok(());
         }
         let refusal = self.refusal(merged, &surface, &surface.positions, &pairs);
-        // Untangling would open the seam.
+        // Untangling would tear open a split seam.
         if !state.untangle || refusal.doubled.is_some() {
             return Err(refusal);
         }
@@ -72,7 +72,7 @@ impl Start<'_> {
         Ok(())
     }
 
-    /// Cloth and obstacles as one.
+    /// Cloth and obstacles as one surface.
     fn surface(&self, merged: &Merged) -> Surface {
         let TriangleMesh { positions, triangles, .. } = &merged.mesh;
         let all = Obstacles::new(self.obstacles);
@@ -121,7 +121,7 @@ impl Start<'_> {
     }
 }
 
-/// The first piece with a seam that is split, if that is why one of the pairs meets.
+/// The first split seam, if one of the pairs crosses there.
 fn doubled(merged: &Merged, surface: &Surface, positions: &[Vec3], pairs: &[[u32; 2]]) -> Option<Doubled> {
     let first = first_at_place(positions);
     let apart = |corners: [u32; 3], other: [u32; 3]| {
@@ -144,7 +144,7 @@ struct Surface {
     positions: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
     groups: Vec<Group>,
-    /// Of every group.
+    /// Name of every group.
     names: Vec<String>,
 }
 

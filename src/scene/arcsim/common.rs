@@ -1,4 +1,4 @@
-//! Fields that cloths, obstacles and motions of ARCSim's scenes share: names of files, and transforms.
+//! Fields shared by cloths, obstacles and motions of ARCSim scenes: file names and transforms.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use super::super::error::SceneError;
 use super::super::json::Json;
 use super::super::placement::Placement;
 
-/// The file a scene names: beside it, in the folder above it (ARCSim runs from there), or in the working directory.
+/// Looks up a file beside the scene, in the folder above (ARCSim runs from there) and in the working directory.
 pub(super) fn find(field: &Json) -> Result<PathBuf, SceneError> {
     let name = field.text()?;
     let folder = field.file.parent().unwrap_or(Path::new(""));
@@ -19,7 +19,7 @@ pub(super) fn find(field: &Json) -> Result<PathBuf, SceneError> {
     })
 }
 
-/// `{translate, rotate: [degrees, axis], scale}`.
+/// Reads `{translate, rotate: [degrees, axis], scale}`.
 pub(super) fn placement(json: &Json) -> Result<Placement, SceneError> {
     Ok(Placement {
         translation_m: json.or("translate", DVec3::ZERO, Json::vector)?,
@@ -28,5 +28,5 @@ pub(super) fn placement(json: &Json) -> Result<Placement, SceneError> {
     })
 }
 
-/// The placement that moves nothing.
+/// The identity.
 pub(super) const UNMOVED: Placement = Placement { translation_m: DVec3::ZERO, rotation: DQuat::IDENTITY, scale: 1.0 };

@@ -2,11 +2,11 @@
 
 use super::super::json::Json;
 
-/// Collects the sentences about what is left out, each once.
+/// Collects sentences about features that are left out, each sentence once.
 pub(super) struct LeftOut<'a> {
     /// Modules that the scene itself turns off.
     pub disabled: Vec<&'a str>,
-    /// The sentences, in the order they were said.
+    /// The sentences, in the order in which they were added.
     pub lines: Vec<String>,
 }
 
@@ -19,14 +19,14 @@ impl LeftOut<'_> {
         }
     }
 
-    /// Says so unless the scene turns the module off anyway.
+    /// Adds a sentence about a module of ARCSim, unless the scene disables that module.
     pub(super) fn module(&mut self, module: &str, line: &str) {
         if !self.disabled.contains(&module) {
             self.say(line);
         }
     }
 
-    /// Adds what is left out of the scene's own fields and of `magic`.
+    /// Adds sentences about unknown or unused fields of the scene and of `magic`.
     pub(super) fn whole_scene(&mut self, root: &Json) {
         self.module("popfilter", "popfilter: left out, the mesh keeps its triangles and nothing pops");
         if root.get("implicit").is_some_and(|value| value.value.as_bool() == Some(false)) {

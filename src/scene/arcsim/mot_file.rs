@@ -1,18 +1,18 @@
 //! ARCSim's `.mot` files: positions and orientations of rigid bodies, frame by frame.
 //!
-//! The form, as far as ARCSim itself relies on it: a line with the number n of frames after a label; then for every body a
-//! heading, n lines `x y z`, a heading, n lines of a quaternion, the scalar first. Blank lines may stand before headings.
+//! Layout: a line with a label and the number n of frames. Then for every body a heading, n lines `x y z`, a heading,
+//! and n lines of a quaternion, scalar first. Blank lines can precede headings. ARCSim does not rely on more than this.
 
 use crate::math::{DQuat, DVec3};
 
-/// Where a body is in one frame: x -> orientation * x + position.
+/// Placement of a body in one frame: x -> orientation * x + position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct BodyFrame {
     pub position: DVec3,
     pub orientation: DQuat,
 }
 
-/// The frames of every body; `Err` is what is wrong, with the line.
+/// The frames of every body. An error names the line.
 pub(super) fn parse(text: &str) -> Result<Vec<Vec<BodyFrame>>, String> {
     let mut lines = text.lines().zip(1..);
     let (first, _) = lines.next().ok_or("it is empty")?;
@@ -21,7 +21,7 @@ pub(super) fn parse(text: &str) -> Result<Vec<Vec<BodyFrame>>, String> {
     let frames = frames.ok_or_else(|| "line 1 must be `NumFrames: n` with n of at least 1".to_owned())?;
     let mut bodies = Vec::new();
     loop {
-        // The heading itself says nothing that the order does not.
+        // The text of the heading is ignored, because the order is fixed.
         if lines.by_ref().all(|(line, _)| line.trim().is_empty()) {
             break;
         }

@@ -1,4 +1,4 @@
-//! ARCSim's motions: cubic Hermite splines through keyframed transforms, sampled into our piecewise linear ones.
+//! ARCSim's motions: cubic Hermite splines through keyframed transforms, sampled into piecewise linear motions.
 
 use crate::math::{DQuat, DVec3};
 
@@ -9,10 +9,10 @@ use super::super::{Keyframe, Motion, SceneError};
 use super::common::{UNMOVED, find, placement};
 use super::mot_file;
 
-/// Linear pieces per spline segment: a cubic is off by less than 1/500 of its bulge.
+/// Linear pieces per spline segment. The error is below 1/500 of the deviation of the cubic from its chord.
 const PIECES: u32 = 16;
 
-/// Value or derivative of a transform, component by component as ARCSim blends it.
+/// Value or derivative of a transform, blended by component as in ARCSim.
 #[derive(Clone, Copy)]
 struct Blend {
     translation: DVec3,
@@ -39,14 +39,14 @@ struct Key {
     velocity: Option<Blend>,
 }
 
-/// `motions: {motfile, fps, transform}`: the motions of a file in place of a list.
+/// `motions: {motfile, fps, transform}`: motions from a file instead of a list.
 pub(super) struct MotionFile<'a> {
-    /// Its name and what it holds; nothing if the scene has a list of motions, or none.
+    /// Name and content of the file; none if the scene has a list of motions or no motions.
     file: Option<(&'a str, Result<Vec<Motion>, String>)>,
 }
 
 impl<'a> MotionFile<'a> {
-    /// Reads the file if the scene names one. A file that is missing or broken is a fault only where a motion is used.
+    /// Reads the file if the scene names one. A missing or damaged file is an error only where a motion is used.
     pub(super) fn of(root: &Json<'a>) -> Result<MotionFile<'a>, SceneError> {
         let Some(motions) = root.get("motions").filter(|motions| motions.get("motfile").is_some()) else {
             return Ok(MotionFile { file: None });
@@ -71,7 +71,7 @@ impl<'a> MotionFile<'a> {
     }
 }
 
-/// The overall transform after each of the frames, as a spline through them.
+/// A spline through the frames, each followed by the overall transform.
 fn body_motion(frames: &[mot_file::BodyFrame], frames_per_s: f64, overall: &Placement) -> Motion {
     let mut keys: Vec<Key> = Vec::with_capacity(frames.len());
     for (i, frame) in frames.iter().enumerate() {
@@ -86,12 +86,12 @@ fn body_motion(frames: &[mot_file::BodyFrame], frames_per_s: f64, overall: &Plac
     sample(&keys)
 }
 
-/// The motion that `index` names, in the world: of an obstacle.
+/// The motion of an obstacle, in world coordinates; `index` is the field with its number.
 pub(super) fn world_motion(root: &Json, file: &MotionFile, index: &Json) -> Result<Motion, SceneError> {
     motion_number(root, file, index.whole(0)? as usize, index)
 }
 
-/// The motion with a number; `at` is what a refusal names.
+/// The motion with this number. Errors refer to `at`.
 pub(super) fn motion_number(root: &Json, file: &MotionFile, number: usize, at: &Json) -> Result<Motion, SceneError> {
     if let Some((name, motions)) = &file.file {
         let motions = motions.as_ref().map_err(|what| at.error(what))?;
@@ -105,7 +105,7 @@ pub(super) fn motion_number(root: &Json, file: &MotionFile, number: usize, at: &
     Ok(sample(&keys(motion)?))
 }
 
-/// The motion of a handle that takes hold at `start_s`: relative to where the motion is then.
+/// The motion of a handle that starts at `start_s`, relative to the motion's transform at that time.
 pub(super) fn handle_motion(root: &Json, file: &MotionFile, index: &Json, start_s: f64) -> Result<Motion, SceneError> {
     let relative = relative_to(&world_motion(root, file, index)?, start_s);
     relative.ok_or_else(|| index.error(format!("the motion has scale 0 at {start_s} s, when the handle takes hold")))
@@ -120,7 +120,7 @@ fn keys(motion: &Json) -> Result<Vec<Key>, SceneError> {
         }
         let placement = json.or("transform", UNMOVED, placement)?;
         let mut rotation = placement.rotation;
-        // q and -q are the same rotation; blending wants the near one.
+        // q and -q are the same rotation; blending needs the one closer to the previous key.
         if keys.last().is_some_and(|last| last.value.rotation.dot(rotation) < 0.0) {
             rotation = -rotation;
         }
@@ -144,7 +144,7 @@ fn keys(motion: &Json) -> Result<Vec<Key>, SceneError> {
     Ok(keys)
 }
 
-/// The derivative at a key: given, or Catmull-Rom, or zero at the ends.
+/// Derivative at a key: as given, else Catmull-Rom inside and zero at the ends.
 fn velocity(keys: &[Key], i: usize) -> Blend {
     match keys[i].velocity {
         Some(velocity) => velocity,
@@ -189,7 +189,7 @@ fn sample(keys: &[Key]) -> Motion {
     Motion { keyframes }
 }
 
-/// M(t) M(start)^-1, with the place of M(start) as pivot: then every component is still the blend of its keyframes.
+/// M(t) M(start)^-1 with the position of M(start) as pivot, so that every component is still blended between keyframes.
 fn relative_to(motion: &Motion, start_s: f64) -> Option<Motion> {
     let (scale, rotation, place) = motion.transform_at(start_s).to_scale_rotation_translation();
     let inverse = rotation.inverse();

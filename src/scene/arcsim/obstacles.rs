@@ -1,5 +1,5 @@
-//! ARCSim's obstacles: a list of meshes with motions, or a printf pattern of body parts whose i-th has the i-th motion.
-//! A motion puts an obstacle where it says in the world, also at time 0.
+//! ARCSim's obstacles: a list of meshes with motions, or a printf pattern of body parts whose i-th part has the i-th
+//! motion. A motion gives the placement in the world, also at time 0.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use super::common::{UNMOVED, find, placement};
 use super::left_out::LeftOut;
 use super::motions::{MotionFile, motion_number, world_motion};
 
-/// The obstacles of a scene.
+/// Reads the obstacles of a scene.
 pub(super) fn obstacles(
     root: &Json,
     motions: &MotionFile,
