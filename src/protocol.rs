@@ -1,5 +1,5 @@
-//! Messages between coordinator and workers. Headers are small; bulk data (elements, positions, events) travels beside
-//! them as arrays that no serializer touches (`transport::message`).
+//! Messages between coordinator and workers. Headers are small. Bulk data (elements, positions, events) follows as
+//! arrays that are not serialized (`transport::message`).
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -9,11 +9,11 @@ use crate::linear_system::{RankSystem, SolveParams, SolveRecord, SolveStats};
 use crate::model::RankModel;
 use crate::step::{ExchangePlan, Failure, StepStats};
 
-/// Which executor a worker uses.
+/// Executor that a worker uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ExecutorChoice {
-    /// A hardware GPU where there is one, else native code.
+    /// A hardware GPU if there is one, otherwise native code.
     #[default]
     Auto,
     /// A GPU adapter, software ones included.
@@ -22,18 +22,18 @@ pub enum ExecutorChoice {
     Cpu,
 }
 
-/// Whether ranks that share cores keep to one each.
+/// Whether ranks that share cores are pinned to one core each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum BindCores {
-    /// Workers of one thread that share fewer cores evenly do.
+    /// Workers with one thread that share fewer cores evenly are pinned.
     #[default]
     Auto,
-    /// The system decides.
+    /// The system places the threads.
     Never,
 }
 
-/// How a worker sets itself up.
+/// Setup of a worker.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct WorkerSetup {
     /// Executor.
@@ -42,21 +42,21 @@ pub struct WorkerSetup {
     pub adapter: Option<usize>,
     /// Threads of the cpu executor.
     pub threads: usize,
-    /// Whether it may keep to one core.
+    /// Whether it may be pinned to one core.
     pub bind_cores: BindCores,
     /// Number of ranks.
     pub ranks: usize,
-    /// Place of rank 0 among the ranks of all sessions side by side: adapters and cores are handed out in that order.
+    /// Index of rank 0 among the ranks of all sessions side by side. Adapters and cores are assigned in this order.
     pub first_place: usize,
     /// Ranks of all sessions side by side.
     pub places: usize,
-    /// Number of the data ports: another one than before says that all ranks give theirs up and connect anew.
+    /// Number of the connection of the data ports. When it changes, all ranks drop their ports and connect again.
     pub epoch: u32,
-    /// Longest message between ranks, values.
+    /// Longest message between ranks, in values.
     pub max_message_values: usize,
     /// Longest wait for another rank, seconds.
     pub patience_s: f64,
-    /// Links that the transport emulates; their stamps are part of `max_message_values`.
+    /// Links that the transport emulates; their time stamps are part of `max_message_values`.
     pub links: Option<RankLinks>,
 }
 
@@ -67,12 +67,12 @@ pub const SOLVING: u64 = u64::MAX;
 #[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Debug, Serialize, Deserialize)]
 pub enum ToWorker {
-    /// Be this rank of a simulation from now on, in the state that its scene starts in (step 0); arrays: those of the
-    /// model. May come again, also with another mesh.
+    /// Be this rank of a simulation from now on, in the start state of its scene (step 0); arrays: those of the model.
+    /// May be sent again, also with another mesh.
     Load { setup: WorkerSetup, exchange: ExchangePlan, model: Box<RankModel> },
     /// Be this rank of a linear solve and answer [`ToCoordinator::Solved`]; arrays: those of the system.
     Solve { setup: WorkerSetup, exchange: ExchangePlan, params: SolveParams, system: Box<RankSystem> },
-    /// Go on from this state of the own rows, that of step `step`; arrays: [`crate::model::RankState::to_bytes`].
+    /// Continue from this state of the own rows, that of step `step`; arrays: [`crate::model::RankState::to_bytes`].
     SetState { step: u32 },
     /// Advance to this step, which must be the one after that of the state.
     Step { step: u32, record: bool },
@@ -92,22 +92,22 @@ pub enum ToCoordinator {
     StepDone(Box<StepStats>),
     /// Arrays: [`crate::model::RankState::to_bytes`] of the own rows.
     State,
-    /// A linear solve is done; arrays: the solution on the own rows, f64, and the record's events.
+    /// A linear solve is done; arrays: the solution on the own rows, f64, and the recorded events.
     Solved { stats: SolveStats, executor: String, record: SolveRecord },
-    /// This rank cannot go on.
+    /// This rank cannot continue.
     Failed(Failure),
 }
 
-/// What a worker says of itself once it is set up.
+/// Report of a worker after its setup.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct WorkerReady {
     /// `cpu` or `gpu`.
     pub executor: String,
     /// Device name.
     pub device: String,
-    /// Slots over stored blocks of its matrix.
+    /// Slots of its matrix divided by stored blocks.
     pub padding_ratio: f64,
-    /// Unix time of its event clock's zero, nanoseconds.
+    /// Unix time of the zero of its event clock, nanoseconds.
     pub epoch_unix_ns: u64,
     /// Bytes of device memory.
     pub memory_bytes: u64,

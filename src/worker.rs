@@ -1,5 +1,5 @@
-//! A worker, a process or a thread: one rank, its device and its rows. It does what the coordinator's messages say and ends
-//! by itself when the coordinator does.
+//! A worker, a process or a thread: one rank, its device and its rows. It executes the coordinator's messages and ends
+//! by itself when the coordinator ends.
 
 mod error;
 mod inbox;
@@ -20,16 +20,16 @@ use crate::transport::{
     TransportError, decode, share_cores, worker_role,
 };
 
-/// How long a worker waits for the coordinator when it starts or reports, seconds.
+/// Longest wait for the coordinator at the start or for a report, seconds.
 const COORDINATOR_PATIENCE: Duration = Duration::from_secs(60);
 
-/// Runs rank `rank` of `run`, whose ranks are processes, until the coordinator says stop.
+/// Runs rank `rank` of `run`, whose ranks are processes, until the coordinator orders it to stop.
 pub fn run(run: &RunName, rank: usize) -> Result<(), WorkerError> {
     let member = run.join(&worker_role(rank))?;
     let result = IceoryxWorker::connect(run, rank, COORDINATOR_PATIENCE)
         .map_err(WorkerError::from)
         .and_then(|control| serve(rank, Box::new(control), Box::new(IceoryxConnect::new(run))));
-    // The last one to leave removes what the run has put on the machine, also after a killed coordinator.
+    // The last process to leave removes the files of the run from the machine, also after a killed coordinator.
     drop(member);
     if let Err(error) = run.purge_if_last() {
         tracing::warn!("cannot remove the run's files: {error}");
@@ -37,26 +37,26 @@ pub fn run(run: &RunName, rank: usize) -> Result<(), WorkerError> {
     result
 }
 
-/// Does what the coordinator's messages over `control` say, as rank `rank`, until they say stop; joins the other ranks by
-/// `data`.
+/// Executes the coordinator's messages over `control` as rank `rank` until the order to stop. It connects to the other
+/// ranks through `data`.
 pub fn serve(rank: usize, control: Box<dyn ControlWorker>, data: Box<dyn Connect>) -> Result<(), WorkerError> {
     let mut worker = Worker { rank, inbox: Inbox::new(control), data, executor: None, ports: None, loaded: None };
     while worker.obey()?.is_continue() {}
     Ok(())
 }
 
-/// What a worker holds between two messages.
+/// Data of a worker between two messages.
 struct Worker {
     rank: usize,
     inbox: Inbox,
     data: Box<dyn Connect>,
-    /// What it was made for, and the executor unless a simulation has it.
+    /// The setup that the executor was created for, and the executor unless a simulation owns it.
     executor: Option<(ExecutorKind, Option<Executor>)>,
     ports: Option<Ports>,
     loaded: Option<Loaded>,
 }
 
-/// What an executor is made for.
+/// Parameters of an executor.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct ExecutorKind {
     choice: ExecutorChoice,
@@ -78,7 +78,7 @@ struct Loaded {
 }
 
 impl Worker {
-    /// Waits for a message and does what it says; breaks when the run is over.
+    /// Waits for a message and executes it; breaks when the run is over.
     fn obey(&mut self) -> Result<ControlFlow<()>, WorkerError> {
         let bytes = self.inbox.next()?;
         let (message, arrays) = decode::<ToWorker>(&bytes)?;
@@ -188,7 +188,8 @@ impl Worker {
         }
     }
 
-    /// The executor that `setup` asks for: the one there is, if it was made for the same. Gives up what was loaded.
+    /// The executor for `setup`. It reuses the existing one if the parameters are the same, and drops the loaded
+    /// simulation.
     fn executor(&mut self, setup: &WorkerSetup) -> Result<Executor, WorkerError> {
         let WorkerSetup { executor: choice, adapter, threads, first_place, .. } = *setup;
         let kind = ExecutorKind { choice, adapter, threads, place: first_place + self.rank };
@@ -202,19 +203,19 @@ impl Worker {
         Ok(executor)
     }
 
-    /// Connects with all other ranks unless that has been done for this epoch.
+    /// Connects with all other ranks unless they are connected in this epoch.
     fn connect(&mut self, setup: &WorkerSetup) -> Result<(), TransportError> {
         if self.ports.as_ref().is_some_and(|ports| ports.epoch == setup.epoch) {
             return Ok(());
         }
-        // Their shared memory is free for the new ones.
+        // The shared memory of the old ports becomes free for the new ones.
         self.ports = None;
         let transport = connect(self.data.as_mut(), self.rank, &self.inbox, setup)?;
         self.ports = Some(Ports { epoch: setup.epoch, transport });
         Ok(())
     }
 
-    /// What was loaded; `message` needs it.
+    /// The loaded simulation, which `message` requires.
     fn loaded(&mut self, message: &str) -> Result<&mut Loaded, WorkerError> {
         match &mut self.loaded {
             Some(loaded) => Ok(loaded),
@@ -227,7 +228,7 @@ impl Worker {
     }
 }
 
-/// Connects with all other ranks; a single rank needs no shared memory.
+/// Connects with all other ranks; a single rank does not need shared memory.
 fn connect(
     data: &mut dyn Connect,
     rank: usize,
@@ -253,7 +254,7 @@ fn connect(
     })
 }
 
-/// The executor that `setup` asks for; `place`: of this rank among those of all sessions.
+/// The executor for `setup`; `place`: index of this rank among those of all sessions.
 pub fn make_executor(setup: &WorkerSetup, place: usize) -> Result<Executor, String> {
     let executor = match setup.executor {
         ExecutorChoice::Cpu => return Ok(Executor::cpu(setup.threads)),

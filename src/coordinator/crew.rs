@@ -1,5 +1,5 @@
-//! The workers of a run as seen by the coordinator: started (or waited for), spoken to, watched, and gone afterwards.
-//! Says nothing about what is simulated.
+//! The workers of a run, as the coordinator manages them: it starts them (or waits for them), exchanges messages,
+//! detects failures and ends them. The meaning of the messages lies in other modules.
 
 use std::io::Write;
 use std::os::unix::process::CommandExt;
@@ -19,31 +19,32 @@ use crate::transport::{
 };
 use crate::worker;
 
-/// How long workers get to leave by themselves before they are killed.
+/// Time that workers get to leave by themselves before they are killed.
 const FAREWELL: Duration = Duration::from_secs(2);
-/// Longest sleep between two looks at the workers.
+/// Longest sleep between two checks of the workers.
 const LOOK: Duration = Duration::from_millis(50);
-/// How long the other workers get to explain a failure better than the first report of it does.
+/// Time that the other workers get, after the first report of a failure, to report a better explanation.
 const ECHO: Duration = Duration::from_millis(500);
 
-/// Longest wait for an answer of workers that have not begun their first step: they may wait for each other for ever.
+/// Longest wait for an answer of workers that have not begun their first step, because they may wait for each other
+/// without end.
 const SETUP_MOST: Duration = Duration::from_secs(600);
-/// A worker that computes may be silent for this many times the limit: it is then taken to compute for ever.
+/// A computing worker may be silent for this multiple of the limit. After that it counts as hung.
 const COMPUTING_MOST: u32 = 30;
 
-/// Where the workers come from.
+/// Origin of the workers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Launch {
     /// Start them as children of this process, which must be the `loomtree` program.
     Spawn,
-    /// Somebody else starts them (`loomtree-worker --run ID --rank R`); print the run's identifier for that.
+    /// Another program starts them (`loomtree-worker --run ID --rank R`); print the run's identifier for it.
     Await,
     /// Start them as threads of this process.
     Threads,
 }
 
 impl Launch {
-    /// The place where such workers live.
+    /// The machine of such workers.
     pub fn machine(&self) -> Box<dyn Machine> {
         match self {
             Launch::Spawn | Launch::Await => Box::new(SharedMemoryMachine),
@@ -52,20 +53,20 @@ impl Launch {
     }
 }
 
-/// Why the crew cannot go on.
+/// Error that ends the crew.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum CrewError {
-    /// A worker ended although nobody told it to.
+    /// A worker ended without an order to leave.
     #[error("worker {rank} ({who}) ended unexpectedly {place}{}", how.as_ref().map_or(String::new(), |how| format!(", {how}")))]
     Died { rank: usize, who: String, place: String, how: Option<String> },
-    /// A worker gives no sign of life.
+    /// A worker does not give a sign of life.
     #[error("worker {rank} ({who}) hangs {place}: no sign of life for {silence_s:.1} s")]
     Hung { rank: usize, who: String, place: String, silence_s: f64 },
-    /// A signal asked to stop before the first step: there is nothing to keep.
+    /// A signal requested a stop before the first step, so there is no state to save.
     #[error("stopped by {0} before the first step")]
     Stopped(StopSignal),
-    /// A worker never came.
+    /// A worker never connected.
     #[error("worker {rank} was not set up within {waited_s:.0} s")]
     Missing { rank: usize, waited_s: f64 },
     /// A worker reported that it cannot go on.
@@ -77,10 +78,10 @@ pub enum CrewError {
     /// The channel to the workers.
     #[error(transparent)]
     Control(#[from] ControlError),
-    /// A worker said something else than it should.
+    /// A worker sent an unexpected message.
     #[error("message of worker {rank}: {source}")]
     Message { rank: usize, source: MessageError },
-    /// A worker answered something else than was asked.
+    /// A worker answered with another message than the expected one.
     #[error("worker {rank} answered out of turn")]
     OutOfTurn { rank: usize },
     /// The run's resources.
@@ -92,13 +93,13 @@ impl CrewError {
     /// The sentence for the user; `vertex_name` names the vertex of a global row.
     pub fn sentence(&self, vertex_name: &dyn Fn(u32) -> String) -> String {
         match self {
-            // About the scene, whichever rank saw it.
+            // An error of the scene, whichever rank detected it.
             CrewError::Failed { failure, .. } if weight(self) == 2 => failure.sentence(vertex_name),
             other => other.to_string(),
         }
     }
 
-    /// True if the user can mend it before the run starts.
+    /// True if the user can correct the error before the run starts.
     pub fn is_bad_input(&self) -> bool {
         matches!(self, CrewError::Failed { failure: Failure::BadInput(_), .. })
     }
@@ -110,13 +111,13 @@ pub struct Crew {
     launcher: Box<dyn Launcher>,
     machine: Box<dyn Machine>,
     heartbeat_limit: Duration,
-    /// By rank: since the last sign of life, and since it was last seen to compute.
+    /// By rank: time since the last sign of life, and time since it was last seen to compute.
     silences: Vec<[Silence; 2]>,
-    /// Kept until all workers have begun their first step.
+    /// Held until all workers have begun their first step.
     turn: Option<SetupTurn>,
-    /// By rank: has reported that it cannot go on, so its end is no news.
+    /// By rank: it has reported that it cannot continue, so its end is expected.
     gave_up: Vec<bool>,
-    /// When the first such report came, and the one that explains most.
+    /// Time of the first such report, and the report that explains most.
     reported: Option<(Instant, CrewError)>,
 }
 
@@ -132,7 +133,7 @@ impl Crew {
                 let launcher = ThreadLauncher::new(seats, |rank| -> ThreadJob {
                     let connect = connect.clone();
                     Box::new(move |seat| {
-                        // The coordinator hears of a failure over the channel.
+                        // The channel reports a failure to the coordinator.
                         let _ = worker::serve(rank, Box::new(seat.connect()), Box::new(connect));
                     })
                 });
@@ -142,13 +143,13 @@ impl Crew {
         let launcher = ProcessLauncher::new(ranks, command)?;
         let control = IceoryxCoordinator::create(launcher.run(), ranks)?;
         if *launch == Launch::Await {
-            // Nobody may be reading; then nobody starts workers either, and they are missed soon enough.
+            // If no one reads this line, no one starts workers, and their absence is detected soon.
             drop(writeln!(std::io::stdout(), "{}", launcher.run()));
         }
         Crew::start(Box::new(control), Box::new(launcher), launch.machine(), heartbeat_limit)
     }
 
-    /// Starts the workers of `launcher`, which connect with `control` and live on `machine`.
+    /// Starts the workers of `launcher`, which connect through `control` and run on `machine`.
     pub fn start(
         control: Box<dyn ControlCoordinator>,
         launcher: Box<dyn Launcher>,
@@ -170,7 +171,7 @@ impl Crew {
         self.launcher.run_name()
     }
 
-    /// Keeps the turn to set up until all workers have begun their first step.
+    /// Holds the lock for the setup until all workers have begun their first step.
     pub fn keep(&mut self, turn: SetupTurn) {
         self.turn = Some(turn);
     }
@@ -180,7 +181,7 @@ impl Crew {
         self.control.ranks()
     }
 
-    /// The place where the workers live.
+    /// The machine of the workers.
     pub fn machine(&self) -> &dyn Machine {
         self.machine.as_ref()
     }
@@ -196,7 +197,7 @@ impl Crew {
         (0..self.ranks()).try_for_each(|rank| self.send(rank, message, &[]))
     }
 
-    /// Waits until everything sent to `rank` has been taken, so that large messages do not pile up.
+    /// Waits until `rank` has received everything sent to it, so that large messages do not pile up.
     pub fn flush(&mut self, rank: usize, limit: Duration) -> Result<(), CrewError> {
         let (mut clock, all) = (AwakeClock::start(), (0..self.ranks()).collect::<Vec<_>>());
         while !self.control.all_sent(rank) {
@@ -206,8 +207,8 @@ impl Crew {
         Ok(())
     }
 
-    /// Waits for one message of every worker and hands them to `take` (rank, message, arrays) as they come. A worker that is
-    /// silent for `limit` counts as hung.
+    /// Waits for one message of every worker and passes each to `take` (rank, message, arrays) on arrival. A worker
+    /// that is silent for `limit` counts as hung.
     pub fn collect(
         &mut self,
         limit: Duration,
@@ -230,7 +231,7 @@ impl Crew {
                 }
             }
             missing.retain(|rank| !taken.contains(rank));
-            // Who has answered may leave, if that was its last word.
+            // A worker that has answered may leave.
             self.look_after(&missing, clock.elapsed(), limit)?;
             if missing.is_empty() {
                 return Ok(());
@@ -239,7 +240,7 @@ impl Crew {
         }
     }
 
-    /// Remembers that a worker cannot go on, and why, unless another one has explained it better.
+    /// Records that a worker cannot continue, and why, unless another worker has reported a better explanation.
     fn note_failure(&mut self, rank: usize, failure: Failure) {
         self.gave_up[rank] = true;
         let new = CrewError::Failed { rank, failure };
@@ -250,8 +251,8 @@ impl Crew {
         });
     }
 
-    /// The reported failure, once nothing better is to be expected: a worker that has lost another one reports before
-    /// it is known who is really to blame, and of ranks that see the same failed solve one knows the vertex.
+    /// The reported failure, once no better explanation is expected. A worker that has lost another one reports before
+    /// the lost one is known to have ended, and of the ranks with the same failed solve only one knows the vertex.
     fn verdict(&mut self) -> Result<(), CrewError> {
         let Some((since, error)) = &self.reported else { return Ok(()) };
         let patience = match weight(error) {
@@ -265,7 +266,8 @@ impl Crew {
         self.reported.take().map_or(Ok(()), |(_, error)| Err(error))
     }
 
-    /// Finds dead, hung and missing workers among `ranks`, for which the caller has `waited`, and those that gave up.
+    /// Detects ended, hung and missing workers among `ranks`, for which the caller has `waited`, and workers that
+    /// reported a failure.
     fn look_after(&mut self, ranks: &[usize], waited: Duration, limit: Duration) -> Result<(), CrewError> {
         if (0..self.ranks()).all(|rank| self.control.heartbeat(rank).step > 0) {
             self.turn = None;
@@ -283,7 +285,7 @@ impl Crew {
                 step => format!("in step {step}"),
             };
             if self.launcher.life(rank) == Life::Ended || self.control.has_ended(rank) {
-                // Its last words may be on the way.
+                // Its last message may still be in transit.
                 while let Some(bytes) = self.control.try_receive(rank)? {
                     if let Ok((ToCoordinator::Failed(failure), _)) = decode::<ToCoordinator>(&bytes) {
                         self.note_failure(rank, failure);
@@ -297,7 +299,7 @@ impl Crew {
             }
             match self.silence(rank, heartbeat, limit) {
                 Some(silence) if silence > limit => {
-                    // It would not hear a farewell, and the others need not wait for it.
+                    // It cannot receive an order to leave, and the others need not wait for it.
                     self.launcher.kill(rank);
                     let who = self.launcher.describe(rank);
                     return Err(CrewError::Hung { rank, who, place, silence_s: silence.as_secs_f64() });
@@ -311,8 +313,9 @@ impl Crew {
         self.verdict()
     }
 
-    /// For how long a worker has been silent; zero while it computes, up to [`COMPUTING_MOST`] times the limit: some steps
-    /// are long, and a worker has no turn to give a sign of life in the middle of a kernel. None before it has connected.
+    /// Time for which a worker has been silent; none before it has connected. It is zero while the worker computes, up
+    /// to [`COMPUTING_MOST`] times the limit: some steps are long, and a worker cannot give a sign of life within a
+    /// kernel.
     fn silence(&mut self, rank: usize, heartbeat: Heartbeat, limit: Duration) -> Option<Duration> {
         let [signs, work] = &mut self.silences[rank];
         let silence = signs.of(heartbeat)?;
@@ -320,26 +323,26 @@ impl Crew {
             return Some(silence);
         }
         let Some(ticks) = self.launcher.work_of(rank) else { return Some(silence) };
-        // It counts from the first look at it, a quarter of the limit after the last sign of life.
+        // It counts from the first check, a quarter of the limit after the last sign of life.
         let idle = work.of(Heartbeat { counter: ticks + 1, step: 0 }).unwrap_or_default();
         let computes = idle <= limit * 3 / 4 && silence <= limit.saturating_mul(COMPUTING_MOST);
         Some(if computes { Duration::ZERO } else { silence })
     }
 
-    /// Tells all workers to leave and makes sure that they have.
+    /// Orders all workers to leave and waits until they have ended.
     pub fn dismiss(mut self) {
         self.end();
     }
 
     fn end(&mut self) {
         for rank in 0..self.ranks() {
-            // A worker that is gone cannot take the message; that is what is wanted.
+            // A worker that has ended cannot receive the order and does not need it.
             let _ = self.send(rank, &ToWorker::Stop, &[]);
         }
         let start = Instant::now();
         while start.elapsed() < FAREWELL && !self.all_gone() {
             for rank in 0..self.ranks() {
-                // A worker leaves when its last message has been taken, whatever it says.
+                // A worker may leave as soon as its last message has been received.
                 while let Ok(Some(_)) = self.control.try_receive(rank) {}
             }
             let _ = self.control.wait(Duration::from_millis(10));
@@ -358,7 +361,7 @@ impl Crew {
         (0..self.ranks()).all(|rank| self.is_gone(rank))
     }
 
-    /// True if nothing runs that was started here or has connected.
+    /// True if no started or connected worker runs any more.
     fn is_gone(&mut self, rank: usize) -> bool {
         let connected = self.control.heartbeat(rank).counter > 0;
         self.launcher.life(rank) != Life::Running && (!connected || self.control.has_ended(rank))
@@ -376,12 +379,12 @@ impl Drop for Crew {
 fn worker_command(run: &RunName, rank: usize) -> std::io::Result<Command> {
     let mut command = Command::new(std::env::current_exe()?);
     command.args(["worker", "--run", &run.to_string(), "--rank", &rank.to_string()]);
-    // A group of their own: Ctrl-C reaches the coordinator only, which then stops them in order.
+    // A process group of their own: Ctrl-C reaches only the coordinator, which then stops them in order.
     command.stdin(Stdio::null()).process_group(0);
     Ok(command)
 }
 
-/// How much a failure explains: a lost connection (0) is only the echo of something else.
+/// Rank of an explanation. A lost connection (0) only follows from another failure.
 fn weight(error: &CrewError) -> u8 {
     match error {
         CrewError::Failed { failure: Failure::Transport(_), .. } => 0,

@@ -1,14 +1,14 @@
-//! The coordinator of a run: starts the workers, gives them their parts, drives them step by step, collects frames and
-//! keeps report, trace and checkpoints. It never does simulation maths.
+//! The coordinator of a run: it starts the workers, sends them their parts, drives them step by step, collects frames
+//! and writes report, trace and checkpoints. It does not compute any simulation math.
 //!
-//! `plan` is what a run is made of, `session` a crew that can be loaded and stepped, `shot` hands segments of steps to
-//! sessions, `recorder` writes what comes of them, `solve` gives a linear system to a session instead of a scene.
+//! `plan` has the inputs of a run, `session` a crew that can be loaded and stepped, `shot` assigns segments of steps to
+//! sessions, `recorder` writes their results, `solve` gives a linear system to a session instead of a scene.
 //!
-//! With `loomtree run` it lives in that process and only the workers are children; `loomtree-coordinator` is the same code
-//! on its own. A coordinator in a third process would protect nothing more: workers watch the coordinator's process
-//! whatever its name, leave by themselves when it is gone, and the last one removes what the run has put on the machine.
-//! Not covered: a coordinator killed before it has started a worker leaves a few files, which go with the next run, and a
-//! worker that hangs while it is being set up is only noticed after five minutes.
+//! With `loomtree run` the coordinator is part of that process and only the workers are children;
+//! `loomtree-coordinator` runs the same code by itself. A third process would add no protection: workers watch the
+//! coordinator's process, leave when it ends, and the last worker removes the files of the run from the machine.
+//! Two cases are not covered. A coordinator that is killed before it has started a worker leaves a few files, which the
+//! next run removes. A worker that hangs during setup is detected only after five minutes.
 
 pub mod crew;
 pub mod options;
@@ -35,16 +35,16 @@ use crate::output::{Checkpoint, Status};
 use crate::step::StepStats;
 use crate::transport::MachineError;
 
-/// Why a run did not end as it should.
+/// Error that ends a run.
 #[derive(Debug, Error)]
 pub enum RunError {
-    /// The user can fix it before the run starts.
+    /// The user can correct it before the run starts.
     #[error("{0}")]
     BadInput(String),
-    /// It went wrong.
+    /// The run failed.
     #[error("{0}")]
     Failed(String),
-    /// A signal asked to stop while workers were being set up.
+    /// A signal requested a stop during the setup of the workers.
     #[error("{0}")]
     Stopped(String),
 }
@@ -73,24 +73,24 @@ impl From<RecordError> for RunError {
     }
 }
 
-/// How a run ended.
+/// Result of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunSummary {
     /// Frames written, frame 0 included.
     pub frames: u32,
     /// Steps done in this start.
     pub steps: u32,
-    /// Mean wall time of a step as the coordinator saw it, seconds.
+    /// Mean wall time of a step, measured by the coordinator, seconds.
     pub seconds_per_step: f64,
-    /// True if it was stopped by the user.
+    /// True if the user stopped the run.
     pub stopped: bool,
 }
 
-/// Runs a plan to its end: one segment on one session.
+/// Runs a plan to its end, as one segment on one session.
 pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
     launch.machine().check_transfers(plan.partition.ranks(), plan.message_values())?;
     let (recorder, resumed) = Recorder::open(&plan, options, places)?;
-    // The scene stays what it is at time 0: order of vertices and pins come from there.
+    // The scene stays as it is at time 0, because the order of vertices and the pins come from it.
     let (start, first_step) = match &resumed {
         Some(Checkpoint { state, step, .. }) => (Some(state), *step as u32),
         None => (None, 0),
@@ -151,13 +151,13 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
     })
 }
 
-/// Writes down what happens in a run.
+/// Records the events of a run.
 struct Listener<'a> {
     plan: &'a RunPlan,
     options: &'a RunOptions,
     recorder: Recorder,
     progress: Option<Progress>,
-    /// It starts with the scene's start state, which is frame 0.
+    /// The run starts from the scene's start state, which is frame 0.
     is_new: bool,
     first_step: u32,
     last_step: u32,

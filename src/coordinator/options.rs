@@ -1,5 +1,4 @@
-//! The options of `loomtree run`, listed once: what the command line takes, what they mean without it, and what `run.toml`
-//! keeps of them.
+//! The options of `loomtree run` in one list: their command-line form, their defaults, and their form in `run.toml`.
 
 use std::num::NonZeroU32;
 use std::path::PathBuf;
@@ -18,7 +17,7 @@ use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
 use crate::transport::Machine;
 
-/// Everything the command line decides about a run; kept in `run.toml`. Doc comments are the texts of `--help`.
+/// All command-line options of a run, as stored in `run.toml`. Doc comments are the texts of `--help`.
 #[derive(Clone, Debug, PartialEq, Args, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunOptions {
@@ -33,7 +32,7 @@ pub struct RunOptions {
     #[arg(long)]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub emulate_links: bool,
-    /// What runs the kernels
+    /// Executor of the kernels
     #[arg(long, value_enum, default_value_t)]
     pub executor: ExecutorChoice,
     /// Adapter of the gpu executor (numbers: loomtree doctor) [default: rank modulo adapters]
@@ -44,7 +43,7 @@ pub struct RunOptions {
     #[arg(long, value_name = "T", value_parser = RangedU64ValueParser::<usize>::new().range(1..=65_535))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threads: Option<usize>,
-    /// Whether workers that share cores keep to one each
+    /// Whether workers that share cores are pinned to one core each
     #[arg(long, value_enum, default_value_t)]
     pub bind_cores: BindCores,
     /// Frames to write after frame 0 [default: the scene's]
@@ -55,17 +54,17 @@ pub struct RunOptions {
     #[arg(long, value_name = "TRIANGLES", value_parser = count)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<u64>,
-    /// Untangle a start state that crosses, as far as it goes, instead of refusing it
+    /// Untangle a start state that crosses, as far as possible, instead of refusing it
     #[arg(long)]
     pub untangle: bool,
-    /// What a matrix-vector product exchanges
+    /// Rows that a matrix-vector product exchanges
     #[arg(long, value_enum, default_value_t)]
     pub exchange: ExchangeMode,
     /// Order of the transfers
     #[arg(long, value_enum, default_value_t)]
     pub schedule: ScheduleKind,
     /// Memory for the collision tables of each worker; what does not fit is done in batches (for example 500M, 2G)
-    /// [default: what --topology's GPUs have beside the solver]
+    /// [default: the memory of --topology's GPUs without the solver's]
     #[arg(long = "memory-limit", value_name = "BYTES", value_parser = bytes)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory_limit_bytes: Option<u64>,
@@ -92,7 +91,7 @@ pub struct RunOptions {
 }
 
 impl Default for RunOptions {
-    /// What a run does unless told otherwise.
+    /// Defaults of a run.
     fn default() -> RunOptions {
         let matches = RunOptions::augment_args(Command::new("run")).try_get_matches_from(["run"]);
         let options = matches.and_then(|matches| RunOptions::from_arg_matches(&matches));
@@ -101,13 +100,13 @@ impl Default for RunOptions {
 }
 
 impl RunOptions {
-    /// [`RunOptions::heartbeat_s`]; what no clock can hold (a run.toml may be edited) is as good as for ever.
+    /// [`RunOptions::heartbeat_s`]. A value that no clock can represent (a run.toml may be edited) counts as infinite.
     pub fn heartbeat(&self) -> Duration {
         let forever = Duration::from_secs(1_000_000_000);
         Duration::try_from_secs_f64(self.heartbeat_s).unwrap_or(forever).min(forever)
     }
 
-    /// What the workers run on.
+    /// Executor and number of the workers.
     pub fn session(&self) -> SessionOptions {
         SessionOptions {
             workers: self.workers,
@@ -120,25 +119,25 @@ impl RunOptions {
     }
 }
 
-/// What the workers of a session run on.
+/// Number and setup of the workers of a session.
 #[derive(Clone, Debug)]
 pub struct SessionOptions {
     /// Number of workers.
     pub workers: usize,
     /// Executor of the workers.
     pub executor: ExecutorChoice,
-    /// Adapter of the gpu executor; none: the ranks of all sessions take the adapters in turn.
+    /// Adapter of the gpu executor; with none the ranks of all sessions are assigned to the adapters in turn.
     pub adapter: Option<usize>,
-    /// Threads of each worker on the cpu executor; none: an even share of the cores.
+    /// Threads of each worker on the cpu executor; with none an equal share of the cores.
     pub threads: Option<usize>,
-    /// Whether workers that share cores keep to one each.
+    /// Whether workers that share cores are pinned to one core each.
     pub bind_cores: BindCores,
     /// Time without a sign of life after which a worker counts as hung.
     pub silence: Duration,
 }
 
 impl Default for SessionOptions {
-    /// What a run without options does.
+    /// Setup of a run without options.
     fn default() -> SessionOptions {
         RunOptions::default().session()
     }
@@ -151,7 +150,7 @@ impl SessionOptions {
     }
 }
 
-/// Options of a command line that knows which of them it gave.
+/// Options of a command line, with the set of those that it gave.
 #[derive(Clone, Debug)]
 pub struct GivenOptions {
     /// All options, defaults filled in.
@@ -161,7 +160,7 @@ pub struct GivenOptions {
 }
 
 impl GivenOptions {
-    /// `base` with what the command line gave in its place.
+    /// `base` with the options that the command line gave.
     ///
     /// # Errors
     /// A value that TOML cannot hold.
@@ -231,13 +230,13 @@ fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// States that a run keeps for good, that of step 0 included: `frames`, or a number of steps.
+/// States that a run keeps permanently, that of step 0 included: `frames`, or a number of steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum KeepStates {
-    /// That of every frame.
+    /// The state of every frame.
     Frames,
-    /// That of every so many steps.
+    /// The state of every multiple of this number of steps.
     Every(NonZeroU32),
 }
 
@@ -311,7 +310,7 @@ mod tests {
         let text = toml::to_string(&recorded).unwrap();
         assert!(text.contains("formats = \"obj,pc2\"") && text.contains("exchange = \"full\""), "{text}");
         assert_eq!(toml::from_str::<RunOptions>(&text).unwrap(), recorded);
-        // A default that is given counts, one that is not does not.
+        // A default value that is given replaces the base value; an option that is not given does not.
         let second = parse("--workers 1 --frames 7").over(&recorded).unwrap();
         assert_eq!(second, RunOptions { workers: 1, frames: Some(7), ..recorded });
         assert_eq!(parse("").over(&second).unwrap(), second);

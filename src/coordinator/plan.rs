@@ -1,4 +1,4 @@
-//! What a run is made of, before any process starts: scene, model, partition, schedule. Everything that can be refused is
+//! The inputs of a run before any process starts: scene, model, partition, schedule. All input that a run refuses is
 //! refused here.
 
 use std::path::Path;
@@ -14,10 +14,10 @@ use crate::scene::{Overrides, Scene, SceneError, Untangling, load, load_untangle
 use crate::solver::ExchangeMode;
 use crate::transport::{RANKS_MAX, STAMP_VALUES};
 
-/// What everything but collision tables takes on a worker, rounded up (ARCHITECTURE.md, "Memory per vertex").
+/// Bytes on a worker without collision tables, rounded up (ARCHITECTURE.md, "Memory per vertex").
 const SOLVER_BYTES_PER_ROW: f64 = 2_500.0;
 
-/// Why a run is refused.
+/// Error that refuses a run.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum PlanError {
@@ -41,16 +41,16 @@ pub enum PlanError {
     Steps { frames: u32, steps_per_frame: u32 },
 }
 
-/// A level of a scene on the ranks of a session: a run that can start.
+/// A level of a scene on the ranks of a session, checked and ready to run.
 pub struct RunPlan {
     /// The scene.
     pub scene: Scene,
-    /// What untangling the start state took, if it was asked for and needed.
+    /// Report of the untangling of the start state, if it was requested and needed.
     pub untangled: Option<Untangling>,
-    /// Bytes that the collision tables of a worker may take: what was asked for, or what a GPU of the topology file has
-    /// beside the solver; none: as many as they need.
+    /// Byte limit of the collision tables of a worker: the requested one, or the memory of a GPU of the topology file
+    /// without the solver's. None: no limit.
     pub table_bytes: Option<u64>,
-    /// What SpMV exchanges.
+    /// Exchange mode of SpMV.
     pub exchange: ExchangeMode,
     /// Rows and ranks.
     pub partition: RowPartition,
@@ -73,7 +73,7 @@ impl RunPlan {
         Ok(RunPlan { untangled, ..RunPlan::of_scene(scene, options)? })
     }
 
-    /// As [`RunPlan::new`] for a text that was the file `scene_path`, whether or not that is still there.
+    /// As [`RunPlan::new`], for a text that was the file `scene_path`, which need not exist any more.
     pub fn of_text(text: &str, scene_path: &Path, options: &RunOptions) -> Result<RunPlan, PlanError> {
         let overrides = Overrides { resolution: options.resolution, frames: options.frames };
         if !options.untangle {
@@ -83,21 +83,21 @@ impl RunPlan {
         Ok(RunPlan { untangled, ..RunPlan::of_scene(scene, options)? })
     }
 
-    /// As [`RunPlan::new`] for a scene that has been read.
+    /// As [`RunPlan::new`], for a scene that was read before.
     pub fn of_scene(mut scene: Scene, options: &RunOptions) -> Result<RunPlan, PlanError> {
         scene.settings.preconditioner = options.preconditioner.unwrap_or(scene.settings.preconditioner);
         let rows = scene.mesh.positions.len();
         let workers = options.workers;
         check_workers(workers, rows, &format!("the cloth has only {rows} vertices"))?;
         let (frames, steps_per_frame) = (scene.settings.frames, scene.settings.steps_per_frame);
-        // The last number stays free, so that counting past the last step is possible.
+        // The last number stays unused, so that counting past the last step cannot overflow.
         if frames.checked_mul(steps_per_frame).is_none_or(|steps| steps == u32::MAX) {
             return Err(PlanError::Steps { frames, steps_per_frame });
         }
         let partition = RowPartition::new(rows, workers);
         let file = options.topology.as_deref();
         let (transfers, mut topology) = plan_transfers(file, options.schedule, workers, partition.sub_vector_rows())?;
-        // What a GPU of the file has beside the solver.
+        // Memory of a GPU of the file without the solver's.
         let solver_bytes = SOLVER_BYTES_PER_ROW * partition.sub_vector_rows() as f64;
         let memory = |topology: Topology| topology.device().memory_gb * 1e9;
         let table_bytes = match file {
@@ -123,13 +123,13 @@ impl RunPlan {
         GlobalModel::new(&self.scene)
     }
 
-    /// Longest message between ranks: positions and velocities of a whole row block. None where there is nobody to send to.
+    /// Longest message between ranks: positions and velocities of a whole row block. None with a single rank.
     pub fn message_values(&self) -> usize {
         let stamp = if self.emulated.is_some() { STAMP_VALUES } else { 0 };
         if self.partition.ranks() == 1 { 0 } else { self.partition.sub_vector_rows() * 2 * DIM + stamp }
     }
 
-    /// What the emulated links mean for every rank; none if none are emulated.
+    /// The emulated links of every rank; none without emulation.
     pub fn links(&self, model: &GlobalModel) -> Option<Vec<RankLinks>> {
         let topology = self.emulated.as_ref()?;
         let sub_vector_bytes = self.partition.sub_vector_rows() as f64 * ROW_BYTES;
@@ -137,7 +137,8 @@ impl RunPlan {
     }
 }
 
-/// Refuses a number of workers that is out of range, or more than one a row; `few` says that, up to the semicolon.
+/// Refuses a number of workers that is out of range or exceeds the number of rows. `few` is the text before the
+/// semicolon.
 pub fn check_workers(workers: usize, rows: usize, few: &str) -> Result<(), PlanError> {
     if workers == 0 || workers > RANKS_MAX {
         return Err(PlanError::Workers { workers, what: format!("expected 1 to {RANKS_MAX}") });
@@ -151,7 +152,7 @@ pub fn check_workers(workers: usize, rows: usize, few: &str) -> Result<(), PlanE
 /// Bytes of a row of a vector.
 const ROW_BYTES: f64 = 12.0;
 
-/// Halo rows of one vector that the ranks of a cloth without contacts read of each other.
+/// Number of halo rows of one vector that the ranks of a cloth without contacts read of each other.
 pub fn halo_traffic(model: &GlobalModel, partition: &RowPartition) -> Traffic {
     let plans = RankModel::halo_plans(model, partition);
     let bytes = |rows: usize| rows as f64 * ROW_BYTES;
@@ -163,7 +164,7 @@ pub fn halo_traffic(model: &GlobalModel, partition: &RowPartition) -> Traffic {
     }
 }
 
-/// Work queues for `workers` ranks: on the first GPUs of a topology file, or on a balanced binary tree without one.
+/// Work queues for `workers` ranks: on the first GPUs of a topology file, or without one on a balanced binary tree.
 pub fn plan_transfers(
     file: Option<&Path>,
     kind: ScheduleKind,

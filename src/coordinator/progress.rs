@@ -1,4 +1,4 @@
-//! Progress on stderr: a bar with the time left on a terminal, one line per frame otherwise.
+//! Progress on stderr: on a terminal a bar with the remaining time, otherwise one line per frame.
 
 use std::io::IsTerminal;
 
@@ -14,7 +14,7 @@ pub(super) struct Progress {
 }
 
 impl Progress {
-    /// Progress of `frames` frames of which `done` are there already.
+    /// Progress of `frames` frames, of which `done` exist already.
     pub(super) fn new(frames: u32, done: u32) -> Progress {
         let bar = std::io::stderr().is_terminal().then(|| {
             let bar = ProgressBar::new(frames as u64).with_position(done as u64);
@@ -27,7 +27,7 @@ impl Progress {
         Progress { bar, frames }
     }
 
-    /// A frame is written.
+    /// Counts a written frame.
     pub(super) fn frame(&self, frame: u32, step: u32, stats: &StepStats, hash: &str, seconds_per_step: f64) {
         let mut work = format!("{} iterations, ", stats.iterations);
         if stats.contacts > 0 || stats.zones.zones > 0 {
@@ -43,7 +43,7 @@ impl Progress {
         }
     }
 
-    /// The run is over.
+    /// Ends the progress display.
     pub(super) fn end(&self) {
         if let Some(bar) = &self.bar {
             bar.finish();

@@ -1,4 +1,4 @@
-//! What a run leaves in its directory while it goes on: frames, report, trace, recipe, checkpoints.
+//! Writes the files of a run directory during the run: frames, report, trace, recipe, checkpoints.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
@@ -20,24 +20,24 @@ use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
 use crate::step::StageSeconds;
 
-/// Where a run reads and writes.
+/// Input and output paths of a run.
 #[derive(Clone, Debug)]
 pub struct RunPlaces {
     /// Scene file.
     pub scene: PathBuf,
     /// Run directory.
     pub out: PathBuf,
-    /// What to do with a run that is there.
+    /// Treatment of an existing run.
     pub existing: Existing,
 }
 
-/// Why something could not be written or resumed.
+/// Error of writing or resuming.
 #[derive(Debug, Error)]
 pub enum RecordError {
-    /// Refused before anything was written.
+    /// Refused before any file was written.
     #[error("{0}")]
     BadInput(String),
-    /// The disk refused.
+    /// A file could not be written.
     #[error("{0}")]
     Write(String),
 }
@@ -60,14 +60,14 @@ pub(super) struct Recorder {
     trace: Option<TraceWriter>,
     /// By session: the clocks of its ranks.
     epochs: BTreeMap<usize, Vec<u64>>,
-    /// The first frame that is missing, and those written beyond it.
+    /// The first missing frame, and the frames written after it.
     next_frame: u32,
     ahead: BTreeSet<u32>,
     last: Option<Checkpoint>,
 }
 
 impl Recorder {
-    /// Prepares the run directory; with [`Existing::Resume`] also returns the checkpoint to go on from.
+    /// Prepares the run directory. With [`Existing::Resume`] it also returns the checkpoint to continue from.
     pub(super) fn open(
         plan: &RunPlan,
         options: &RunOptions,
@@ -117,8 +117,8 @@ impl Recorder {
         Ok((recorder, resumed))
     }
 
-    /// The workers of a session are there. The first of them start recipe, report, trace and frames; before this nothing is
-    /// written.
+    /// Call it when the workers of a session are set up. The first call starts recipe, report, trace and frames; no
+    /// file is written before it.
     pub(super) fn begin(&mut self, plan: &RunPlan, session: usize, ready: &[WorkerReady]) -> Result<(), RecordError> {
         if self.report.is_some() {
             return self.begin_trace(session, ready);
@@ -188,7 +188,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// A step is done on all ranks of a session.
+    /// Records a step that all ranks of a session have done.
     pub(super) fn step(&mut self, plan: &RunPlan, session: usize, done: &StepDone) -> Result<(), RecordError> {
         let settings = &plan.scene.settings;
         let StepDone { ranks, events, wall_s, .. } = done;
@@ -238,8 +238,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Takes the state after a step, in any order: writes it as a frame if one ends there (then returns its hash), keeps it if
-    /// that is wanted, and remembers it as the last good state if no frame before it is missing.
+    /// Accepts the state after a step, in any order. It writes the state as a frame if one ends there (then it returns
+    /// the hash), keeps it if requested, and stores it as the last good state if no earlier frame is missing.
     pub(super) fn state(&mut self, plan: &RunPlan, step: u32, state: State) -> Result<Option<String>, RecordError> {
         let settings = &plan.scene.settings;
         let frame = step / settings.steps_per_frame;
@@ -280,7 +280,7 @@ impl Recorder {
         Ok(state_hash)
     }
 
-    /// Writes the last good state as a checkpoint; says where, as the end of a sentence.
+    /// Writes the last good state as a checkpoint. Returns its place as the end of a sentence.
     pub(super) fn keep_last_state(&mut self) -> Result<String, RecordError> {
         let Some(last) = &self.last else { return Ok(String::new()) };
         if let Some(report) = &mut self.report {
@@ -299,11 +299,11 @@ impl Recorder {
     }
 }
 
-/// Folders that this start makes, the innermost first: removed again if nothing gets written into them.
+/// Folders that this start creates, the innermost first. Those that stay empty are removed again.
 struct MadeFolders(Vec<PathBuf>);
 
 impl MadeFolders {
-    /// Call before the folders are made.
+    /// Call it before the folders are created.
     fn for_run(out: &Path) -> MadeFolders {
         let inner = [out.join("frames"), out.join("checkpoint"), out.join("states")];
         let all = inner.iter().map(PathBuf::as_path).chain(out.ancestors());
@@ -316,7 +316,7 @@ impl MadeFolders {
 impl Drop for MadeFolders {
     fn drop(&mut self) {
         for folder in &self.0 {
-            // Not there or not empty: then it stays as it is.
+            // A folder that does not exist or is not empty stays as it is.
             let _ = std::fs::remove_dir(folder);
         }
     }

@@ -1,7 +1,8 @@
-//! A session: a crew of workers that holds one level of a scene at a time and a state of it, and steps from there. Loading,
-//! setting a state and advancing may follow each other in any order and as often as wanted, on the same processes.
+//! A session: a crew of workers that holds one level of a scene at a time, with a state of it, and steps from there.
+//! Loading, setting a state and advancing may follow each other in any order and any number of times, on the same
+//! processes.
 //!
-//! Several sessions may run side by side in one program, each on a thread of its own and with a run name of its own.
+//! Several sessions may run side by side in one program, each on its own thread and with its own run name.
 
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
@@ -21,17 +22,17 @@ use crate::step::{ExchangePlan, Failure, Imposed, StepStats};
 use crate::telemetry::Event;
 use crate::transport::{MachineError, RunName, SetupTurn};
 
-/// Longest silence of a worker that reads its part or sets it up: much longer than any later one.
+/// Longest silence of a worker that reads its part or sets it up. This takes much longer than any later silence.
 const SETUP_LIMIT: Duration = Duration::from_secs(300);
-/// Longest wait of a worker for another one, seconds. Who is dead or hangs is found long before, by heartbeats.
+/// Longest wait of a worker for another one, seconds. Heartbeats detect ended or hung workers long before.
 const PATIENCE_S: f64 = 3600.0;
 
-/// Which of the sessions side by side this one is.
+/// Position of this session among the sessions side by side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SessionPlace {
     /// Number of the session, from 0.
     pub session: usize,
-    /// Sessions side by side.
+    /// Number of sessions side by side.
     pub sessions: usize,
 }
 
@@ -40,23 +41,23 @@ impl SessionPlace {
     pub const ALONE: SessionPlace = SessionPlace { session: 0, sessions: 1 };
 }
 
-/// Why a session cannot go on.
+/// Error that ends a session.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum SessionError {
     /// The workers.
     #[error(transparent)]
     Crew(#[from] CrewError),
-    /// There is no room for the transfers.
+    /// The machine lacks room for the transfers.
     #[error(transparent)]
     Machine(#[from] MachineError),
-    /// Seen in the collected state; what a solve runs into is seen by a worker.
+    /// A value of the collected state is not finite. Workers themselves detect such values in a solve.
     #[error(transparent)]
     State(Failure),
     /// A state of another mesh.
     #[error("a state of {positions} vertices does not fit the loaded level, which has {vertices}")]
     Unfit { positions: usize, vertices: usize },
-    /// Something was asked of a session on which no level is loaded.
+    /// A request to a session without a level.
     #[error("no level is loaded")]
     NotLoaded,
 }
@@ -68,34 +69,34 @@ pub struct StepDone {
     pub step: u32,
     /// By rank.
     pub ranks: Vec<StepStats>,
-    /// By rank; empty if they were not wanted.
+    /// Events by rank; empty if they were not requested.
     pub events: Vec<Vec<Event>>,
-    /// Wall time as the coordinator saw it, seconds.
+    /// Wall time measured by the coordinator, seconds.
     pub wall_s: f64,
 }
 
-/// What follows a step.
+/// Action after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// The next step.
+    /// Do the next step.
     Step,
-    /// The state first.
+    /// Send the state first.
     State,
-    /// Nothing: leave the workers in this state.
+    /// Stop and leave the workers in this state.
     Leave,
 }
 
-/// Looks on while a session advances.
+/// Observer of a session that advances.
 pub trait Watch {
-    /// Whether the events of a step are wanted.
+    /// Whether the events of a step are requested.
     fn wants_events(&self, step: u32) -> bool;
-    /// A step is done.
+    /// Called when a step is done.
     fn step(&mut self, done: StepDone) -> Next;
-    /// The state that [`Next::State`] asked for; every value of it is finite.
+    /// Receives the state that [`Next::State`] requested; all its values are finite.
     fn state(&mut self, step: u32, state: State) -> ControlFlow<()>;
 }
 
-/// Looks at nothing: every step is followed by the next.
+/// Observer that requests nothing and lets every step follow the last one.
 impl Watch for () {
     fn wants_events(&self, _step: u32) -> bool {
         false
@@ -110,7 +111,7 @@ impl Watch for () {
     }
 }
 
-/// What the workers hold.
+/// The level and state that the workers hold.
 struct Loaded {
     partition: RowPartition,
     /// Vertex of the mesh of every row.
@@ -126,7 +127,7 @@ struct Ports {
     emulated: bool,
 }
 
-/// Workers that can be loaded. Bound to the thread that made it.
+/// Workers that can be loaded. Bound to the thread that created it.
 pub struct Session {
     crew: Crew,
     options: SessionOptions,
@@ -136,12 +137,13 @@ pub struct Session {
 }
 
 impl Session {
-    /// Starts (or waits for) the workers. Returns at once; that one is missing is seen when a level is loaded.
+    /// Starts (or waits for) the workers and returns at once. Missing workers are detected when a level is loaded.
     ///
     /// # Errors
     /// A worker cannot be started or the machine lacks a resource.
     pub fn assemble(place: SessionPlace, options: &SessionOptions, launch: &Launch) -> Result<Session, SessionError> {
-        // Given back when all workers have begun their first step; the free shared memory is looked at before that.
+        // The lock is released when all workers have begun their first step, because the free shared memory is checked
+        // before that.
         let turn = (*launch == Launch::Spawn).then(|| SetupTurn::wait(|| signals::stop_requested().is_some()));
         let mut crew = Crew::assemble(options.workers, launch, options.silence)?;
         turn.into_iter().for_each(|turn| crew.keep(turn));
@@ -153,8 +155,8 @@ impl Session {
         self.crew.run_name()
     }
 
-    /// Gives every worker its part of `level`, in the state that the scene starts in (step 0), and waits until all are
-    /// connected. What they held before is given up first.
+    /// Sends every worker its part of `level`, in the start state of the scene (step 0), and waits until all workers
+    /// are connected. The workers first drop the data that they held before.
     ///
     /// # Errors
     /// A worker failed, or the transfers do not fit into shared memory.
@@ -168,12 +170,12 @@ impl Session {
             if let Some(collision) = &mut part.collision {
                 collision.memory_limit_bytes = level.table_bytes;
             }
-            // The serializer skips the arrays; they travel beside the message.
+            // The serializer skips the arrays, because they follow the header unserialized.
             let setup = WorkerSetup { links: links.as_ref().map(|links| links[rank].clone()), ..setup.clone() };
             let message = ToWorker::Load { setup, exchange, model: Box::new(part) };
             let ToWorker::Load { model, .. } = &message else { unreachable!("made above") };
             self.crew.send(rank, &message, &model.to_bytes())?;
-            // One part at a time in flight: the coordinator's memory stays at one part.
+            // Only one part at a time is in transit, so that the coordinator's memory stays at one part.
             self.crew.flush(rank, SETUP_LIMIT)
         })?;
         let mut ready: Vec<Option<WorkerReady>> = vec![None; level.partition.ranks()];
@@ -188,7 +190,7 @@ impl Session {
         Ok(ready.into_iter().flatten().collect())
     }
 
-    /// Makes `state`, that of step `step`, the state of the loaded level.
+    /// Sets the state of the loaded level to `state`, that of step `step`.
     ///
     /// # Errors
     /// A worker failed, no level is loaded, or the state does not belong to a mesh of this size.
@@ -207,10 +209,10 @@ impl Session {
         Ok(())
     }
 
-    /// Steps up to step `to`, or until `watch` says otherwise.
+    /// Advances to step `to`, or until `watch` stops it.
     ///
     /// # Errors
-    /// A worker failed, or a value of a state that was asked for is not finite. The workers are of no use afterwards.
+    /// A worker failed, or a value of a requested state is not finite. The workers cannot be used afterwards.
     pub fn advance(&mut self, to: u32, watch: &mut dyn Watch) -> Result<(), SessionError> {
         let from = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?.step;
         for step in from + 1..=to {
@@ -270,8 +272,8 @@ impl Session {
         Ok(state)
     }
 
-    /// Solves a linear system on all workers, each with its part of `system` and `rhs`; results by rank and the name of the
-    /// executor. `exchange`: of every rank. What was loaded before is given up.
+    /// Solves a linear system on all workers, each with its part of `system` and `rhs`. Returns the results by rank and
+    /// the name of the executor. `exchange`: that of every rank. The loaded level is dropped first.
     ///
     /// # Errors
     /// A worker failed, or the transfers do not fit into shared memory.
@@ -308,15 +310,15 @@ impl Session {
         Ok((results.into_iter().flatten().collect(), name))
     }
 
-    /// Tells the workers to leave and makes sure that they have.
+    /// Orders the workers to leave and waits until they have ended.
     pub fn dismiss(self) {
         self.crew.dismiss();
     }
 
-    /// What every worker is told of itself. Messages that do not fit into the ports there are ask for new ones.
+    /// Setup of every worker. Messages that exceed the existing ports require new ports.
     fn setup(&mut self, max_message_values: usize, emulated: bool) -> Result<WorkerSetup, SessionError> {
         let ranks = self.crew.ranks();
-        // A single rank has nobody to send to.
+        // A single rank does not send messages.
         let max_message_values = if ranks == 1 { 0 } else { max_message_values };
         let epoch = match &self.ports {
             // Emulated links belong to a level.
@@ -324,7 +326,7 @@ impl Session {
                 ports.epoch
             }
             there => {
-                // Later the workers give up their ports first, and see for themselves what is free then.
+                // On later loads the workers drop their ports first and check the free memory themselves.
                 if there.is_none() {
                     self.crew.machine().check_transfers(ranks, max_message_values)?;
                 }
@@ -359,7 +361,7 @@ impl SessionError {
         }
     }
 
-    /// True if the user can mend it before the run starts.
+    /// True if the user can correct the error before the run starts.
     pub fn is_bad_input(&self) -> bool {
         match self {
             SessionError::Crew(error) => error.is_bad_input(),
@@ -369,7 +371,7 @@ impl SessionError {
     }
 }
 
-/// Its row is the vertex of the mesh, as in everything that leaves a session.
+/// Its row is the vertex of the mesh, as in all output of a session.
 fn not_finite(step: u32, found: NotFinite) -> Failure {
     Failure::NotFinite {
         step,
@@ -380,7 +382,7 @@ fn not_finite(step: u32, found: NotFinite) -> Failure {
     }
 }
 
-/// The rows that workers name become vertices of the mesh.
+/// Converts the rows that workers name to vertices of the mesh.
 fn in_mesh_order(mut error: CrewError, order: &[u32]) -> CrewError {
     let vertex = |row: &mut u32| *row = order.get(*row as usize).copied().unwrap_or(*row);
     if let CrewError::Failed { failure, .. } = &mut error {

@@ -1,7 +1,8 @@
-//! A shot: which segment of its steps runs on which session when. Sessions run side by side, each on a thread of its own;
-//! a free session takes the next segment. A plain run is one segment on one session.
+//! A shot assigns the segments of its steps to sessions. Sessions run side by side, each on its own thread; a free
+//! session gets the next segment. A plain run is one segment on one session.
 //!
-//! News of all segments come to one place, in the order of the steps of a segment and in any order between segments.
+//! All segments send their news to one receiver. The news of a segment arrive in the order of its steps; the order
+//! between segments is not defined.
 
 use std::ops::ControlFlow;
 use std::sync::Mutex;
@@ -16,40 +17,40 @@ use crate::model::State;
 use crate::os::signals;
 use crate::protocol::WorkerReady;
 
-/// News that a session may be ahead of whoever listens.
+/// Number of news that a session may send ahead of the receiver.
 const AHEAD: usize = 1;
 
-/// Steps that follow one another on one session.
+/// Consecutive steps on one session.
 #[derive(Clone, Copy)]
 pub struct Segment<'a> {
-    /// What is simulated.
+    /// The level to simulate.
     pub level: &'a RunPlan,
-    /// State that it starts from; none: the start state of the scene, which is that of step 0.
+    /// Start state; none: the start state of the scene, which is that of step 0.
     pub start: Option<&'a State>,
     /// Step of the start state.
     pub first_step: u32,
-    /// Step that it ends with.
+    /// Last step.
     pub last_step: u32,
-    /// Steps from the first one whose events are wanted.
+    /// Number of steps, from the first one, whose events are requested.
     pub trace_steps: u32,
-    /// Whether the state after a step is wanted.
+    /// Whether the state after a step is requested.
     pub wants_state: &'a (dyn Fn(u32) -> bool + Sync),
 }
 
-/// What happens in a segment.
+/// Event of a segment.
 #[allow(missing_docs, reason = "the line of a variant says what it carries")]
 pub enum News {
     /// The level of the segment has been loaded.
     Ready(Vec<WorkerReady>),
     /// A step is done.
     Step(StepDone),
-    /// The state after a step: one that was wanted, or the last one before a stop.
+    /// The state after a step: a requested one, or the last one before a stop.
     State { step: u32, state: State },
 }
 
-/// News, and whose.
+/// An event with its session and segment.
 pub struct Told {
-    /// Session.
+    /// Number of the session.
     pub session: usize,
     /// Number of the segment.
     pub segment: usize,
@@ -57,30 +58,30 @@ pub struct Told {
     pub news: News,
 }
 
-/// How a shot ended that nothing went wrong with.
+/// End of a shot without an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
     /// All segments are done.
     Done,
-    /// The user asked for a stop.
+    /// The user requested a stop.
     Stopped,
 }
 
-/// Why a shot did not end as it should.
+/// Error that ends a shot.
 #[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Debug)]
 pub enum ShotError<E> {
-    /// A session, in this segment.
+    /// A session failed in this segment.
     Session { segment: usize, error: SessionError },
-    /// Whoever is told refused to hear more.
+    /// The receiver of the news returned an error.
     Listener(E),
 }
 
-/// Runs `segments` on `sessions` sessions at once (fewer if there are fewer segments). `tell` hears the news on the thread of
-/// the caller; its error ends the shot.
+/// Runs `segments` on `sessions` sessions at once (fewer if there are fewer segments). `tell` receives the news on the
+/// thread of the caller; its error ends the shot.
 ///
 /// # Errors
-/// Of what failed first; the other sessions leave after their current step.
+/// The first error. The other sessions leave after their current step.
 pub fn play<E>(
     segments: &[Segment],
     sessions: usize,
@@ -124,16 +125,17 @@ pub fn play<E>(
     })
 }
 
-/// Until all sessions have ended or `tell` has had enough; then the sessions cannot tell any more and leave.
+/// Runs until all sessions have ended or `tell` returns an error. After an error the sessions cannot send any more and
+/// leave.
 fn listen<E>(receiver: Receiver<Told>, tell: &mut dyn FnMut(Told) -> Result<(), E>) -> Result<(), E> {
     receiver.into_iter().try_for_each(tell)
 }
 
-/// One session and the segments that it takes.
+/// One session, which takes one segment after another.
 struct Player<'a> {
     place: SessionPlace,
     session: Option<Session>,
-    /// What is loaded.
+    /// The loaded level.
     level: Option<&'a RunPlan>,
     halt: &'a AtomicBool,
     sender: SyncSender<Told>,
@@ -185,7 +187,7 @@ impl<'a> Player<'a> {
         Ok(if watcher.stopped { Ended::Stopped } else { Ended::Done })
     }
 
-    /// The workers leave; after a failure those that hang are killed.
+    /// Orders the workers to leave. After a failure hung workers are killed.
     fn end(self) {
         if let Some(session) = self.session {
             session.dismiss();
@@ -193,7 +195,7 @@ impl<'a> Player<'a> {
     }
 }
 
-/// Passes on what happens, and stops when it has to.
+/// Forwards the events of a session, and stops it when required.
 struct Watcher<'a> {
     segment: &'a Segment<'a>,
     halt: &'a AtomicBool,

@@ -1,4 +1,4 @@
-//! A linear system on the workers of a session: planned as a run is, solved once, without a scene.
+//! A linear system on the workers of a session. It is planned like a run, solved once, and does not need a scene.
 
 use std::path::PathBuf;
 
@@ -13,22 +13,22 @@ use crate::partition::RowPartition;
 use crate::solver::{ExchangeMode, PreconditionerKind};
 use crate::step::ExchangePlan;
 
-/// An order of the rows is better than the file's if it cuts at most this part of the couplings that the file's cuts between
-/// chunks.
+/// The reordered rows are used if they cut at most this fraction of the couplings between chunks that the file's order
+/// cuts.
 const CLEARLY: f64 = 0.8;
 
-/// How a system is to be solved.
+/// Options of a linear solve.
 #[derive(Clone, Debug)]
 pub struct SolveOptions {
     /// Number of workers.
     pub workers: usize,
     /// Topology file; none: a balanced binary tree.
     pub topology: Option<PathBuf>,
-    /// What a product exchanges.
+    /// Exchange mode of products.
     pub exchange: ExchangeMode,
-    /// How transfers are scheduled.
+    /// Schedule of the transfers.
     pub schedule: ScheduleKind,
-    /// Numbers for all ranks.
+    /// Solver parameters, the same on all ranks.
     pub params: SolveParams,
 }
 
@@ -45,7 +45,7 @@ impl Default for SolveOptions {
     }
 }
 
-/// A solve that can start: everything that can be refused has been checked.
+/// A checked solve, ready to run. All input that it can refuse has been checked.
 pub struct SolvePlan {
     /// The matrix.
     pub system: BlockSystem,
@@ -57,9 +57,9 @@ pub struct SolvePlan {
     pub transfers: Plan,
     /// The topology's name.
     pub topology: String,
-    /// What a product exchanges.
+    /// Exchange mode of products.
     pub exchange: ExchangeMode,
-    /// Numbers for all ranks.
+    /// Solver parameters, the same on all ranks.
     pub params: SolveParams,
     /// Rows of the matrix in the file.
     pub file_rows: usize,
@@ -90,10 +90,10 @@ impl SolvePlan {
     }
 }
 
-/// Solves on worker processes; the results by rank and the executor's name.
+/// Solves on worker processes; returns the results by rank and the executor's name.
 ///
 /// # Errors
-/// A worker failed or its executor cannot be had.
+/// A worker failed or its executor is not available.
 pub fn solve(
     plan: SolvePlan,
     options: &SessionOptions,
@@ -108,7 +108,7 @@ pub fn solve(
     Ok(solved)
 }
 
-/// An order that brings coupled rows together, if it cuts clearly fewer couplings between chunks than the file's.
+/// An order with coupled rows close together, if it cuts clearly fewer couplings between chunks than the file's order.
 fn better_order(system: &BlockSystem, chunk_rows: usize) -> Option<Vec<u32>> {
     let natural: Vec<u32> = (0..system.block_rows() as u32).collect();
     let order = locality_order(system, chunk_rows);

@@ -1,5 +1,5 @@
-//! What every rank needs of the whole scene to detect and answer collisions: all triangles, masses, pins and obstacles.
-//! About 50 bytes per triangle, on every rank; the tables of queries are what is split (`collision`).
+//! Data of the whole scene for collision detection and response, on every rank: all triangles, masses, pins and
+//! obstacles. It takes about 50 bytes per triangle. Only the tables of queries are split over the ranks (`collision`).
 
 use serde::{Deserialize, Serialize};
 
@@ -7,30 +7,31 @@ use super::GlobalModel;
 use crate::integrator::pins::{RankPin, is_held};
 use crate::scene::{ObstacleHeader, Obstacles};
 
-/// When a row is pinned.
+/// Time span in which a row is pinned.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PinSpan {
     /// Global row.
     pub row: u32,
-    /// Held from, seconds.
+    /// Start of the hold, seconds.
     pub start_s: f64,
-    /// Held until, seconds.
+    /// End of the hold, seconds.
     pub end_s: f64,
 }
 
-/// The scene as collisions see it. Vertices are numbered cloth rows (global order) first, then obstacle vertices.
+/// The scene as collisions use it. Vertices are numbered with the cloth rows (global order) first, then the obstacle
+/// vertices.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CollisionModel {
-    /// Distance below which cloth repels, metres.
+    /// Distance below which cloth repels, meters.
     pub thickness_m: f64,
     /// Stiffness of contacts in effective masses per step^2.
     pub stiffness: f64,
     /// Pins of all ranks.
     pub pins: Vec<PinSpan>,
-    /// Bytes that the tables of a query may take on a rank; more work is done in batches.
+    /// Byte limit of the tables of a query on a rank; queries that need more are split into batches.
     pub memory_limit_bytes: Option<u64>,
     obstacle_header: ObstacleHeader,
-    /// Bulk data; travels beside the header.
+    /// Bulk data; sent unserialized after the header.
     #[serde(skip)]
     pub arrays: CollisionArrays,
 }
@@ -40,7 +41,7 @@ pub struct CollisionModel {
 pub struct CollisionArrays {
     /// Cloth triangles, global rows.
     pub triangles: Vec<[u32; 3]>,
-    /// Smallest altitude of each triangle at rest, metres.
+    /// Smallest altitude of each triangle at rest, meters.
     pub altitudes_m: Vec<f32>,
     /// Masses of all rows, kg.
     pub masses: Vec<f32>,
@@ -53,7 +54,7 @@ pub struct CollisionArrays {
 }
 
 impl CollisionModel {
-    /// Of a whole model.
+    /// Collision model of a whole cloth.
     pub fn new(model: &GlobalModel) -> CollisionModel {
         let altitudes_m = model.triangles.iter().map(|e| e.smallest_altitude_m()).collect();
         let (positions, triangles) = model.obstacles.arrays();
@@ -79,14 +80,14 @@ impl CollisionModel {
         }
     }
 
-    /// The obstacles; leaves their arrays empty. None if the arrays do not fit the header.
+    /// Builds the obstacles and leaves their arrays empty. None if the arrays do not fit the header.
     pub fn take_obstacles(&mut self) -> Option<Obstacles> {
         let positions = std::mem::take(&mut self.arrays.obstacle_positions);
         let triangles = std::mem::take(&mut self.arrays.obstacle_triangles);
         Obstacles::from_parts(self.obstacle_header.clone(), positions, triangles)
     }
 
-    /// Inverse masses of the rows during a step, 1/kg: 0 where a pin holds.
+    /// Inverse masses of the rows during a step, 1/kg: 0 for held rows.
     pub fn inverse_masses(&self, start_s: f64, step_s: f64, out: &mut [f32]) {
         for (inverse, mass) in out.iter_mut().zip(&self.arrays.masses) {
             *inverse = 1.0 / mass;

@@ -1,5 +1,5 @@
-//! The whole cloth in the global order. Vertices are renumbered for locality; the order depends on the scene only, so
-//! that row blocks of any rank count are contiguous ranges of the same order.
+//! The whole cloth in the global order. Vertices are renumbered for locality. The order depends only on the scene, so
+//! the row blocks of any rank count are contiguous ranges of it.
 
 use super::state::{RankState, State};
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
@@ -33,7 +33,7 @@ pub struct GlobalModel {
     pub friction: Vec<f32>,
     /// Obstacles.
     pub obstacles: Obstacles,
-    /// Numbers of the run.
+    /// Parameters of the run.
     pub settings: Settings,
 }
 
@@ -76,7 +76,7 @@ impl GlobalModel {
                 )
             })
             .collect();
-        // Elements of a row then lie close together; ties keep their order, so the result is the same on every machine.
+        // Elements of a row then lie close together. Ties keep their order, so the result is the same on every machine.
         triangles.sort_by_key(|e| e.vertices.iter().min().copied());
         bends.sort_by_key(|e| e.vertices.iter().min().copied());
 
@@ -106,7 +106,7 @@ impl GlobalModel {
         }
     }
 
-    /// Goes on from another state than the scene's. Order, pins and rest shape stay those of the scene.
+    /// Replaces the scene's start state by another one. Order, pins and rest shape stay those of the scene.
     pub fn set_state(&mut self, state: &State) {
         let RankState { positions, velocities } = state.gather(&self.original_from_global);
         (self.positions, self.velocities) = (positions, velocities);
@@ -123,7 +123,7 @@ fn rest_area(uv: &[Vec2; 3]) -> f64 {
     0.5 * (b - a).perp_dot(c - a).abs()
 }
 
-/// Material coordinates of the edge (p, q) as triangle `corners` sees it.
+/// Material coordinates of the edge (p, q) in triangle `corners`.
 fn edge_uv(corners: [u32; 3], uv: [Vec2; 3], p: u32, q: u32) -> [Vec2; 2] {
     let at = |v: u32| corners.iter().position(|&c| c == v).map_or(Vec2::ZERO, |i| uv[i]);
     [at(p), at(q)]

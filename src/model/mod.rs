@@ -1,6 +1,6 @@
-//! From a scene to what the ranks hold: the global order of vertices, elements and masses ([`GlobalModel`], on the
-//! coordinator), one rank's part of it ([`RankModel`], which travels to a worker), and what every rank needs of all of it
-//! for collisions ([`CollisionModel`]); and the state that steps advance ([`State`]).
+//! Data of the ranks, built from a scene: the global order of vertices, elements and masses ([`GlobalModel`], on the
+//! coordinator), one rank's part of it ([`RankModel`], sent to a worker), the data of the whole scene that every rank
+//! needs for collisions ([`CollisionModel`]), and the state that steps advance ([`State`]).
 
 mod collision;
 mod global;

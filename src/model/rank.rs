@@ -1,5 +1,5 @@
-//! One rank's part of the model: the elements that touch its rows, its halo, its pins. Built by the coordinator, sent to
-//! the worker as a small header and flat arrays.
+//! One rank's part of the model: the elements that touch its rows, its halo, its pins. The coordinator builds it and
+//! sends it to the worker as a small header and flat arrays.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -10,7 +10,7 @@ use crate::integrator::pins::RankPin;
 use crate::partition::{HaloPlan, RowPartition, halo_plans};
 use crate::scene::{Motion, Settings};
 
-/// Everything a worker needs to simulate its rows. Vertices are local indices of `plan`.
+/// All data that a worker needs to simulate its rows. Vertices are local indices of `plan`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RankModel {
     /// Rows and ranks.
@@ -21,13 +21,13 @@ pub struct RankModel {
     pub pins: Vec<RankPin>,
     /// Motions of the pins of all ranks.
     pub motions: Vec<Motion>,
-    /// Numbers of the run.
+    /// Parameters of the run.
     pub settings: Settings,
-    /// True if a pin of any rank moves or takes hold later: then every solve starts from prescribed values.
+    /// True if a pin of any rank moves or takes hold later. Then every solve starts from prescribed values.
     pub pins_move: bool,
-    /// The whole scene as collisions see it; none if the scene wants no collisions.
+    /// Collision data of the whole scene; none if the scene disables collisions.
     pub collision: Option<CollisionModel>,
-    /// Bulk data; travels beside the header.
+    /// Bulk data; sent unserialized after the header.
     #[serde(skip)]
     pub arrays: RankArrays,
 }
@@ -35,7 +35,7 @@ pub struct RankModel {
 /// Flat arrays of a [`RankModel`].
 #[derive(Clone, Debug, Default)]
 pub struct RankArrays {
-    /// Positions of local vertices, xyz, metres.
+    /// Positions of local vertices, xyz, meters.
     pub positions: Vec<f32>,
     /// Velocities of local vertices, xyz, m/s.
     pub velocities: Vec<f32>,
@@ -49,7 +49,7 @@ pub struct RankArrays {
     pub fabrics: Vec<FabricTable>,
 }
 
-/// Why bytes are not the arrays of a model.
+/// Error of bytes that are not the arrays of a model.
 #[derive(Debug, Error)]
 pub enum RankModelError {
     /// Wrong number of arrays or an array of the wrong length.
@@ -58,8 +58,8 @@ pub enum RankModelError {
 }
 
 impl RankModel {
-    /// Splits `model` over the ranks of `partition`; `emit` receives the parts in rank order, one at a time, so that only one
-    /// of them exists at once.
+    /// Splits `model` over the ranks of `partition`. `emit` receives the parts one at a time in rank order, so that
+    /// only one of them exists at once.
     pub fn split<E>(
         model: &GlobalModel,
         partition: &RowPartition,
@@ -75,7 +75,7 @@ impl RankModel {
         Ok(())
     }
 
-    /// Which rows the ranks read of each other while there are no contacts.
+    /// Halo rows that the ranks read of each other without contacts.
     pub fn halo_plans(model: &GlobalModel, partition: &RowPartition) -> Vec<HaloPlan> {
         let mut halos = vec![Vec::new(); partition.ranks()];
         for corners in
@@ -169,7 +169,7 @@ impl RankModel {
         self.arrays.to_bytes().into_iter().chain(collision).collect()
     }
 
-    /// Takes the bulk arrays from bytes in the order of [`RankModel::to_bytes`].
+    /// Sets the bulk arrays from bytes in the order of [`RankModel::to_bytes`].
     pub fn set_arrays(&mut self, bytes: &[&[u8]]) -> Result<(), RankModelError> {
         let expected = if self.collision.is_some() { 12 } else { 6 };
         if bytes.len() != expected {

@@ -1,7 +1,7 @@
-//! The state of the cloth between two steps: all that a step remembers of the steps before it. Whatever else a rank holds
-//! is derived from the scene, from this state or from the number of the step, so a run can go on from any state.
+//! The state of the cloth between two steps: all data that a step uses from earlier steps. All other data of a rank
+//! follow from the scene, this state and the number of the step, so a run can continue from any state.
 //!
-//! A new thing to remember becomes a field of [`State`] and of [`RankState`]; every function below then has to name it.
+//! Every function below names all fields of [`State`] and [`RankState`], so that a new field cannot be forgotten.
 
 use bytemuck::Pod;
 use thiserror::Error;
@@ -13,13 +13,13 @@ use crate::scene::Scene;
 /// State of the whole cloth, in the mesh's vertex order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
-    /// Metres.
+    /// Meters.
     pub positions: Vec<Vec3>,
     /// m/s.
     pub velocities: Vec<Vec3>,
 }
 
-/// A value that no step can go on from.
+/// A value that is not finite; no step can continue from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite {
     /// Vertex of the mesh.
@@ -29,23 +29,23 @@ pub struct NotFinite {
 }
 
 impl State {
-    /// The state that a scene starts in.
+    /// The start state of a scene.
     pub fn start_of(scene: &Scene) -> State {
         State { positions: scene.mesh.positions.clone(), velocities: scene.velocities.clone() }
     }
 
-    /// All zero; a place for [`State::scatter`].
+    /// State of zeros, to be filled by [`State::scatter`].
     pub fn zeros(vertices: usize) -> State {
         State { positions: vec![Vec3::ZERO; vertices], velocities: vec![Vec3::ZERO; vertices] }
     }
 
-    /// Vertices of the mesh that it belongs to; none if the fields do not belong to the same mesh.
+    /// Number of vertices of the mesh; none if the fields have different lengths.
     pub fn vertices(&self) -> Option<usize> {
         (self.positions.len() == self.velocities.len()).then_some(self.positions.len())
     }
 
-    /// 16 hexadecimal digits over the bits of positions, then velocities. `-0.0` and `0.0` differ, so
-    /// equal hashes mean equal bits, except for an accident of one in 2^64.
+    /// 16 hexadecimal digits over the bits of positions, then velocities. `-0.0` and `0.0` differ, so equal hashes mean
+    /// equal bits, except with probability 2^-64.
     pub fn hash(&self) -> String {
         let State { positions, velocities } = self;
         let mut hasher = Xxh3::new();
@@ -54,7 +54,7 @@ impl State {
         format!("{:016x}", hasher.digest())
     }
 
-    /// The first value that is not finite: positions are looked at first.
+    /// The first value that is not finite. Positions are checked first.
     pub fn first_not_finite(&self) -> Option<NotFinite> {
         let State { positions, velocities } = self;
         [("position", positions), ("velocity", velocities)].into_iter().find_map(|(quantity, values)| {
@@ -63,14 +63,14 @@ impl State {
         })
     }
 
-    /// The rows of a rank. `order` holds the vertex of each of them, in the order of the rows.
+    /// The rows of a rank. `order`: the vertex of each row, in the order of the rows.
     pub fn gather(&self, order: &[u32]) -> RankState {
         let State { positions, velocities } = self;
         let rows = |values: &[Vec3]| order.iter().flat_map(|&v| values[v as usize].to_array()).collect();
         RankState { positions: rows(positions), velocities: rows(velocities) }
     }
 
-    /// Takes over the rows of a rank; the inverse of [`State::gather`].
+    /// Copies the rows of a rank into the state; the inverse of [`State::gather`].
     pub fn scatter(&mut self, order: &[u32], part: &RankState) {
         let State { positions, velocities } = self;
         for (values, rows) in [(positions, &part.positions), (velocities, &part.velocities)] {
@@ -85,24 +85,24 @@ impl State {
 /// A rank's part of a [`State`]: its rows in the global order, three values each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RankState {
-    /// Metres.
+    /// Meters.
     pub positions: Vec<f32>,
     /// m/s.
     pub velocities: Vec<f32>,
 }
 
-/// Why bytes are not the state of a rank.
+/// Error of bytes that are not the state of a rank.
 #[derive(Debug, Error)]
 #[error("state of a rank: {0}")]
 pub struct RankStateError(String);
 
 impl RankState {
-    /// All zero.
+    /// State of zeros.
     pub fn zeros(rows: usize) -> RankState {
         RankState { positions: vec![0.0; rows * DIM], velocities: vec![0.0; rows * DIM] }
     }
 
-    /// The arrays as bytes, in a fixed order; they travel beside a message.
+    /// The arrays as bytes, in a fixed order; a message carries them unserialized.
     pub fn to_bytes(&self) -> [&[u8]; 2] {
         let RankState { positions, velocities } = self;
         [bytemuck::cast_slice(positions), bytemuck::cast_slice(velocities)]
@@ -111,7 +111,7 @@ impl RankState {
     /// The arrays from bytes in the order of [`RankState::to_bytes`].
     ///
     /// # Errors
-    /// They are not those of `rows` rows.
+    /// The bytes are not the arrays of `rows` rows.
     pub fn from_bytes(arrays: &[&[u8]], rows: usize) -> Result<RankState, RankStateError> {
         let mut state = RankState::zeros(rows);
         let RankState { positions, velocities } = &mut state;

@@ -1,13 +1,13 @@
-//! Time that passes while this process runs. A job that is suspended and continued (SIGSTOP, `scontrol suspend`, a paused
-//! container, a closed laptop) has not waited for anybody in between.
+//! Time without suspensions of this process. A job that is suspended and continued (SIGSTOP, `scontrol suspend`, a
+//! paused container, a closed laptop) did not wait for other processes in between.
 
 use std::time::{Duration, Instant};
 
-/// Most that counts between two looks. Whoever waits looks every 50 ms; longer gaps are suspensions, or work that has kept
-/// this process from listening.
+/// Maximum time that counts between two readings. A waiting process reads every 50 ms; a longer gap is a suspension, or
+/// work that has kept this process from listening.
 const LONGEST_GAP: Duration = Duration::from_millis(500);
 
-/// Time since its start as far as it was looked at.
+/// Time since the start, accumulated over the readings.
 #[derive(Clone, Copy, Debug)]
 pub struct AwakeClock {
     counted: Duration,

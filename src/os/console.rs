@@ -1,20 +1,20 @@
 //! Output on stdout and stderr that survives the loss of its reader. The macros of the standard library panic when a
-//! stream is closed or full, which would end a run because nobody reads its progress.
+//! stream is closed or full, so a run would end because its progress is not read.
 
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Write};
 
 /// Writes one line of progress or advice to stderr. A stream that is closed or full loses the line.
 pub fn note(line: impl Display) {
-    // One write a line: lines of several processes do not mix.
+    // One write per line, so that lines of several processes do not mix.
     let _ = io::stderr().write_all(format!("{line}\n").as_bytes());
 }
 
 /// Writes a result to stdout.
 ///
 /// # Errors
-/// The stream took only a part of it, for example because a disk is full. A reader that has closed its end has read what
-/// it wanted (`| head`): not an error.
+/// The stream accepted only a part of it, for example because a disk is full. It is not an error if a reader closes its
+/// end (`| head`).
 pub fn print(text: &str) -> io::Result<()> {
     print_to(&mut io::stdout().lock(), text)
 }
@@ -31,7 +31,7 @@ pub fn print_to(out: &mut dyn Write, text: &str) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    /// A stream that takes nothing.
+    /// A stream that accepts no bytes.
     struct Refusing(ErrorKind);
 
     impl Write for Refusing {

@@ -1,14 +1,14 @@
-//! Limits of the process. A soft limit is a default, the hard one is what the system really allows.
+//! Limits of the process. The soft limit is a default; the hard limit is the maximum that the system allows.
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Lets this process, and those that it starts, open as many files as the system allows. Says nothing if it may not.
+/// Raises the limit on open files of this process and of those that it starts to the hard limit. Ignores a refusal.
 pub fn raise_descriptor_limit() {
     let limit = getrlimit(Resource::Nofile);
     let _ = setrlimit(Resource::Nofile, Rlimit { current: limit.maximum, maximum: limit.maximum });
 }
 
-/// Files that the process may have open at a time.
+/// Limit on open files of the process.
 pub fn descriptor_limit() -> u64 {
     getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
 }

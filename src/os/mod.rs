@@ -1,4 +1,4 @@
-//! What a program has from the system it runs on: its output streams, its signals and its limits. Linux only.
+//! Interface to the operating system: output streams, signals and limits. Linux only.
 
 pub mod clock;
 pub mod console;

@@ -1,5 +1,5 @@
-//! Signals that ask a run to stop, and those that must not end a process. The first request is noted and looked up by
-//! whoever can stop in an orderly way; the second ends the process at once. Nothing here knows what a run is.
+//! Signals that request a stop, and signals that must not end a process. The first request is recorded, and code that
+//! can stop in an orderly way polls it; the second one ends the process at once. This module does not depend on runs.
 
 use std::io;
 use std::os::unix::process::ExitStatusExt;
@@ -14,10 +14,10 @@ use signal_hook::iterator::Signals;
 
 use super::console::note;
 
-/// Number of the first signal that asked to stop; 0 = none yet.
+/// Number of the first signal that requested a stop; 0 = none yet.
 static REQUESTED: AtomicI32 = AtomicI32::new(0);
 
-/// A signal that asked the process to stop.
+/// A signal that requested a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StopSignal(i32);
 
@@ -39,13 +39,13 @@ impl std::fmt::Display for StopSignal {
     }
 }
 
-/// The first signal that asked to stop, if one came since [`listen`].
+/// The first signal that requested a stop, if one arrived since [`listen`].
 pub fn stop_requested() -> Option<StopSignal> {
     let number = REQUESTED.load(Ordering::Relaxed);
     (number != 0).then_some(StopSignal(number))
 }
 
-/// How a process has ended, as the end of a sentence, with what a signal usually means.
+/// End of a process, as the end of a sentence, with the usual meaning of a signal.
 pub fn describe_end(status: ExitStatus) -> String {
     let Some(number) = status.signal() else {
         return match status.code() {
@@ -65,8 +65,8 @@ pub fn describe_end(status: ExitStatus) -> String {
     format!("killed by {name}{meaning}")
 }
 
-/// From now on the first SIGINT (Ctrl-C), SIGTERM or SIGHUP is noted for [`stop_requested`], and the second ends the
-/// process with [`StopSignal::exit_code`]. A SIGHUP that came ignored stays ignored: `nohup` asked for that.
+/// From now on the first SIGINT (Ctrl-C), SIGTERM or SIGHUP is recorded for [`stop_requested`], and the second one ends
+/// the process with [`StopSignal::exit_code`]. An ignored SIGHUP stays ignored, because `nohup` sets it so.
 ///
 /// # Errors
 /// The system does not let the process handle signals.
@@ -79,7 +79,7 @@ pub fn listen() -> io::Result<()> {
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         for number in signals.forever() {
             if REQUESTED.swap(number, Ordering::Relaxed) != 0 {
-                // Workers notice that the coordinator is gone and clean up.
+                // Workers detect the end of the coordinator and clean up.
                 std::process::exit(StopSignal(number).exit_code().into());
             }
             note("stopping after the current step (Ctrl-C again: at once)");
@@ -88,10 +88,10 @@ pub fn listen() -> io::Result<()> {
     Ok(())
 }
 
-/// A file that reaches the limit of `ulimit -f` is an error of that write (EFBIG), which has a sentence, and not the end
-/// of the process by SIGXFSZ.
+/// Makes a write beyond the limit of `ulimit -f` an error (EFBIG), which has a sentence, and not the end of the process
+/// by SIGXFSZ.
 pub fn survive_file_size_limit() {
-    // Where that is refused the signal keeps its meaning.
+    // If the system refuses this, the signal keeps its default action.
     let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
 }
 
