@@ -1,13 +1,13 @@
-//! Edges, bending stencils and connected pieces of a mesh, in an order that depends on the mesh alone. Expects a validated mesh.
+//! Edges, bending stencils and connected pieces of a validated mesh. Their order depends on the mesh alone.
 
 use super::TriangleMesh;
 
-/// An interior edge with the two triangles that meet there: the stencil of dihedral bending.
+/// An interior edge and its two triangles: the stencil of dihedral bending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hinge {
     /// `[edge0, edge1, opposite of triangle 0, opposite of triangle 1]`, with `edge0 < edge1`.
     pub vertices: [u32; 4],
-    /// Triangle 0 runs from `edge0` to `edge1`, triangle 1 back.
+    /// Triangle 0 traverses the edge from `edge0` to `edge1`, triangle 1 in the opposite direction.
     pub triangles: [u32; 2],
 }
 
@@ -27,7 +27,7 @@ pub fn unique_edges(mesh: &TriangleMesh) -> Vec<[u32; 2]> {
 /// The interior edges, ascending by (edge0, edge1).
 pub fn hinges(mesh: &TriangleMesh) -> Vec<Hinge> {
     let triangles = &mesh.triangles;
-    // (edge, triangle): with two triangles on an edge at most, this order is unique.
+    // (edge, triangle) pairs. An edge has at most two triangles, so their order is unique.
     let mut sides: Vec<(u64, u32)> = Vec::with_capacity(3 * triangles.len());
     for (t, &[a, b, c]) in triangles.iter().enumerate() {
         for (from, to) in [(a, b), (b, c), (c, a)] {
@@ -42,14 +42,14 @@ pub fn hinges(mesh: &TriangleMesh) -> Vec<Hinge> {
         let runs_forward =
             |t: u32| (0..3).any(|i| triangles[t as usize][i] == edge0 && triangles[t as usize][(i + 1) % 3] == edge1);
         let pair = if runs_forward(first) { [first, second] } else { [second, first] };
-        // The opposite corner is what is left of the triangle's three indices.
+        // XOR with both ends of the edge leaves the opposite corner of the triangle's three indices.
         let opposite = pair.map(|t| triangles[t as usize].iter().fold(edge0 ^ edge1, |rest, &v| rest ^ v));
         hinges.push(Hinge { vertices: [edge0, edge1, opposite[0], opposite[1]], triangles: pair });
     }
     hinges
 }
 
-/// Per vertex the smallest vertex that triangles connect it with.
+/// For every vertex, the smallest vertex of its connected piece.
 pub fn pieces(vertices: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..vertices as u32).collect();
     fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
@@ -65,7 +65,7 @@ pub fn pieces(vertices: usize, triangles: &[[u32; 3]]) -> Vec<u32> {
             parent[one.max(other) as usize] = one.min(other);
         }
     }
-    // Parents are never larger than their children, so they are final when a child asks.
+    // Parents are never larger than their children, so a parent is final before its children are visited.
     for vertex in 0..vertices {
         parent[vertex] = parent[parent[vertex] as usize];
     }

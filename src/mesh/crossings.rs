@@ -1,8 +1,8 @@
-//! Start-state check: which pairs of triangles of a scene cross or touch? Exact for the f32 coordinates it is given.
+//! Check of the start state: pairs of triangles that cross or touch. It is exact for the given f32 coordinates.
 //!
-//! Touching is what the continuous collision test of a step takes for touching: vertices of different numbers at one place
-//! (an unwelded seam) and triangles folded flat onto each other at a common edge, too. Two layers closer than the
-//! thickness of the cloth are not its business.
+//! Touching is defined as in the continuous collision test of a step. It includes different vertices at one place (an
+//! unwelded seam) and triangles that are folded flat onto each other at a common edge. Layers closer than the thickness
+//! of the cloth are not reported.
 
 use std::ops::Range;
 
@@ -13,40 +13,40 @@ use crate::math::Vec3;
 use super::intersect::{edge_crosses_triangle, in_one_plane};
 use super::{TriangleMesh, locality_order};
 
-/// Triangles of a leaf of a tree.
+/// Triangles per leaf of a tree.
 const LEAF: usize = 4;
-/// Times the work is split before it is given to threads.
+/// Times the pairs of nodes are split before they are distributed to threads.
 const ROUNDS: usize = 8;
-/// Parts given to threads at once; between two such batches the search ends if the list is full. Fixed, because the list
-/// must not depend on the number of threads.
+/// Pairs of nodes per parallel batch. The search can end between two batches if the list is full. The number is fixed,
+/// because the list must not depend on the number of threads.
 const BATCH: usize = 64;
-/// Pairs that are listed; two sheets laid onto each other would have millions.
+/// Limit of the listed pairs, because two coincident sheets have millions.
 pub const MOST_PAIRS: usize = 10_000;
 
-/// Triangles that belong together, and what they need not be tested against.
+/// Triangles of one object, with its kind, which tells the tests that it does not need.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Group {
-    /// Its triangles, a range of the whole list.
+    /// Range of its triangles in the whole list.
     pub triangles: Range<usize>,
-    /// What it is.
+    /// Kind of the object.
     pub kind: GroupKind,
 }
 
-/// What a group of triangles is.
+/// Kind of a group of triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GroupKind {
     /// Cloth of any shape.
     Cloth,
-    /// A plane sheet, which cannot meet itself.
+    /// A plane sheet. It cannot cross itself.
     FlatCloth,
-    /// An obstacle: may meet itself and other obstacles.
+    /// An obstacle. It may cross itself and other obstacles.
     Obstacle,
 }
 
-/// The pairs of triangles that share a point, each ascending, all in ascending order; at most 10,000 of them. The search
-/// ends when it has found that many, so a list of that length is not all of them.
+/// The pairs of triangles that share a point, each pair ascending, in ascending order. The list has at most 10,000
+/// pairs; the search ends when it is full, so a full list may be incomplete.
 ///
-/// The vertices that two triangles have in common do not count.
+/// Common vertices of two triangles do not count as shared points.
 pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -> Vec<[u32; 2]> {
     let search = Search { positions, triangles };
     let boxes: Vec<Bounds> = groups.iter().map(|group| search.bounds(group.triangles.clone())).collect();
@@ -63,7 +63,7 @@ pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -
             if one.kind == GroupKind::Obstacle && other.kind == GroupKind::Obstacle {
                 continue;
             }
-            // Most pairs of layers are apart as wholes, and of the others only the part that they share is looked at.
+            // Most pairs of groups have disjoint boxes. For the others, only the overlap of the boxes is searched.
             let shared = boxes[i].shared(&boxes[j]);
             let parts = [one, other].map(|group| search.inside(group.triangles.clone(), &shared));
             if parts.iter().all(|part| !part.is_empty()) {
@@ -77,7 +77,7 @@ pub fn crossings(positions: &[Vec3], triangles: &[[u32; 3]], groups: &[Group]) -
     found
 }
 
-/// The first pair of triangles that share a point other than their common vertices, of a mesh alone.
+/// The first pair of triangles of a single mesh that share a point other than their common vertices.
 pub fn first_intersection(mesh: &TriangleMesh) -> Option<[u32; 2]> {
     let whole = Group { triangles: 0..mesh.triangles.len(), kind: GroupKind::Cloth };
     crossings(&mesh.positions, &mesh.triangles, &[whole]).first().copied()
@@ -111,7 +111,7 @@ impl Bounds {
     }
 }
 
-/// A binary tree over triangles in locality order.
+/// A binary tree of boxes over triangles in locality order.
 struct Tree {
     order: Vec<u32>,
     /// Box of every triangle of `order`.
@@ -119,7 +119,7 @@ struct Tree {
     nodes: Vec<Node>,
 }
 
-/// A node over `order[start..start + len]`; the root is the last.
+/// A node over `order[start..start + len]`. The root is the last node.
 struct Node {
     bounds: Bounds,
     start: usize,
@@ -157,9 +157,10 @@ impl Search<'_> {
         Tree { order, boxes, nodes }
     }
 
-    /// Pairs of one triangle of each tree, or of two of one tree, which is then given twice.
+    /// Pairs of one triangle from each tree. For the pairs within one tree, pass it twice.
     fn pairs(&self, one: &Tree, other: &Tree) -> Vec<[u32; 2]> {
-        // Split a few times, then every part on its own: what is found does not depend on who finds it.
+        // The node pairs are split a few times and then searched in parallel. The result does not depend on the
+        // threads.
         let mut parts = vec![(one.nodes.len() - 1, other.nodes.len() - 1)];
         for _ in 0..ROUNDS {
             let split = |pair| split(one, other, pair).unwrap_or([Some(pair), None, None]).into_iter().flatten();
@@ -206,7 +207,7 @@ impl Search<'_> {
     }
 }
 
-/// The pairs of nodes that a pair falls into: none where the boxes are apart, and `None` for two leaves.
+/// Splits a pair of nodes into smaller pairs: none where the boxes are disjoint. `None` for two leaves.
 fn split(one: &Tree, other: &Tree, (a, b): (usize, usize)) -> Option<[Option<(usize, usize)>; 3]> {
     let (left, right) = (&one.nodes[a], &other.nodes[b]);
     if !left.bounds.overlaps(&right.bounds) {
@@ -223,7 +224,7 @@ fn split(one: &Tree, other: &Tree, (a, b): (usize, usize)) -> Option<[Option<(us
     }
 }
 
-/// Builds the tree over a range of boxes; returns its node. Depth is log2 of the number of triangles.
+/// Builds the tree over a range of boxes and returns its node. The depth is log2 of the number of triangles.
 fn build(boxes: &[Bounds], start: usize, nodes: &mut Vec<Node>) -> usize {
     let len = boxes.len();
     let (bounds, children) = if len <= LEAF {
@@ -236,7 +237,7 @@ fn build(boxes: &[Bounds], start: usize, nodes: &mut Vec<Node>) -> usize {
     nodes.len() - 1
 }
 
-/// Do the closed triangles share a point besides the vertices that they have in common? `corners` = vertex numbers.
+/// True if the closed triangles share a point besides their common vertices. `corners` = vertex numbers.
 fn triangles_meet(corners: [[u32; 3]; 2], [a, b]: [[Vec3; 3]; 2]) -> bool {
     let shared = corners[0].iter().filter(|v| corners[1].contains(v)).count();
     if shared == 2 {
@@ -246,8 +247,8 @@ fn triangles_meet(corners: [[u32; 3]; 2], [a, b]: [[Vec3; 3]; 2]) -> bool {
     if shared == 3 || on_one_side(a, b, in_b) || on_one_side(b, a, in_a) {
         return shared == 3;
     }
-    // An edge that begins at a common vertex meets the other triangle there; what else it meets, the opposite edge of one
-    // of the two meets as well.
+    // Edges that begin at a common vertex are skipped: they meet the other triangle there, and any further contact also
+    // involves the edge opposite to the common vertex of one of the triangles.
     let meets = |edges: [Vec3; 3], known: [bool; 3], [a, b, c]: [Vec3; 3]| {
         let free = (0..3).map(|i| (i, (i + 1) % 3)).filter(|&(i, j)| !known[i] && !known[j]);
         free.into_iter().any(|(i, j)| edge_crosses_triangle(edges[i], edges[j], a, b, c))
@@ -255,7 +256,7 @@ fn triangles_meet(corners: [[u32; 3]; 2], [a, b]: [[Vec3; 3]; 2]) -> bool {
     meets(a, in_a, b) || meets(b, in_b, a)
 }
 
-/// Do two triangles with a common edge lie in one plane, on the same side of the edge?
+/// True if two triangles with a common edge lie in one plane on the same side of the edge.
 fn folded_flat(corners: [[u32; 3]; 2], positions: [[Vec3; 3]; 2]) -> bool {
     let edge: Vec<Vec3> = (0..3).filter(|&i| corners[1].contains(&corners[0][i])).map(|i| positions[0][i]).collect();
     let opposite = [0, 1].map(|t: usize| {
@@ -264,14 +265,14 @@ fn folded_flat(corners: [[u32; 3]; 2], positions: [[Vec3; 3]; 2]) -> bool {
     });
     let along = edge[1].as_dvec3() - edge[0].as_dvec3();
     let [c, d] = opposite.map(|p| p.as_dvec3() - edge[0].as_dvec3());
-    // Twice the areas as vectors: opposed where the triangles lie flat beside each other.
+    // Doubled area vectors. They point in opposite directions if the triangles lie flat side by side.
     along.cross(c).dot(along.cross(d)) > 0.0 && in_one_plane(edge[0], edge[1], opposite[0], opposite[1])
 }
 
-/// Do all corners of `other` but those shared lie on one side of the plane of `face`, by more than rounding? Then the
-/// triangles have at most the shared corners in common.
+/// True if all corners of `other` that are not shared lie on one side of the plane of `face`, by more than rounding.
+/// Then the triangles have only the shared corners in common.
 fn on_one_side(face: [Vec3; 3], other: [Vec3; 3], shared: [bool; 3]) -> bool {
-    /// Generous against a few dozen roundings, each of relative size 2^-53.
+    /// Larger than the error of a few dozen roundings of relative size 2^-53.
     const ROUNDING: f64 = 1e-14;
     let origin = face[0].as_dvec3();
     let [u, v] = [face[1].as_dvec3() - origin, face[2].as_dvec3() - origin];
@@ -307,8 +308,8 @@ mod tests {
         found
     }
 
-    /// As many sheets in one place have 10,000 pairs among the first few of them: the search ends there. A search of all
-    /// would test 2 million pairs of sheets, 400 pairs of triangles each.
+    /// The first few of as many coincident sheets already give 10,000 pairs, so the search must end there. A full
+    /// search would test 2 million pairs of sheets with 400 pairs of triangles each.
     #[test]
     fn a_full_list_ends_the_search() {
         let one = sheets(0.0);
@@ -325,7 +326,7 @@ mod tests {
         let found = crossings(&mesh.positions, &mesh.triangles, &groups);
         assert_eq!(found.len(), MOST_PAIRS);
         assert!(found.is_sorted() && found[0] == [0, triangles as u32]);
-        // The work is what the test is about: it is bounded by the sheets that hold the pairs of the list.
+        // The search must touch only the sheets that hold the listed pairs.
         let last = found.iter().map(|[_, t]| *t as usize / triangles).max().unwrap();
         assert!(last < 50, "sheet {last} was looked at");
         let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
@@ -359,7 +360,7 @@ mod tests {
         assert!(!meets([[5., 5., 0.], [5., 6., 0.], [6., 5., 0.]]), "beside");
     }
 
-    /// Two sheets of 7 x 7 cells; the second stands upright in or below the first.
+    /// Two sheets of 7 x 7 cells. The second stands upright in or below the first.
     fn sheets(lift: f32) -> TriangleMesh {
         let mut mesh = TriangleMesh::default();
         for sheet in 0..2 {

@@ -1,4 +1,4 @@
-//! From what a file holds to a mesh that can be simulated: rest shape, vertices at one place, winding, unused vertices.
+//! Turns the content of a mesh file into a mesh for simulation: rest shape, welding, winding, unused vertices.
 
 use std::path::Path;
 
@@ -6,25 +6,26 @@ use crate::math::Vec3;
 
 use super::{MeshFault, Part, Surface, TextureFit, TriangleMesh, flatten_triangles, material, validate, weld, winding};
 
-/// Where the material (rest) coordinates of a mesh file come from.
+/// Source of the material (rest) coordinates of a mesh file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MaterialSource {
-    /// The file's texture coordinates in metres if every corner has one and they keep the lengths of the mesh in space
-    /// ([`TextureFit::is_isometric`]), its 3D shape otherwise: a picture's coordinates run from 0 to 1.
+    /// The file's texture coordinates, in meters, if every corner has one and they preserve the lengths of the mesh in
+    /// space ([`TextureFit::is_isometric`]). Otherwise its 3D shape, because texture coordinates of images run from 0
+    /// to 1.
     #[default]
     Auto,
-    /// The file's texture coordinates in metres where every corner has one, its 3D shape otherwise.
+    /// The file's texture coordinates, in meters, if every corner has one, else its 3D shape.
     TextureOrShape,
     /// Always the 3D shape.
     Shape,
 }
 
-/// How a mesh is made of a file.
+/// Options for the conversion of a mesh file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MeshOptions {
-    /// Where the rest shape comes from.
+    /// Source of the rest shape.
     pub material: MaterialSource,
-    /// Vertices this near are joined, in the file's unit; none = all are kept.
+    /// Vertices within this distance are joined, in the unit of the file; none = all vertices are kept.
     pub weld: Option<f64>,
 }
 
@@ -34,12 +35,12 @@ impl From<MaterialSource> for MeshOptions {
     }
 }
 
-/// Stands for "not in the mesh" in [`FileMesh::mesh_vertices`].
+/// Marks a vertex that is not in the mesh, in [`FileMesh::mesh_vertices`].
 const NONE: u32 = u32::MAX;
 
 impl Surface {
-    /// The validated mesh. Vertices in no triangle are dropped; triangles that are wound against their neighbors are turned
-    /// over where that helps.
+    /// Builds and validates the mesh. Vertices in no triangle are dropped. Triangles wound against their neighbors are
+    /// flipped if that makes the winding consistent.
     pub fn into_mesh(self, options: impl Into<MeshOptions>) -> Result<FileMesh, MeshFault> {
         let options = options.into();
         let Surface { mut positions, mut triangles, mut texture_uv, parts } = self;
@@ -57,7 +58,7 @@ impl Surface {
         let mut turned = 0;
         let used = match validate::check_surface(&positions, &triangles) {
             Err(MeshFault::MixedOrientation { .. }) => {
-                // Which edges have too many triangles has to be known before anything is turned over.
+                // Edges with too many triangles must be found before any triangle is flipped.
                 let over = winding::turn_over(&triangles)?;
                 turned = over.iter().filter(|&&over| over).count();
                 (0..).zip(&over).filter(|(_, over)| **over).for_each(|(t, _): (usize, _)| {
@@ -81,12 +82,13 @@ impl Surface {
             triangles.iter_mut().flatten().for_each(|v| *v = numbers[*v as usize]);
             positions = kept;
             if let Some(first) = &joined {
-                // A vertex that was joined is the one that it was joined with.
+                // A joined vertex gets the number of the vertex that it was joined with.
                 numbers = first.iter().map(|&first| numbers[first as usize]).collect();
             }
             mesh_vertices = Some(numbers);
         }
-        // A map that is a point or a line everywhere (exporters write `vt 0 0` for "none") says nothing about the rest shape.
+        // If all texture triangles have zero area (exporters write `vt 0 0` for "none"), the coordinates do not
+        // describe a rest shape.
         let is_a_map = texture_uv.iter().any(|uv| material::doubled_area(uv) != 0.0);
         let fit = is_a_map.then(|| TextureFit::new(&positions, &triangles, &texture_uv));
         let from_texture = match (options.material, &fit) {
@@ -104,22 +106,22 @@ impl Surface {
     }
 }
 
-/// A mesh as it came from a file.
+/// A mesh from a file, with a record of its repairs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileMesh {
-    /// The mesh, vertices in the order of the file.
+    /// The mesh. Its vertices keep the order of the file.
     pub mesh: TriangleMesh,
     /// Objects and groups of the file.
     pub parts: Vec<Part>,
-    /// The mesh's number of every vertex of the file, where they differ.
+    /// The mesh vertex of every vertex of the file; none if they are equal.
     mesh_vertices: Option<Vec<u32>>,
-    /// Vertices of the file that belong to no triangle; without mass they cannot be simulated.
+    /// Vertices of the file in no triangle. They are dropped, because they have no mass.
     pub dropped: usize,
-    /// Vertices that were joined with an earlier one.
+    /// Vertices that were joined with an earlier vertex.
     pub welded: usize,
-    /// Triangles that were turned over.
+    /// Triangles that were flipped.
     pub turned: usize,
-    /// How the file's texture coordinates fit, if it has some.
+    /// Fit of the file's texture coordinates, if it has any.
     pub fit: Option<TextureFit>,
     material: MaterialSource,
     from_texture: bool,
@@ -142,7 +144,7 @@ impl From<TriangleMesh> for FileMesh {
 }
 
 impl FileMesh {
-    /// The mesh's vertex with this number (from 0) in the file, unless it was dropped or never existed.
+    /// The mesh vertex with this number (from 0) in the file; none if it was dropped or does not exist.
     pub fn vertex(&self, file_vertex: u32) -> Option<u32> {
         match &self.mesh_vertices {
             None => ((file_vertex as usize) < self.mesh.positions.len()).then_some(file_vertex),
@@ -150,7 +152,7 @@ impl FileMesh {
         }
     }
 
-    /// The vertices of the triangles that stand under a name, ascending; none if the file has no such object or group.
+    /// The vertices of the triangles in an object or group, ascending; none if the file has no such name.
     pub fn vertices_of(&self, name: &str) -> Vec<u32> {
         let named = self.parts.iter().filter(|part| part.is_named(name));
         let triangles =
@@ -161,7 +163,7 @@ impl FileMesh {
         vertices
     }
 
-    /// A sentence about what has been dropped, if anything has.
+    /// A sentence about dropped vertices, if there are any.
     pub fn left_out(&self, path: &Path) -> Option<String> {
         let what = match self.dropped {
             0 => return None,
@@ -171,7 +173,7 @@ impl FileMesh {
         Some(format!("{}: {what}", path.display()))
     }
 
-    /// Sentences about what was repaired.
+    /// Sentences about repairs.
     pub fn repairs(&self, path: &Path) -> Vec<String> {
         let mut lines = Vec::new();
         let mut say = |what: String| lines.push(format!("{}: {what}", path.display()));
@@ -188,7 +190,8 @@ impl FileMesh {
         lines
     }
 
-    /// As [`FileMesh::repairs`], and what is likely not meant so. `scale` = metres per unit of the file.
+    /// The sentences of [`FileMesh::repairs`] and further ones about probable mistakes. `scale` = meters per unit of
+    /// the file.
     pub fn warnings(&self, path: &Path, scale: f64) -> Vec<String> {
         let mut lines = self.repairs(path);
         let mut say = |what: String| lines.push(format!("{}: {what}", path.display()));
@@ -212,19 +215,19 @@ impl FileMesh {
         lines
     }
 
-    /// The longest side of the box around it.
+    /// The longest side of the bounding box.
     pub fn extent(&self) -> f64 {
         extent(&self.mesh.positions)
     }
 }
 
-/// The longest side of the box around points.
+/// The longest side of the bounding box of points.
 pub fn extent(points: &[Vec3]) -> f64 {
     let (low, high) = points.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), &p| (l.min(p), h.max(p)));
     if points.is_empty() { 0.0 } else { (high.as_dvec3() - low.as_dvec3()).max_element() }
 }
 
-/// A number with four digits that count.
+/// The number with four significant digits.
 fn shown(value: f64) -> String {
     if (1e-3..1e6).contains(&value) {
         let digits = (3.0 - value.log10().floor()).clamp(0.0, 6.0) as usize;

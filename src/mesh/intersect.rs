@@ -1,20 +1,20 @@
-//! Does a segment meet a triangle? Exact for the f32 coordinates it is given.
+//! Intersection of a segment and a triangle, exact for the given f32 coordinates.
 
 use robust::{Coord, Coord3D, orient2d, orient3d};
 
 use crate::math::Vec3;
 
-/// Do four points lie in one plane? Exact, as [`edge_crosses_triangle`].
+/// True if four points lie in one plane. Exact in the sense of [`edge_crosses_triangle`].
 pub(super) fn in_one_plane(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> bool {
     orient(a, b, c, d) == 0.0
 }
 
-/// Do the closed segment pq and the closed triangle abc share a point? Exact for finite f32 coordinates whose products
-/// neither overflow nor underflow in f64 (sizes from 1e-60 to 1e60).
+/// True if the closed segment pq and the closed triangle abc share a point. Exact for finite f32 coordinates whose
+/// products neither overflow nor underflow in f64 (sizes from 1e-60 to 1e60).
 ///
-/// Closed means: touching counts, also coplanar overlap, an end on the face, a corner on the edge and a shared vertex. A
-/// caller who tests neighbours leaves out pairs with a common vertex. A segment of length zero is a point, a triangle
-/// without area is its three edges.
+/// Touching counts: coplanar overlap, an end on the face, a corner on the edge and a shared vertex. Callers that test
+/// neighbors skip pairs with a common vertex. A segment of length zero is a point; a triangle without area is its three
+/// edges.
 pub fn edge_crosses_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> bool {
     if clearly_apart(p, q, [a, b, c]) {
         return false;
@@ -33,10 +33,10 @@ pub fn edge_crosses_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> boo
     !(turns.iter().any(|&t| t > 0.0) && turns.iter().any(|&t| t < 0.0))
 }
 
-/// Is there a plane between the segment and the triangle by more than rounding in f64? The exact tests are slowest where
-/// their answer is zero, as it is all over a flat sheet; this spares nearly all of them.
+/// True if a plane separates the segment and the triangle by more than the rounding of f64. This avoids nearly all
+/// exact tests, which are slowest where their result is zero, as everywhere on a flat sheet.
 fn clearly_apart(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
-    /// Generous against the few hundred roundings below, each of relative size 2^-53.
+    /// Larger than the error of the few hundred roundings below, each of relative size 2^-53.
     const ROUNDING: f64 = 1e-13;
     let origin = face[0].as_dvec3();
     let [p, q] = [p, q].map(|v| v.as_dvec3() - origin);
@@ -61,13 +61,13 @@ fn clearly_apart(p: Vec3, q: Vec3, face: [Vec3; 3]) -> bool {
     all_beyond(margin, &corners.map(|corner| across.dot(corner - p)))
 }
 
-/// Without the coordinate `dropped`: exact.
+/// Drops the coordinate `dropped`. This is exact.
 fn flat(v: Vec3, dropped: usize) -> Coord<f32> {
     Coord { x: v[(dropped + 1) % 3], y: v[(dropped + 2) % 3] }
 }
 
-/// The coordinate to drop so that the first three of the coplanar `points` that are not on one line span most area; none
-/// if all are on one line.
+/// The coordinate to drop so that the first three of the coplanar `points` that are not collinear span the largest
+/// area; none if all are collinear.
 fn widest_projection(points: &[Vec3]) -> Option<usize> {
     let area = |dropped: usize, third: Vec3| {
         orient2d(flat(points[0], dropped), flat(points[1], dropped), flat(third, dropped)).abs()
@@ -89,7 +89,8 @@ fn coplanar_edge_meets_face(p: Vec3, q: Vec3, [a, b, c]: [Vec3; 3], dropped: usi
         || [(a, b), (b, c), (c, a)].into_iter().any(|(s, t)| coplanar_segments_meet(turn, [p, q], [s, t]))
 }
 
-/// Segments in one plane, not all on one line unless they meet in an end of one; `turn` is the orientation in that plane.
+/// True if two coplanar segments share a point. They must not be collinear unless they share an end. `turn` is the
+/// orientation in their plane.
 fn coplanar_segments_meet(turn: impl Fn(Vec3, Vec3, Vec3) -> f64, [p, q]: [Vec3; 2], [s, t]: [Vec3; 2]) -> bool {
     let same_side = |x: f64, y: f64| (x > 0.0 && y > 0.0) || (x < 0.0 && y < 0.0);
     let (of_s, of_t, of_p, of_q) = (turn(p, q, s), turn(p, q, t), turn(s, t, p), turn(s, t, q));
@@ -99,17 +100,17 @@ fn coplanar_segments_meet(turn: impl Fn(Vec3, Vec3, Vec3) -> f64, [p, q]: [Vec3;
     !same_side(of_s, of_t) && !same_side(of_p, of_q)
 }
 
-/// Segments on one line overlap iff their boxes do.
+/// Collinear segments overlap exactly if their boxes do.
 fn collinear_segments_meet([p, q]: [Vec3; 2], [s, t]: [Vec3; 2]) -> bool {
     p.min(q).cmple(s.max(t)).all() && s.min(t).cmple(p.max(q)).all()
 }
 
-/// Do two closed segments in space share a point? Points are segments as well.
+/// True if two closed segments in space share a point. A segment of length zero is a point.
 fn segments_meet(p: Vec3, q: Vec3, s: Vec3, t: Vec3) -> bool {
     if orient(p, q, s, t) != 0.0 {
         return false;
     }
-    // A projection along which the common plane keeps its shape; two points at one place do not name a plane.
+    // The projection must not collapse the common plane. Two coincident points do not define a plane.
     let points = if p == q { [s, t, p, p] } else { [p, q, s, t] };
     match widest_projection(&points) {
         None => collinear_segments_meet([p, q], [s, t]),
@@ -151,7 +152,7 @@ mod tests {
         assert!(crosses(x, x, x, x, x) && !crosses(o, o, x, x, x), "points");
         assert!(crosses([-1., 0., 0.], [3., 0., 0.], x, x, x), "a point for a triangle, on the edge");
         assert!(!crosses([-1., 0., 0.], [3., 1e-7, 0.], x, x, x), "beside the edge");
-        // An area of 2^-48 next to sides of length 1: the projection must be chosen by exact areas.
+        // The area is 2^-48 for sides of length 1, so the projection must be chosen by exact areas.
         let third = [1.0 + f32::EPSILON, 1.0 + f32::EPSILON, 1.0];
         assert!(crosses([0.5, 0.5, 0.5], [0.5, 0.5, 2.], o, [1., 1., 1.], third), "a needle, touched");
         assert!(!crosses([0.25, 0.5, 0.5], [0.25, 0.5, 2.], o, [1., 1., 1.], third), "a needle, missed");

@@ -1,16 +1,16 @@
-//! Material (rest) coordinates from a 3D rest shape: every triangle laid flat without stretching it.
+//! Material (rest) coordinates from a 3D rest shape: every triangle is laid flat without stretching.
 //!
-//! Neighbouring triangles need not agree on where they lie in the plane; forces read edge differences only.
+//! Adjacent triangles can lie anywhere in the plane, because forces read edge differences only.
 
 use crate::math::{DVec2, DVec3, Vec2, Vec3};
 
-/// Lays a triangle flat isometrically. Warp (material x) is the world's x axis projected into the triangle, or y where
-/// the triangle faces along x, so that a flat mesh keeps one warp direction; the first edge would turn with every triangle.
-/// A triangle without area yields coordinates without area.
+/// Lays a triangle flat isometrically. Warp (material x) is the world's x axis projected into the triangle, or the y
+/// axis if the triangle faces along x. So a flat mesh has one warp direction, which an axis along the first edge of
+/// each triangle would not give. A triangle without area gets coordinates without area.
 pub fn flatten_triangle(corners: [Vec3; 3]) -> [Vec2; 3] {
     let [a, b, c] = corners.map(|p| p.as_dvec3());
     let normal = (b - a).cross(c - a).normalize_or_zero();
-    // Below this the projection of x is shorter than that of y for every direction of the normal.
+    // Above this value the projection of x can be shorter than that of y.
     const FACES_ALONG_X: f64 = 0.8;
     let reference = if normal.x.abs() < FACES_ALONG_X { DVec3::X } else { DVec3::Y };
     let warp = (reference - normal * normal.dot(reference)).normalize_or_zero();
@@ -18,13 +18,13 @@ pub fn flatten_triangle(corners: [Vec3; 3]) -> [Vec2; 3] {
     [a, b, c].map(|p| DVec2::new((p - a).dot(warp), (p - a).dot(weft)).as_vec2())
 }
 
-/// [`flatten_triangle`] of every triangle. Indices must be in range.
+/// Applies [`flatten_triangle`] to every triangle. Indices must be in range.
 pub fn flatten_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[Vec2; 3]> {
     triangles.iter().map(|t| flatten_triangle(t.map(|v| positions[v as usize]))).collect()
 }
 
-/// Mirrors every material triangle that is wound against its triangle in space: the same lengths and the same warp axis,
-/// but an area that is positive for everyone who computes with it.
+/// Mirrors every material triangle that is wound against its triangle in space. Lengths and warp axis stay, and the
+/// signed area becomes positive, as all users of the coordinates expect.
 pub(super) fn mirror_clockwise(material_uv: &mut [[Vec2; 3]]) {
     for uv in material_uv.iter_mut().filter(|uv| doubled_area(uv) < 0.0) {
         uv.iter_mut().for_each(|p| p.x = -p.x);
@@ -37,25 +37,25 @@ pub(super) fn doubled_area(uv: &[Vec2; 3]) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-/// Largest stretch (and, inverted, smallest) at which a triangle counts as keeping its lengths.
+/// Largest stretch of a triangle that counts as isometric; the smallest is its inverse.
 const ISOMETRIC: f64 = 1.2;
-/// Part of the area that must keep its lengths, so that texture coordinates are a pattern and not a picture's. The rest is
-/// for a few stretched places of a mesh that was draped before.
+/// Fraction of the area that must be isometric for texture coordinates to count as a sewing pattern rather than image
+/// coordinates. The rest allows for a few stretched places of a mesh that was draped before.
 const ISOMETRIC_PART: f64 = 0.9;
 
-/// How texture coordinates fit the mesh in space.
+/// Comparison of texture coordinates with the mesh in space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TextureFit {
-    /// Area that they cover, m^2.
+    /// Area in texture space, m^2.
     pub texture_m2: f64,
     /// Area in space, m^2.
     pub space_m2: f64,
-    /// Part of the area in space whose lengths they keep within 20 %.
+    /// Fraction of the area in space whose lengths agree within 20 %.
     pub isometric: f64,
 }
 
 impl TextureFit {
-    /// Compares the triangles; they must have an area in space.
+    /// Compares the triangles, which must have an area in space.
     pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]], texture_uv: &[[Vec2; 3]]) -> TextureFit {
         let mut fit = TextureFit { texture_m2: 0.0, space_m2: 0.0, isometric: 0.0 };
         for (corners, uv) in triangles.iter().zip(texture_uv) {
@@ -67,11 +67,11 @@ impl TextureFit {
             let determinant = e1.perp_dot(e2);
             fit.space_m2 += area;
             fit.texture_m2 += determinant.abs() / 2.0;
-            // Derivatives of the position along u and v, and from them the squares of the stretches.
+            // Derivatives of the position along u and v. The squared stretches follow from them.
             let (f_u, f_v) = ((d1 * e2.y - d2 * e1.y) / determinant, (d2 * e1.x - d1 * e2.x) / determinant);
             let (mean, half) = ((f_u.dot(f_u) + f_v.dot(f_v)) / 2.0, (f_u.dot(f_u) - f_v.dot(f_v)) / 2.0);
             let radius = half.hypot(f_u.dot(f_v));
-            // Without an area in texture space these are infinite or no numbers, and not isometric.
+            // Without an area in texture space these are infinite or NaN, so the triangle does not count as isometric.
             if mean + radius <= ISOMETRIC * ISOMETRIC && mean - radius >= 1.0 / (ISOMETRIC * ISOMETRIC) {
                 fit.isometric += area;
             }
@@ -80,7 +80,7 @@ impl TextureFit {
         fit
     }
 
-    /// Whether they are a pattern: what the cloth is at rest.
+    /// True if the texture coordinates are a sewing pattern, that is, the rest shape.
     pub fn is_isometric(&self) -> bool {
         self.isometric >= ISOMETRIC_PART
     }

@@ -1,7 +1,7 @@
 //! Triangle meshes: storage, files, validation, adjacency, material space, ordering and the start-state check.
 //!
-//! Nothing here moves: a mesh is what a scene starts from. Files are read in one pass with memory proportional to the
-//! file; no claim of a file is believed before the bytes behind it have been seen.
+//! A mesh describes the start of a scene and never moves. Files are read in one pass with memory proportional to the
+//! file. Counts in a file are not trusted before that many bytes have been read.
 
 mod adjacency;
 mod crossings;
@@ -37,41 +37,42 @@ pub(crate) use validate::needles;
 pub use validate::{MeshFault, check_obstacle, validate};
 pub use weld::first_at_place;
 
-/// A triangle mesh of cloth in its start state. Counter-clockwise triangles; every vertex is used by a triangle.
+/// A triangle mesh of cloth in its start state. Triangles are counter-clockwise, and every vertex is in a triangle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
-    /// World positions at time 0, metres.
+    /// World positions at time 0, meters.
     pub positions: Vec<Vec3>,
     /// Vertex indices of every triangle.
     pub triangles: Vec<[u32; 3]>,
-    /// Material-space (rest) coordinates of every triangle's corners, metres: x = warp, y = weft. Kept per corner, so
-    /// that a seam (one vertex, several texture coordinates) is no special case. Counter-clockwise as well.
+    /// Material-space (rest) coordinates of every triangle's corners, meters: x = warp, y = weft. They are
+    /// counter-clockwise and stored per corner, so that a seam (one vertex with several texture coordinates) needs no
+    /// special case.
     pub material_uv: Vec<[Vec2; 3]>,
 }
 
-/// Why a mesh file is refused: one sentence with the file and, where its format has lines, the line.
+/// Why a mesh file is refused: one sentence with the file and, if its format has lines, the line.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum MeshReadError {
     /// The file cannot be opened or read.
     #[error("{}: cannot be read: {reason}", path.display())]
     Unreadable { path: PathBuf, reason: String },
-    /// Neither `.obj` nor `.ply`.
+    /// The file ends neither in `.obj` nor in `.ply`.
     #[error("{}: a mesh file ends in .obj or .ply", path.display())]
     UnknownFormat { path: PathBuf },
     /// A line, a header or a record of the file is wrong.
     #[error("{}{}: {}", path.display(), fault.place(), fault.what)]
     Syntax { path: PathBuf, fault: ParseFault },
-    /// The file is well formed, the mesh in it cannot be simulated.
+    /// The file is well-formed, but its mesh cannot be simulated.
     #[error("{}: {fault}", path.display())]
     Mesh { path: PathBuf, fault: MeshFault },
 }
 
-/// What is wrong in the text or bytes of a mesh file.
+/// An error in the text or bytes of a mesh file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{what}")]
 pub struct ParseFault {
-    /// Line counting from 1, where the format has lines.
+    /// Line from 1; none for formats without lines.
     pub line: Option<u64>,
     /// What is wrong and what would be right.
     pub what: String,
@@ -93,33 +94,33 @@ impl ParseFault {
 
 /// Reads and validates the mesh in an OBJ or PLY file.
 ///
-/// Does not look for self-intersections: [`first_intersection`] does, once all pieces of a scene are in place.
+/// Self-intersections are not searched here; [`first_intersection`] finds them once all pieces of a scene are in place.
 pub fn read_mesh(path: &Path, options: impl Into<MeshOptions>) -> Result<FileMesh, MeshReadError> {
     read_file(path)?.into_mesh(options).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })
 }
 
-/// Reads an obstacle's surface from an OBJ or PLY file: every vertex of it, in its order, also those in no triangle.
+/// Reads an obstacle's surface from an OBJ or PLY file, with all vertices in the order of the file, used or not.
 ///
-/// Checked are indices, finite coordinates and areas. What only cloth needs is not: edges may have any number of
-/// triangles, wound in any way.
+/// Indices, finite coordinates and areas are checked. Unlike for cloth, edges can have any number of triangles with any
+/// winding.
 pub fn read_surface(path: &Path) -> Result<Surface, MeshReadError> {
     let surface = read_file(path)?;
     check_obstacle(&surface).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })?;
     Ok(surface)
 }
 
-/// As [`read_surface`], but triangles without area are left out, because nothing can hit them that does not hit their
-/// neighbors. The second value says how many, if any.
+/// Like [`read_surface`], but triangles without area are left out, because anything that hits them hits their neighbors
+/// too. The second value is a sentence about their number, if any.
 pub fn read_obstacle(path: &Path) -> Result<(Surface, Option<String>), MeshReadError> {
     let mut surface = read_file(path)?;
     let needles = needles(&surface.positions, &surface.triangles);
-    // Where nothing would be left, the check names the first of them.
+    // If no triangle would be left, the check below reports the first one.
     let left_out = if needles.contains(&false) { surface.leave_out(&needles, path) } else { None };
     check_obstacle(&surface).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })?;
     Ok((surface, left_out))
 }
 
-/// Reads what the file holds; nothing but its form is checked.
+/// Reads the content of a file and checks its syntax only.
 pub(crate) fn read_file(path: &Path) -> Result<Surface, MeshReadError> {
     let unreadable = |error: std::io::Error| MeshReadError::Unreadable { path: path.into(), reason: error.to_string() };
     let mut name = path.to_path_buf();
@@ -135,20 +136,20 @@ pub(crate) fn read_file(path: &Path) -> Result<Surface, MeshReadError> {
     parsed.map_err(|fault| MeshReadError::Syntax { path: path.into(), fault })
 }
 
-/// What a mesh file holds, with the file's own vertex numbering.
+/// Content of a mesh file, with the file's own vertex numbering.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
-    /// World positions, metres.
+    /// World positions, meters.
     pub positions: Vec<Vec3>,
-    /// Triangles; polygons have been cut.
+    /// Triangles; larger polygons have been triangulated.
     pub triangles: Vec<[u32; 3]>,
-    /// Texture coordinates of the corners, or empty if a corner has none.
+    /// Texture coordinates of every triangle's corners. Empty if a corner has none.
     pub texture_uv: Vec<[Vec2; 3]>,
-    /// Objects and groups, ascending by triangles; empty if the file names none.
+    /// Objects and groups, ascending by triangles. Empty if the file has none.
     pub parts: Vec<Part>,
 }
 
-/// Triangles of a file that stand under one object and group name.
+/// Triangles of one object and group of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Part {
     /// Name of the object (`o`), or empty.
@@ -160,14 +161,14 @@ pub struct Part {
 }
 
 impl Part {
-    /// Whether this is its object, one of its groups or all of them.
+    /// True if `name` is the object, one of the groups or all groups together.
     pub fn is_named(&self, name: &str) -> bool {
         self.object == name || self.group == name || self.group.split_whitespace().any(|group| group == name)
     }
 }
 
 impl Surface {
-    /// Drops triangles and says how many; `path` names the file.
+    /// Drops triangles and returns a sentence with their number. `path` names the file in it.
     pub(crate) fn leave_out(&mut self, dropped: &[bool], path: &Path) -> Option<String> {
         let first = dropped.iter().position(|&dropped| dropped)? + 1;
         let count = dropped.iter().filter(|&&dropped| dropped).count();

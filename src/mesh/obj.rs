@@ -1,7 +1,7 @@
-//! OBJ reader: `v`, `vt`, `f`, `o` and `g` lines; everything else (normals, materials, ARCSim's `e`, `nv`, ..) is skipped.
+//! OBJ reader: `v`, `vt`, `f`, `o` and `g` lines. All others (normals, materials, ARCSim's `e`, `nv`, ..) are skipped.
 //!
-//! Written here and not taken from `tobj`: that crate renumbers vertices by first use (pins and results name vertices by
-//! their number in the file), fills a missing texture index with the previous one, and reports no line.
+//! The crate `tobj` is not used because it renumbers vertices by first use (pins and results name vertices by their
+//! number in the file), replaces a missing texture index by the previous one, and reports no line in errors.
 
 use std::io::BufRead;
 
@@ -10,15 +10,15 @@ use crate::math::{Vec2, Vec3};
 use super::polygon::Faces;
 use super::{ParseFault, Part, Surface};
 
-/// Indices are kept in 31 bits, see `validate`.
+/// Indices must fit 31 bits, see `validate`.
 const MOST_VERTICES: usize = i32::MAX as usize;
-/// Longest name of an object or group that is kept, bytes.
+/// Longest stored name of an object or group, bytes.
 const LONGEST_NAME: usize = 200;
 
-/// Reads the text of an OBJ file. Polygons are cut into triangles; texture coordinates are kept if every corner has one.
+/// Reads the text of an OBJ file. Polygons are triangulated. Texture coordinates are kept if every corner has one.
 ///
-/// Numbers are checked line by line, vertices of faces at the end of the file; whether the result is a cloth is for
-/// `Surface::into_mesh`.
+/// Numbers are checked line by line, vertices of faces at the end of the file. `Surface::into_mesh` checks whether the
+/// result is valid cloth.
 pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
     let mut obj = Obj { every_corner_has_texture: true, ..Obj::default() };
     let mut line = Vec::new();
@@ -34,7 +34,7 @@ pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
             while line.last().is_some_and(|c| matches!(c, b'\n' | b'\r')) {
                 line.pop();
             }
-            // A backslash joins the next line, unless it belongs to a comment.
+            // A backslash joins the next line, unless it is in a comment.
             if read == 0 || line.last() != Some(&b'\\') || comment(&line).is_some() {
                 break;
             }
@@ -45,7 +45,7 @@ pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
             break;
         }
         let text = if first == 1 { line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&line) } else { &line };
-        // Old Macs end lines with a carriage return alone: then all of the file is one line here.
+        // Classic Mac OS ends lines with a carriage return alone; the whole file is then one line here.
         for text in text.split(|&c| c == b'\r') {
             obj.line(text, first).map_err(|what| ParseFault::at(first, what))?;
         }
@@ -53,12 +53,12 @@ pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
     obj.finish()
 }
 
-/// Where the comment of a line begins.
+/// Byte position of the comment in a line.
 fn comment(line: &[u8]) -> Option<usize> {
     (0..line.len()).find(|&i| line[i] == b'#' && (i == 0 || line[i - 1].is_ascii_whitespace()))
 }
 
-/// Stands for "no texture coordinate" in [`Obj::texture_of_corner`].
+/// Marks a missing texture coordinate in [`Obj::texture_of_corner`].
 const NONE: u32 = u32::MAX;
 
 #[derive(Default)]
@@ -66,12 +66,12 @@ struct Obj {
     positions: Vec<Vec3>,
     texture: Vec<Vec2>,
     faces: Faces,
-    /// Texture index of every corner; given up with the first corner that has none.
+    /// Texture index of every corner. Cleared at the first corner without one.
     texture_of_corner: Vec<u32>,
     every_corner_has_texture: bool,
-    /// The face being read: vertex and texture index of its corners.
+    /// Vertex and texture index of each corner of the current face.
     face: Vec<(u32, u32)>,
-    /// First face of each part, its object and its groups.
+    /// First face, object and groups of each part.
     parts: Vec<(usize, String, String)>,
 }
 
@@ -111,7 +111,7 @@ impl Obj {
             };
             self.face.push((vertex, texture));
         }
-        // Exporters repeat a corner where they pad a triangle to a quadrangle.
+        // Exporters pad a triangle to a quadrangle by repeating a corner.
         if self.face.len() > 3 {
             self.face.dedup_by_key(|corner| corner.0);
             let first = self.face[0].0;
@@ -127,7 +127,7 @@ impl Obj {
         self.faces.close(line)
     }
 
-    /// `o name` or `g name name ..`: what the faces from here on belong to.
+    /// `o name` or `g name name ..`: the object or groups of the faces that follow.
     fn part(&mut self, is_object: bool, line: &[u8]) {
         let name = String::from_utf8_lossy(&line.trim_ascii()[1..]);
         let mut name: String = name.trim().chars().filter(|c| !c.is_control()).collect();
@@ -139,7 +139,7 @@ impl Obj {
         if first < self.faces.len() {
             self.parts.push((first, object.clone(), group.clone()));
         }
-        // Groups of an object end with it.
+        // A new object ends the groups of the previous one.
         (object, group) = if is_object { (name, String::new()) } else { (object, name) };
         self.parts.push((self.faces.len(), object, group));
     }
@@ -186,7 +186,8 @@ fn numbers<'a, const N: usize>(words: &mut impl Iterator<Item = &'a [u8]>, form:
     Ok(values)
 }
 
-/// An OBJ index (from 1, or negative = back from the last one so far) as index from 0. A positive one may be defined later.
+/// Converts an OBJ index (from 1, or negative = counted back from the last element) to an index from 0. A positive
+/// index may refer to an element that is defined later.
 fn index(word: &[u8], count: usize, noun: &str) -> Result<u32, String> {
     let text = shown(word);
     let number: i64 = text.parse().map_err(|_| format!("`{text}` is not a {noun} index"))?;
@@ -199,7 +200,7 @@ fn index(word: &[u8], count: usize, noun: &str) -> Result<u32, String> {
     }
 }
 
-/// A word for a message, at most 40 bytes of it.
+/// At most 40 bytes of a word, for a message.
 fn shown(word: &[u8]) -> std::borrow::Cow<'_, str> {
     String::from_utf8_lossy(&word[..word.len().min(40)])
 }

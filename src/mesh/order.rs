@@ -1,5 +1,5 @@
-//! Vertex order for locality: recursive bisection. Depends on the mesh alone, never on a number of ranks, so that row blocks
-//! for any rank count are ranges of one order.
+//! Vertex order for locality by recursive bisection. It depends on the mesh alone, never on the number of ranks, so
+//! that the row blocks of any number of ranks are ranges of one order.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -8,15 +8,16 @@ use crate::math::Vec3;
 
 use super::{TriangleMesh, pieces};
 
-/// Blocks of space that hold parts of all pieces which lie together: what ranks share is the boundary of a few of them.
+/// Number of blocks of space. Each block holds parts of all pieces that lie together; ranks share only the boundaries
+/// of a few blocks.
 const BLOCKS: usize = 32;
-/// A part of a piece in a block is at least about one in this many of all vertices, so that it is not lost among the others of
-/// a chunk.
+/// A part of a piece in a block has at least about 1/PARTS of all vertices, so that it does not disappear among the
+/// others of a chunk.
 const PARTS: usize = 120;
 
-/// Where a range of the order is cut in two: about the middle, between chunks, after a number of them that is a multiple of as
-/// high a power of two as leaves no sliver. In the middle up to a chunk and a half. Ranges are those that the same cuts make of
-/// the whole order.
+/// Position of the cut of a range of the order: near the middle, between chunks, after a number of chunks that is a
+/// multiple of the highest power of two that leaves no sliver. The cut is up to a chunk and a half off the middle.
+/// `range` must come from the same cuts of the whole order.
 pub fn middle(range: &Range<usize>, chunk: usize) -> usize {
     if range.len() <= chunk.saturating_add(chunk / 2) {
         return range.start + range.len() / 2;
@@ -26,16 +27,17 @@ pub fn middle(range: &Range<usize>, chunk: usize) -> usize {
     range.start + chunks.div_ceil(2).next_multiple_of(multiple) * chunk
 }
 
-/// `old_from_new`: recursive bisection at the median along the longest axis, ties broken by the old index. O(n log n).
+/// Returns `old_from_new` from recursive bisection at the median along the longest axis. Ties are broken by the old
+/// index. O(n log n).
 pub fn locality_order(coordinates: &[Vec3]) -> Vec<u32> {
     let mut points: Vec<Point> = coordinates.iter().copied().zip(0..).collect();
     bisect(&mut points, 0, 0..coordinates.len(), coordinates.len());
     points.into_iter().map(|p| p.1).collect()
 }
 
-/// `old_from_new` of a mesh's vertices, cut at multiples of `chunk`. Space is cut into blocks, so that pieces which touch are
-/// near each other in the order; in a block each piece is by itself, because a chunk or group of rows that held
-/// parts of several could move them only together.
+/// Returns `old_from_new` of a mesh's vertices, cut at multiples of `chunk`. Space is cut into blocks, so that touching
+/// pieces are near each other in the order. Within a block each piece is contiguous, because the preconditioner can
+/// move parts of several pieces in one chunk only together.
 pub fn vertex_order(mesh: &TriangleMesh, chunk: usize) -> Vec<u32> {
     let vertices = mesh.positions.len();
     let pieces = Pieces::of(mesh, chunk);
@@ -64,10 +66,10 @@ pub fn vertex_order(mesh: &TriangleMesh, chunk: usize) -> Vec<u32> {
     points.into_iter().map(|p| p.1).collect()
 }
 
-/// Coordinates, and the old index.
+/// Coordinates and old index.
 type Point = (Vec3, u32);
 
-/// Orders `points`, which lie at `start` within `range`, by the cuts of `range`.
+/// Orders `points` by the cuts of `range`; they begin at `start` within it.
 fn bisect(points: &mut [Point], start: usize, range: Range<usize>, chunk: usize) {
     if points.len() < 2 {
         return;
@@ -82,7 +84,7 @@ fn bisect(points: &mut [Point], start: usize, range: Range<usize>, chunk: usize)
     bisect(upper, start + low, cut..range.end, chunk);
 }
 
-/// Moves the `low` lowest points along the longest axis to the front.
+/// Moves the `low` points with the lowest coordinate along the longest axis to the front.
 fn split(points: &mut [Point], low: usize) {
     let (lo, hi) = points.iter().fold((points[0].0, points[0].0), |(lo, hi), p| (lo.min(p.0), hi.max(p.0)));
     let extent = hi - lo;
@@ -90,12 +92,12 @@ fn split(points: &mut [Point], low: usize) {
     points.select_nth_unstable_by(low, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
 }
 
-/// The pieces of a mesh that are worth an order of their own.
+/// The pieces of a mesh that get an order of their own.
 struct Pieces {
-    /// Per vertex: a vertex of its piece. All pieces of less than a chunk are one.
+    /// For every vertex, a representative vertex of its piece. All pieces smaller than a chunk are merged into one.
     of: Vec<u32>,
-    /// Material coordinates on a piece without seams (a fold in space does not bring its layers together there), positions
-    /// otherwise.
+    /// Material coordinates on a piece without seams, because folds in space do not bring its layers together there;
+    /// positions otherwise.
     coordinates: Vec<Vec3>,
 }
 
@@ -131,7 +133,7 @@ impl Pieces {
         points.iter().all(|point| self.of[point.1 as usize] == self.of[points[0].1 as usize])
     }
 
-    /// How many pieces have points in both parts.
+    /// Number of pieces with points in both parts.
     fn common(&self, low: &[Point], high: &[Point]) -> usize {
         let set = |points: &[Point]| points.iter().map(|p| self.of[p.1 as usize]).collect::<BTreeSet<u32>>();
         set(low).intersection(&set(high)).count()
@@ -155,7 +157,7 @@ mod tests {
         assert!(locality_order(&[]).is_empty());
     }
 
-    /// Sheets of `side` x `side` vertices one over the other, `gap` apart; sides are 1 long.
+    /// Stacked sheets of `side` x `side` vertices, `gap` apart; sides have length 1.
     fn sheets(count: usize, side: usize, gap: f32) -> TriangleMesh {
         let mut mesh = TriangleMesh::default();
         let place = |i: usize| i as f32 / (side - 1) as f32;
@@ -189,7 +191,7 @@ mod tests {
         assert!(sorted.into_iter().eq(0..order.len() as u32));
         let sheet = |v: u32| v as usize / (side * side);
         let mixed = order.chunks(chunk).filter(|c| c.iter().any(|&v| sheet(v) != sheet(c[0]))).count();
-        // A block is four chunks here and has three pieces: two borders in its chunks.
+        // A block is four chunks here and has three pieces, so two borders lie in its chunks.
         assert!(mixed <= 2 * BLOCKS, "{mixed} chunks of several sheets");
         for block in order.chunks(order.len() / 8) {
             assert!((0..count).all(|s| block.iter().any(|&v| sheet(v) == s)));
@@ -229,7 +231,7 @@ mod tests {
 
     #[test]
     fn pieces_of_less_than_a_chunk_are_ordered_together() {
-        // Far apart along x, numbered to and fro.
+        // Far apart along x, in alternating order.
         let mut mesh = TriangleMesh::default();
         for k in 0..64usize {
             let at = Vec3::X * ((k * 37) % 64) as f32;

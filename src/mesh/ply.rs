@@ -1,7 +1,8 @@
-//! PLY reader: vertices and faces of ascii, little- and big-endian files; other elements and properties are skipped.
+//! PLY reader: vertices and faces of ascii, little-endian and big-endian files. Other elements and properties are
+//! skipped.
 //!
-//! The header's counts are checked against the size of the file before anything is reserved. Header and binary records
-//! come from `ply-rs-bw`; the words of an ascii body are read here, because that crate refuses `.5` and `1.`.
+//! The header's counts are checked against the size of the file before memory is reserved. `ply-rs-bw` reads the header
+//! and binary records. Ascii bodies are read here, because that crate refuses `.5` and `1.`.
 
 use std::io::{BufRead, Read};
 
@@ -15,11 +16,11 @@ use crate::math::{Vec2, Vec3};
 use super::polygon::Faces;
 use super::{ParseFault, Surface};
 
-/// Real headers have some hundred bytes; a longer one only costs memory.
+/// Longest header that is accepted, bytes. Real headers have some hundred bytes.
 const LONGEST_HEADER: u64 = 1 << 16;
 
-/// Reads a PLY file of `bytes` bytes. Texture coordinates are those of the corners (face property `texcoord`) or of the
-/// vertices (`u`/`v`, `s`/`t` or `texture_u`/`texture_v`), if there are any.
+/// Reads a PLY file of `bytes` bytes. Texture coordinates come from the corners (face property `texcoord`) or from the
+/// vertices (`u`/`v`, `s`/`t` or `texture_u`/`texture_v`), if present.
 pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseFault> {
     let header_bytes = read_header_bytes(&mut reader)?;
     let header = read_header(&header_bytes)?;
@@ -31,7 +32,7 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
     let (mut faces, mut corner_uv, mut strips) = (Faces::default(), Vec::new(), Vec::new());
     let (mut vertex_uv, mut corners_mapped) = (Vec::new(), true);
     for (name, element) in &header.elements {
-        // Such an element has no bytes, whatever its count.
+        // An element without properties takes no bytes for any count.
         if element.properties.is_empty() {
             continue;
         }
@@ -67,7 +68,7 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
         return Err(ParseFault::whole("no face in it (a PLY mesh has the elements `vertex` and `face`)"));
     }
     if faces.len() == 0 {
-        // Scanners' files; where there are both, the strips repeat the faces.
+        // Files of 3D scanners hold strips. In files with both, the strips repeat the faces.
         if let Some(index) = strips.iter().flatten().find(|&&v| v as usize >= surface.positions.len()) {
             let count = surface.positions.len();
             return Err(ParseFault::whole(format!(
@@ -88,8 +89,8 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
     Ok(surface)
 }
 
-/// Adds the triangles of strips that end with the index -1. Every second triangle of a strip is wound the other way;
-/// those with a corner twice only lead from one part of the strip to the next.
+/// Adds the triangles of strips, which end with the index -1. Every second triangle of a strip has the opposite
+/// winding. Triangles with a repeated corner only connect parts of the strip and are skipped.
 fn add_strips(indices: &[i64], triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
     for strip in indices.split(|&index| index == -1) {
         for (i, corners) in strip.windows(3).enumerate() {
@@ -105,7 +106,7 @@ fn add_strips(indices: &[i64], triangles: &mut Vec<[u32; 3]>) -> Result<(), Stri
     Ok(())
 }
 
-/// The bytes up to and with the line `end_header`.
+/// The bytes up to and including the line `end_header`.
 fn read_header_bytes(reader: &mut impl BufRead) -> Result<Vec<u8>, ParseFault> {
     let mut bytes = Vec::new();
     loop {
@@ -127,19 +128,19 @@ fn read_header_bytes(reader: &mut impl BufRead) -> Result<Vec<u8>, ParseFault> {
 }
 
 fn read_header(bytes: &[u8]) -> Result<Header, ParseFault> {
-    // Comments may be in any encoding (Latin-1 names of authors); the crate wants UTF-8.
+    // Comments can be in any encoding (author names in Latin-1), but the crate requires UTF-8.
     let is_comment =
         |line: &&[u8]| [&b"comment"[..], b"obj_info"].iter().any(|word| line.trim_ascii_start().starts_with(word));
     let kept: Vec<u8> =
         bytes.split_inclusive(|&c| c == b'\n').filter(|line| !is_comment(line)).flatten().copied().collect();
     Parser::<Record>::new().read_header(&mut Reader::new(&kept[..])).map_err(|error| {
-        // The crate's message is several lines long; the first says which line it did not understand.
+        // The crate's message has several lines. The first names the line that it did not understand.
         let text = error.to_string();
         ParseFault::whole(format!("the header is not understood: {}", text.lines().next().unwrap_or_default()))
     })
 }
 
-/// Refuses counts that cannot be in the `bytes` behind the header.
+/// Refuses counts that do not fit in the `bytes` after the header.
 fn check_counts(header: &Header, bytes: u64) -> Result<(), ParseFault> {
     for (name, element) in &header.elements {
         let least: u64 = element.properties.iter().map(|(_, p)| least_bytes(header.encoding, &p.data_type)).sum();
@@ -210,7 +211,7 @@ impl Record {
         Some(Vec2::new(u as f32, v as f32))
     }
 
-    /// Vertices of the polygon.
+    /// The vertices of the polygon.
     fn corners(&self) -> Result<impl Iterator<Item = u32> + use<'_>, String> {
         if self.indices.len() < 3 {
             return Err(format!("has {} corners where at least 3 are needed", self.indices.len()));
@@ -250,10 +251,10 @@ impl PropertyAccess for Record {
     }
 }
 
-/// The records behind the header.
+/// Reads the records after the header.
 struct Body<R> {
     reader: R,
-    /// Last line read, for ascii.
+    /// Number of the last line read, for ascii.
     line: u64,
     words: Vec<u8>,
 }
@@ -362,7 +363,7 @@ mod tests {
         let text = format!("ply\nformat ascii 1.0\n{HEADER}");
         let end = text.find("end_header").unwrap();
         for length in 0..end + "end_header".len() {
-            // At every byte, a line break among them, and again with one added.
+            // The file is cut at every byte, with and without a line break added.
             for text in [text[..length].to_owned(), format!("{}\n", &text[..length])] {
                 if length < end + "end_header".len() || text.ends_with('\n') {
                     assert!(parse_ply(text.as_bytes(), text.len() as u64).is_err(), "{text:?}");

@@ -1,32 +1,32 @@
-//! Polygons of mesh files cut into triangles: fans where a fan fits, ear clipping (`earcut`) where the polygon has a notch.
+//! Triangulates polygons of mesh files: by a fan where one fits, by ear clipping (`earcut`) for other concave polygons.
 //!
-//! A polygon that crosses itself or has no area is refused: no cut of it is what its author saw.
+//! A polygon that crosses itself or has no area is refused, because no triangulation matches what its author intended.
 
 use crate::math::{DVec2, DVec3, Vec3};
 
 use super::ParseFault;
 
-/// Smallest doubled area over the square of the longest edge of a triangle that a cut may make.
+/// Smallest doubled area over the squared longest edge of a triangle that a cut may produce.
 const SMALLEST_SHAPE: f64 = 1e-6;
-/// Corners of the largest polygon for which every corner is tried as the tip of the fan: the trials cost corners^2.
+/// Up to this number of corners, every corner is tried as the center of a fan. The trials cost corners^2.
 const FANS_TRIED_MOST: usize = 64;
 
-/// The faces of a file, one after the other, until all vertices are known.
+/// Collects the faces of a file until all vertices are known.
 #[derive(Default)]
 pub(super) struct Faces {
     /// Vertex of every corner.
     pub corners: Vec<u32>,
-    /// Corner after the last one of each face.
+    /// End of each face in `corners`.
     ends: Vec<u32>,
-    /// Line of each face; 0 where the format has none.
+    /// Line of each face; 0 for formats without lines.
     lines: Vec<u32>,
 }
 
-/// Faces as triangles.
+/// Triangulated faces.
 pub(super) struct Cut {
     /// Corners (indices into [`Faces::corners`]) of every triangle.
     pub triangles: Vec<[u32; 3]>,
-    /// First triangle of each face, and the number of triangles.
+    /// First triangle of each face, followed by the number of triangles.
     pub starts: Vec<u32>,
 }
 
@@ -35,7 +35,7 @@ impl Faces {
         self.ends.len()
     }
 
-    /// Adds a face of the corners that were pushed since the last one.
+    /// Closes a face; its corners are those pushed since the previous one.
     pub(super) fn close(&mut self, line: u64) -> Result<(), String> {
         let end = u32::try_from(self.corners.len()).ok().filter(|&end| end < u32::MAX);
         self.ends.push(end.ok_or("more than 4294967294 corners of faces")?);
@@ -43,12 +43,12 @@ impl Faces {
         Ok(())
     }
 
-    /// Line of the face with a corner.
+    /// Line of the face that a corner belongs to.
     pub(super) fn line_of(&self, corner: usize) -> u64 {
         self.lines[self.ends.partition_point(|&end| end as usize <= corner)].into()
     }
 
-    /// Cuts every face. Vertices are checked here, because faces may stand before them.
+    /// Triangulates every face. Vertex indices are checked here, because faces can precede the vertices in a file.
     pub(super) fn cut(&self, positions: &[Vec3]) -> Result<Cut, ParseFault> {
         let mut cut = Cut { triangles: Vec::with_capacity(self.len()), starts: Vec::with_capacity(self.len() + 1) };
         let (mut start, mut points, mut pieces) = (0, Vec::new(), Vec::new());
@@ -60,7 +60,7 @@ impl Faces {
             cut.starts.push(cut.triangles.len() as u32);
             points.clear();
             for &vertex in &self.corners[start as usize..end as usize] {
-                // Formats with lines count from 1.
+                // Formats with lines count vertices from 1.
                 let index = u64::from(vertex) + u64::from(self.lines[face] != 0);
                 let missing = || fault(format!("vertex index {index}, but the file has only {}", positions.len()));
                 points.push(positions.get(vertex as usize).ok_or_else(missing)?.as_dvec3());
@@ -75,7 +75,7 @@ impl Faces {
     }
 }
 
-/// Cuts one polygon into triangles of its corners, `points.len() - 2` of them, all wound as the polygon is.
+/// Cuts one polygon into `points.len() - 2` triangles of its corners, all wound like the polygon.
 fn cut_polygon(points: &[DVec3], pieces: &mut Vec<[usize; 3]>) -> Result<(), &'static str> {
     let corners = points.len();
     let fan = |tip: usize| (1..corners - 1).map(move |i| [0, i, i + 1].map(|corner| (tip + corner) % corners));
@@ -85,12 +85,12 @@ fn cut_polygon(points: &[DVec3], pieces: &mut Vec<[usize; 3]>) -> Result<(), &'s
     }
     let flat = flattened(points);
     let area = |[a, b, c]: [usize; 3]| (flat[b] - flat[a]).perp_dot(flat[c] - flat[a]);
-    // Above 0 for a triangle that is wound as the polygon and is not a line.
+    // Above 0 for a triangle that is wound like the polygon and has an area.
     let shape = |piece: [usize; 3]| {
         let longest = (0..3).map(|i| flat[piece[i]].distance_squared(flat[piece[(i + 1) % 3]])).fold(0.0, f64::max);
         area(piece) - SMALLEST_SHAPE * longest
     };
-    // A fan whose rays turn one way and by less than a full turn covers every point of the polygon once.
+    // A fan covers every point of the polygon once if its rays turn in one direction by less than a full turn.
     let fits = |tip: usize| {
         let angle = |[a, b, c]: [usize; 3]| (flat[b] - flat[a]).angle_to(flat[c] - flat[a]);
         fan(tip).all(|piece| shape(piece) > 0.0) && fan(tip).map(angle).sum::<f64>() < std::f64::consts::TAU
@@ -116,7 +116,7 @@ fn cut_polygon(points: &[DVec3], pieces: &mut Vec<[usize; 3]>) -> Result<(), &'s
          triangulate it when you export the mesh")
 }
 
-/// The corners in the plane of the polygon, so that it runs counter-clockwise [Newell's normal].
+/// The corners projected to the plane of the polygon, counter-clockwise [Newell's normal].
 fn flattened(points: &[DVec3]) -> Vec<DVec2> {
     let origin = points[0];
     let at = |i: usize| points[i % points.len()] - origin;
@@ -136,7 +136,7 @@ mod tests {
         cut_polygon(&points, &mut pieces).map(|()| pieces)
     }
 
-    /// Area of the pieces in the plane of x and y; every piece must be counter-clockwise there.
+    /// Area of the pieces in the xy plane. Every piece must be counter-clockwise.
     fn area(points: &[[f64; 2]]) -> f64 {
         let pieces = pieces(points).unwrap();
         let at = |i: usize| DVec2::from(points[i]);

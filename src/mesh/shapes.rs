@@ -1,7 +1,7 @@
-//! Surfaces made of numbers: spheres, rectangles, boxes and surfaces of revolution for obstacles.
+//! Parametric surfaces for obstacles: spheres, rectangles, boxes and surfaces of revolution.
 //!
-//! Points are computed in f64 and rounded once. Vertices are shared by their triangles, so a closed shape has no seam.
-//! Nothing here has material coordinates: these are no cloth.
+//! Points are computed in f64 and rounded once. Triangles share their vertices, so a closed shape has no seam. The
+//! shapes have no material coordinates, because they are not cloth.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -10,13 +10,13 @@ use crate::math::DVec3;
 
 use super::Surface;
 
-/// A sphere about the origin: the faces of an icosahedron cut into `frequency`^2 triangles each, so 20 `frequency`^2 in
-/// all, of nearly one size. Faces outwards.
+/// A sphere around the origin: each face of an icosahedron is divided into `frequency`^2 triangles, so there are 20
+/// `frequency`^2 of nearly equal size. Faces point outward.
 pub fn sphere(radius_m: f64, frequency: u32) -> Surface {
     let n = frequency.max(1);
     let (corners, faces) = icosahedron();
     let mut surface = Builder::default();
-    // A point is known by its weights at the corners: edges and corners are shared by their faces.
+    // A point is identified by its weights at the corners, so that faces share the points on edges and corners.
     let mut known: BTreeMap<[(usize, u32); 3], u32> = BTreeMap::new();
     for [a, b, c] in faces {
         let mut at = |i: u32, j: u32| {
@@ -60,7 +60,7 @@ fn icosahedron() -> ([DVec3; 12], [[usize; 3]; 20]) {
         [-g, 0.0, 1.0],
     ]
     .map(|corner| DVec3::from(corner).normalize());
-    // Three corners at the distance of an edge are a face; the order makes it face outwards.
+    // Three corners at edge length from each other are a face. Their order makes it point outward.
     let edge = corners[0].distance(corners[1]) * 1.01;
     let near = |a: usize, b: usize| corners[a].distance(corners[b]) < edge;
     let mut faces = [[0; 3]; 20];
@@ -79,7 +79,7 @@ fn icosahedron() -> ([DVec3; 12], [[usize; 3]; 20]) {
     (corners, faces)
 }
 
-/// A level rectangle about the origin, x by z, of `cells` along them; faces +y.
+/// A horizontal rectangle around the origin with `cells` along x and z. Its faces point to +y.
 pub fn rectangle(size_m: [f64; 2], cells: [u32; 2]) -> Surface {
     let [columns, rows] = cells.map(|n| n.max(1));
     let mut surface = Builder::default();
@@ -98,7 +98,7 @@ pub fn rectangle(size_m: [f64; 2], cells: [u32; 2]) -> Surface {
     surface.finish()
 }
 
-/// A closed box about the origin with `cells` along x, y and z; faces outwards.
+/// A closed box around the origin with `cells` along x, y and z. Faces point outward.
 pub fn cuboid(size_m: [f64; 3], cells: [u32; 3]) -> Surface {
     let n = cells.map(|n| n.max(1));
     let mut surface = Builder::default();
@@ -124,8 +124,8 @@ pub fn cuboid(size_m: [f64; 3], cells: [u32; 3]) -> Surface {
     surface.finish()
 }
 
-/// What the profile (radius, height) sweeps round the y axis, open at both ends; faces outwards where the profile rises.
-/// Every radius must be above 0, `segments` at least 3.
+/// The surface that the profile (radius, height) sweeps around the y axis, open at both ends. Faces point outward where
+/// the profile rises. Every radius must be above 0 and `segments` at least 3.
 pub fn revolution(profile: &[[f64; 2]], segments: u32) -> Surface {
     let mut surface = Builder::default();
     for &[radius, height] in profile {

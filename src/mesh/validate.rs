@@ -1,13 +1,13 @@
-//! What a mesh must be before it can be simulated. Faults name triangles and vertices counting from 1, as OBJ files do.
+//! Requirements of a mesh for simulation. Errors name triangles and vertices counting from 1, as OBJ files do.
 //!
-//! Does not look for triangles that cross each other; `first_intersection` does.
+//! Triangles that cross each other are not searched here; `first_intersection` finds them.
 
 use crate::math::Vec3;
 
 use super::{Surface, TriangleMesh, material};
 
-/// Smallest doubled area over the square of the longest edge: about the height over the length of a needle triangle.
-/// Below it the inverse rest matrix has no correct digit in f32.
+/// Smallest doubled area over the squared longest edge, about height over length of a needle triangle. Below it the
+/// inverse rest matrix has no correct digit in f32.
 const SMALLEST_SHAPE: f64 = 1e-6;
 
 /// Why a mesh cannot be simulated.
@@ -56,12 +56,12 @@ pub fn validate(mesh: &TriangleMesh) -> Result<(), MeshFault> {
     check_material(mesh)
 }
 
-/// What an obstacle's surface must be: finite, indices in range, every triangle with an area.
+/// Checks an obstacle's surface: finite coordinates, indices in range, every triangle with an area.
 pub fn check_obstacle(surface: &Surface) -> Result<(), MeshFault> {
     check_triangles(&surface.positions, &surface.triangles).map(|_| ())
 }
 
-/// The part of [`validate`] that needs no material coordinates. Returns which vertices are used.
+/// The part of [`validate`] that does not need material coordinates. Returns the used vertices.
 pub(super) fn check_surface(positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<bool>, MeshFault> {
     let used = check_triangles(positions, triangles)?;
     check_edges(triangles, positions.len())?;
@@ -100,21 +100,21 @@ pub(super) fn check_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Res
 fn is_flat(positions: &[Vec3], corners: &[u32; 3]) -> bool {
     let [a, b, c] = corners.map(|v| positions[v as usize].as_dvec3());
     let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-    // At most, so that a triangle whose corners coincide is caught, too.
+    // `<=` also catches a triangle with coincident corners.
     (b - a).cross(c - a).length() <= SMALLEST_SHAPE * longest
 }
 
-/// Which triangles have no area, or a corner twice. Only those whose vertices exist and are finite are looked at:
-/// [`check_obstacle`] names the others.
+/// Marks triangles without area or with a repeated corner. Only triangles with valid indices and finite corners are
+/// examined; [`check_obstacle`] reports the others.
 pub(crate) fn needles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<bool> {
     let known = |corners: &[u32; 3]| corners.iter().all(|&v| positions.get(v as usize).is_some_and(|p| p.is_finite()));
     triangles.iter().map(|corners| known(corners) && is_flat(positions, corners)).collect()
 }
 
-/// Sorts the directed edges; 8 bytes each, because this is the largest array while a mesh is read.
+/// Sorts the directed edges. An edge takes 8 bytes, because this is the largest array while a mesh is read.
 fn check_edges(triangles: &[[u32; 3]], vertices: usize) -> Result<(), MeshFault> {
-    // There are v (v - 1) directed edges, each good for one triangle: more triangles repeat one, and the first so many
-    // show it. This bounds the memory for a file that repeats short faces.
+    // There are v (v - 1) directed edges and each can belong to one triangle, so a longer list repeats an edge among
+    // its first entries. This bounds the memory for a file that repeats short faces.
     let enough = triangles.len().min(vertices.saturating_mul(vertices - 1) / 3 + 1);
     let mut edges: Vec<u64> = triangles[..enough]
         .iter()
@@ -140,7 +140,7 @@ fn check_edges(triangles: &[[u32; 3]], vertices: usize) -> Result<(), MeshFault>
     Ok(())
 }
 
-/// The part of [`validate`] about material coordinates.
+/// The part of [`validate`] for material coordinates.
 pub(super) fn check_material(mesh: &TriangleMesh) -> Result<(), MeshFault> {
     if mesh.material_uv.len() != mesh.triangles.len() {
         return Err(MeshFault::MaterialCount { triangles: mesh.triangles.len(), coordinates: mesh.material_uv.len() });
@@ -170,7 +170,7 @@ mod tests {
         TriangleMesh { material_uv: flatten_triangles(&positions, &triangles), positions, triangles }
     }
 
-    /// The sentence about a square that `change` has spoilt.
+    /// The error of a square that `change` has damaged.
     fn fault(change: impl FnOnce(&mut TriangleMesh)) -> String {
         let mut mesh = square();
         change(&mut mesh);

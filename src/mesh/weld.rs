@@ -1,14 +1,15 @@
-//! Vertices at one place: found where an exporter has split a seam, and joined where the user says how near is one place.
+//! Vertices at one place: finds them where an exporter has split a seam, and joins them within a distance that the user
+//! gives.
 
 use std::collections::HashMap;
 
 use crate::math::{DVec3, Vec3};
 
-/// Cells of the search grid are at least this part of the extent, so that their numbers are exact.
+/// Smallest cell size of the search grid as a fraction of the extent, so that cell numbers are exact.
 const CELL_OF_EXTENT: f64 = 1e-6;
 
-/// For every vertex the first one within `distance` of it that is kept itself: itself, unless it is joined to an earlier
-/// one. Vertices that are joined are at most `distance` from the one that is kept, never chained through others.
+/// For every vertex, the kept vertex that it is joined to: the first one within `distance`, or itself. A joined vertex
+/// is at most `distance` from the kept one; joins do not chain.
 pub(super) fn joined(positions: &[Vec3], distance: f64) -> Vec<u32> {
     let (low, high) = positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), &p| (l.min(p), h.max(p)));
     let extent = (high.as_dvec3() - low.as_dvec3()).max_element();
@@ -29,10 +30,10 @@ pub(super) fn joined(positions: &[Vec3], distance: f64) -> Vec<u32> {
     first
 }
 
-/// For every vertex the first one at exactly its place.
+/// For every vertex, the first vertex at exactly the same place.
 pub fn first_at_place(positions: &[Vec3]) -> Vec<u32> {
     let mut first: HashMap<[u32; 3], u32> = HashMap::with_capacity(positions.len());
-    // Adding 0 makes -0 and 0 one number.
+    // Adding 0 turns -0 into 0.
     (0u32..)
         .zip(positions)
         .map(|(v, p)| *first.entry((*p + Vec3::ZERO).to_array().map(f32::to_bits)).or_insert(v))

@@ -1,14 +1,14 @@
-//! Triangles that are wound against their neighbors: turned over where that gives the surface two sides.
+//! Flips triangles that are wound against their neighbors, if a consistent winding exists.
 
 use super::MeshFault;
 
-/// Turns triangles over until every two that share an edge run along it in opposite directions; of each connected piece
-/// the smaller part. Returns which are turned. Every edge must have at most two triangles.
+/// Flips triangles until any two that share an edge traverse it in opposite directions. Of each connected piece the
+/// smaller part is flipped. Returns which triangles are flipped. Every edge must have at most two triangles.
 ///
 /// # Errors
-/// The surface has one side only, as a Moebius strip has.
+/// The surface is not orientable, like a Moebius strip.
 pub(super) fn turn_over(triangles: &[[u32; 3]]) -> Result<Vec<bool>, MeshFault> {
-    // Edges with the triangle and the direction in which it runs along them.
+    // Each edge with its triangle and the direction in which the triangle traverses it.
     let mut edges: Vec<([u32; 2], u32, bool)> = (0u32..)
         .zip(triangles)
         .flat_map(|(t, &[a, b, c])| {
@@ -60,7 +60,7 @@ mod tests {
 
     #[test]
     fn the_smaller_part_of_each_piece_is_turned() {
-        // A strip of four, wound anyhow, and two apart that disagree.
+        // A strip of four triangles with mixed winding, and two separate ones that disagree.
         let triangles = [[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 5, 4], [9, 8, 7], [7, 6, 8]];
         let turned = turn_over(&triangles).unwrap();
         let fixed: Vec<[u32; 3]> =

@@ -20,7 +20,7 @@ const ROUNDS: usize = 200;
 /// Ends after so many rounds without fewer pairs than ever before.
 const PATIENCE: usize = 30;
 
-/// How far the way of a vertex goes towards the mean of its neighbours' where it is evened out.
+/// How far the way of a vertex goes towards the mean of its neighbors' where it is evened out.
 const SMOOTHING: f64 = 0.5;
 
 /// How far it went.

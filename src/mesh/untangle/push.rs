@@ -9,7 +9,7 @@ use crate::math::{DVec3, Vec3};
 /// Below this length the mean of the normals along a cut says nothing about the way out.
 const DECISIVE: f64 = 0.3;
 
-/// Displacement of every vertex, metres.
+/// Displacement of every vertex, meters.
 pub(super) fn moves(positions: &[Vec3], tangle: &Tangle, shape: &Shape, pairs: &[[u32; 2]]) -> Vec<DVec3> {
     let hits = hits(positions, tangle.triangles, shape, pairs);
     let (regions, part) = regions(positions, tangle.triangles, shape, &hits);
