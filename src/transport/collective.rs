@@ -1,5 +1,5 @@
-//! What all ranks tell all ranks: lists of any length, cut into messages that fit what the transport reserved, and the
-//! positions of the whole cloth. Part of the collective program: every rank calls it at the same place.
+//! Exchanges of all ranks with all ranks: lists of any length, cut into messages of the size that the transport
+//! reserved, and the positions of the whole cloth. Every rank calls them at the same point of the collective program.
 
 use std::ops::Range;
 
@@ -7,11 +7,12 @@ use bytemuck::Pod;
 
 use super::{ALL_GATHER_MAX, Transport, TransportError};
 
-/// Hands the list of every rank to `read(rank, part)`: the own one first, then the others' in pieces, each rank's pieces in
-/// order. Items are whole 32-bit words, at most as aligned. Returns the number of items of every rank.
+/// Passes the list of every rank to `read(rank, part)`: first the own list, then those of the others in parts, each
+/// rank's parts in order. Items are whole 32-bit words with at most their alignment. Returns the number of items of
+/// every rank.
 ///
-/// Messages: one all-gather of the lengths, then as many rounds as the longest list needs (none if all are empty). A rank
-/// sends in the rounds in which it has something left.
+/// Messages: one all-gather of the lengths, then as many rounds as the longest list needs (none if all are empty). A
+/// rank sends only in the rounds in which it has items left.
 pub fn share_lists<T: Pod>(
     transport: &mut dyn Transport,
     own: &[T],
@@ -27,7 +28,7 @@ pub fn share_lists<T: Pod>(
     Ok(lengths)
 }
 
-/// Completes a list of which every rank has made the range `of(rank)`: as [`share_lists`], without the all-gather.
+/// Completes a list of which every rank has computed the range `of(rank)`. As [`share_lists`], without the all-gather.
 pub fn share_ranges<T: Pod>(
     transport: &mut dyn Transport,
     all: &mut [T],
@@ -43,10 +44,11 @@ pub fn share_ranges<T: Pod>(
     })
 }
 
-/// Completes the positions of the whole cloth, `all`, of which rank r owns the values `of(r)` and holds them in `own`.
+/// Completes the positions of the whole cloth, `all`. Rank r owns the values `of(r)`; `own` has those of this rank.
 ///
-/// Bytes: every rank receives the whole cloth once, 12 per vertex. No rows are picked, because contacts can join any two
-/// places: a mechanism between machines brings them to each machine once (an all-gather of lists of known lengths).
+/// Bytes: every rank receives the whole cloth once, 12 per vertex. Rows are not selected, because contacts can join any
+/// two places. A transport between machines should send them to each machine once (an all-gather of lists of known
+/// lengths).
 pub fn share_positions(
     transport: &mut dyn Transport,
     own: &[f32],
@@ -57,7 +59,7 @@ pub fn share_positions(
     share_ranges(transport, all, of)
 }
 
-/// As [`share_lists`], if everybody knows how many items every rank has.
+/// As [`share_lists`], if all ranks know the number of items of every rank.
 fn share_known<T: Pod>(
     transport: &mut dyn Transport,
     own: &[T],
@@ -90,7 +92,7 @@ fn share_known<T: Pod>(
     Ok(())
 }
 
-/// The lists of all ranks one after the other in rank order, however long: an all-gather of the lengths, then as many
+/// The lists of all ranks, concatenated in rank order, of any length: an all-gather of the lengths, then as many
 /// all-gathers as the longest list needs.
 pub fn gather_lists(transport: &mut dyn Transport, own: &[f64]) -> Result<Vec<f64>, TransportError> {
     if transport.ranks() == 1 {

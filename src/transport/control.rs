@@ -1,11 +1,11 @@
-//! Control channel between the coordinator of a run and its workers, whatever carries it: messages of any length both ways,
-//! signs of life, and notice of each other's end. It says nothing about what the messages mean.
+//! Control channel between the coordinator of a run and its workers, independent of the mechanism: messages of any
+//! length both ways, signs of life, and detection of each other's end. The meaning of the messages lies in `protocol`.
 //!
-//! What every implementation keeps to (`tests/processes/control_conformance.rs`):
+//! Guarantees of every implementation (`tests/processes/control_conformance.rs`):
 //! - Messages of one sender arrive whole, once, and in the order in which they were sent.
 //! - The coordinator never blocks on a worker, neither on a hung one nor on one that has ended.
-//! - A worker that waits in its end gives signs of life by itself.
-//! - Who has ended is seen to have ended; what it had handed over before is still received.
+//! - A worker that waits in a call of its end gives signs of life by itself.
+//! - The end of a process or thread is detected; messages that it sent before are still received.
 //!
 //! Not promised: that the last message of a worker that leaves without [`ControlWorker::flush`] arrives.
 
@@ -15,14 +15,14 @@ use thiserror::Error;
 
 use crate::os::clock::AwakeClock;
 
-/// Why a control call failed.
+/// Error of a control call.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum ControlError {
     /// The other end did not answer in time.
     #[error("waited {waited_s:.1} s for {what}")]
     TimedOut { what: &'static str, waited_s: f64 },
-    /// The coordinator has ended; the worker should too. `who` is its place on the machine.
+    /// The coordinator has ended, so the worker should end, too. `who` is its place on the machine.
     #[error("the coordinator ({who}) has ended")]
     CoordinatorGone { who: String },
     /// No such rank.
@@ -39,71 +39,71 @@ impl From<String> for ControlError {
     }
 }
 
-/// A worker's sign of life.
+/// Sign of life of a worker.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Heartbeat {
-    /// Grows with every sign of life; 0 until the worker has connected.
+    /// Increases with every sign of life; 0 until the worker has connected.
     pub counter: u64,
-    /// Step that the worker is in; 0 while it is set up.
+    /// Current step of the worker; 0 during setup.
     pub step: u64,
 }
 
-/// The coordinator's end: one per run, made before the workers start.
+/// The coordinator's end. A run has one, created before the workers start.
 pub trait ControlCoordinator {
-    /// Number of workers that the channel was made for.
+    /// Number of workers of the channel.
     fn ranks(&self) -> usize;
-    /// Takes `message` for a worker and returns at once. What does not fit into the worker's buffers follows during later
-    /// calls, [`ControlCoordinator::wait`] above all. Sending to a worker that has ended is no error.
+    /// Accepts `message` for a worker and returns at once. Later calls, mainly [`ControlCoordinator::wait`], send the
+    /// part that exceeds the worker's buffers. Sending to a worker that has ended is not an error.
     fn send(&mut self, rank: usize, message: Vec<u8>) -> Result<(), ControlError>;
-    /// True if everything sent to this worker is in its buffers or taken.
+    /// True if everything sent to this worker is in its buffers or received.
     fn all_sent(&self, rank: usize) -> bool;
     /// The next complete message of a worker, if there is one. Never waits.
     fn try_receive(&mut self, rank: usize) -> Result<Option<Vec<u8>>, ControlError>;
-    /// Sleeps until a worker has sent or taken something, at most `timeout`. May return early for no reason.
+    /// Sleeps until a worker has sent or received a message, at most `timeout`. May return early without a cause.
     fn wait(&mut self, timeout: Duration) -> Result<(), ControlError>;
-    /// The newest sign of life of a worker.
+    /// The latest sign of life of a worker.
     fn heartbeat(&self, rank: usize) -> Heartbeat;
-    /// True once a worker that had connected has ended, for whatever reason. A hung one has not, see [`Silence`].
+    /// True once a connected worker has ended, for any reason. A hung worker has not ended, see [`Silence`].
     fn has_ended(&mut self, rank: usize) -> bool;
 }
 
-/// A worker's end. Bound to the thread that made it.
+/// A worker's end. Bound to the thread that created it.
 pub trait ControlWorker {
-    /// A sign of life.
+    /// Gives a sign of life.
     fn beat(&self);
-    /// A sign of life that says which step the worker is in.
+    /// Gives a sign of life with the current step.
     fn progress(&self, step: u64);
-    /// True once the coordinator has ended or has given this worker up ([`super::Launcher::kill`]).
+    /// True once the coordinator has ended or has given up this worker ([`super::Launcher::kill`]).
     fn coordinator_has_ended(&self) -> bool;
-    /// Sends `message`; returns when the channel has taken all of it.
+    /// Sends `message`; returns when the channel has accepted all of it.
     ///
     /// # Errors
-    /// The coordinator has ended or takes nothing within the channel's deadline.
+    /// The coordinator has ended, or accepts nothing within the channel's deadline.
     fn send(&mut self, message: Vec<u8>) -> Result<(), ControlError>;
-    /// Waits until the coordinator has taken everything sent.
+    /// Waits until the coordinator has received everything sent.
     ///
     /// # Errors
     /// As [`ControlWorker::send`].
     fn flush(&mut self) -> Result<(), ControlError>;
     /// The next complete message of the coordinator, if there is one. Never waits.
     fn try_receive(&mut self) -> Result<Option<Vec<u8>>, ControlError>;
-    /// The next message of the coordinator; none if there is none within `timeout`.
+    /// The next message of the coordinator; none if no message arrives within `timeout`.
     ///
     /// # Errors
-    /// The coordinator has ended and left nothing to receive.
+    /// The coordinator has ended and no message is left to receive.
     fn receive(&mut self, timeout: Duration) -> Result<Option<Vec<u8>>, ControlError>;
 }
 
-/// For how long a worker's heart has stood still, as far as the calls of [`Silence::of`] saw. A coordinator that was stopped
-/// itself has not listened, so that time does not count.
+/// Time for which a worker's heartbeat counter has not changed, measured by the calls of [`Silence::of`]. While the
+/// coordinator itself is suspended it does not listen, so that time does not count.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silence {
-    /// Newest counter, and when it was first seen.
+    /// Latest counter, and the time of its first observation.
     newest: Option<(u64, AwakeClock)>,
 }
 
 impl Silence {
-    /// Time since the counter of the worker's newest heartbeat was first seen; none before it has connected.
+    /// Time since the first observation of the worker's latest counter; none before it has connected.
     pub fn of(&mut self, heartbeat: Heartbeat) -> Option<Duration> {
         if heartbeat.counter == 0 {
             return None;

@@ -1,5 +1,5 @@
-//! File descriptors that a run needs, said before the start. Without that a lack of them shows up deep inside the
-//! connecting of ranks, as one of many errors, or as another rank that never comes.
+//! Check of the file descriptors of a run before its start. Without it a shortage appears while ranks connect, as one
+//! of many errors or as a rank that never connects.
 
 use thiserror::Error;
 
@@ -16,25 +16,25 @@ pub struct TooFewDescriptors {
     limit: u64,
 }
 
-/// Of a worker: what it opens for itself, and for every rank of the run. Measured with 2, 4 and 8 workers, and checked by
-/// a test (tests/processes/descriptors.rs).
+/// Descriptors of a worker: a fixed number, and a number for every rank of the run. Measured with 2, 4 and 8 workers,
+/// and checked by a test (tests/processes/descriptors.rs).
 const OF_WORKER: (u64, u64) = (51, 24);
-/// Of a coordinator, likewise.
+/// Descriptors of a coordinator, likewise.
 const OF_COORDINATOR: (u64, u64) = (23, 21);
-/// Opened for a moment while connecting, and by device drivers.
+/// Descriptors opened for a moment while connecting, and by device drivers.
 const MOMENTARY: u64 = 24;
 
-/// Most files that one process of a run with `ranks` workers has open at a time.
+/// Maximum number of files that one process of a run with `ranks` workers has open at a time.
 pub fn required_descriptors(ranks: usize) -> u64 {
     let of = |(own, each): (u64, u64)| own + each * ranks as u64;
     of(OF_WORKER).max(of(OF_COORDINATOR)) + MOMENTARY
 }
 
-/// Says whether the processes of a run with `ranks` workers may open as many files as they need; workers have the limit of
-/// the process that starts them.
+/// Checks that the processes of a run with `ranks` workers may open as many files as they need. Workers inherit the
+/// limit of the process that starts them.
 ///
 /// # Errors
-/// They may not: the sentence has both numbers.
+/// The limit is too low; the sentence has both numbers.
 pub fn check_descriptors(ranks: usize) -> Result<(), TooFewDescriptors> {
     let (needed, limit) = (required_descriptors(ranks), descriptor_limit());
     if needed > limit { Err(TooFewDescriptors { ranks, needed, limit }) } else { Ok(()) }

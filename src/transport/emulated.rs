@@ -1,20 +1,23 @@
-//! A [`Transport`] that holds messages back until they would have arrived over the links of a topology, by the clock of the
-//! laboratory, so that schedules, stragglers and time-outs can be felt on one machine.
+//! A [`Transport`] that delays messages until they would have arrived over the links of a topology. It takes real time,
+//! so that schedules, stragglers and timeouts can be tested on one machine.
 //!
-//! Every message carries the emulated time at which it was published, on the one monotonic clock that all processes of a
-//! machine share. It becomes readable at its modelled arrival: receipts of a rank follow one another as in the planned exchange,
-//! with the contention that it has when all ranks publish at once; whoever publishes late delays its own message and what
-//! is behind it in the queues of its readers. Messages of which rows are picked ([`Rows::At`]: the halo) travel by the plan of
-//! the halo, in proportion to the rows that are read; all other messages (whole sub-vectors, positions, lists) by the plan of
-//! whole sub-vectors, in proportion to their length; gathers of small values take the modelled time of an all-reduce.
+//! Every message carries the emulated time of its publication, on the monotonic clock that all processes of a machine
+//! share. It becomes readable at its modeled arrival. The receipts of a rank follow one another as in the planned
+//! exchange, with the contention that arises when all ranks publish at once. A rank that publishes late delays its own
+//! message and the messages after it in the queues of its readers. Messages with selected rows ([`Rows::At`]: the halo)
+//! use the plan of the halo, in proportion to the rows that are read. All other messages (whole sub-vectors, positions,
+//! lists) use the plan of whole sub-vectors, in proportion to their length. Gathers of small values take the modeled
+//! time of an all-reduce.
 //!
-//! Every rank keeps two clocks. Emulated time runs like real time, except that a wait ends when the message arrives by the
-//! model, however late the scheduler wakes the rank or the neighbour hands over: what the machine loses there (up to
-//! [`BEHIND_MAX_S`]) is made up for in the next waits, so that a run takes as long as the model says and not a wake-up longer
-//! per message. Messages carry emulated times, and nothing is readable before its arrival in real time.
+//! Every rank keeps two clocks. Emulated time runs like real time, except that a wait ends when the message arrives by
+//! the model, however late the scheduler wakes the rank or the neighbor publishes. The machine's delay (up to
+//! [`BEHIND_MAX_S`]) is subtracted from the next waits, so that a run takes the modeled time and not one wake-up longer
+//! per message. Messages carry emulated times. No message is readable before its arrival in real time.
 //!
-//! Not emulated: contention with messages of another exchange, a straggler among ranks that only hand on and whose own
-//! message comes later or is not read here, time that a rank spends on handing on what it does not read, and kernels, which take what they take here. Real hand-over comes on top where it is slower for long.
+//! Not emulated: contention with messages of another exchange, a straggler among ranks that only forward and whose own
+//! message comes later or is not read here, time that a rank spends on forwarding messages that it does not read, and
+//! kernels, which take their time on this machine. Real transfers add to the time where they stay slower than the
+//! model.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -25,39 +28,39 @@ use super::pattern::{Due, Pending};
 use super::{Counts, Message, Pattern, Rows, Transport, TransportError};
 use crate::interconnect::{RankLinks, Receipt};
 
-/// Values that each message carries beside its own: the time of publishing.
+/// Values that each message carries in addition to its own: the time of publication.
 pub const STAMP_VALUES: usize = 2;
 
-/// Exchanges that are remembered: more than can be under way.
+/// Number of exchanges that are stored; more than can be unfinished.
 const REMEMBERED: usize = 8;
 /// Longest sleep between two signs of life.
 const BREATH: Duration = Duration::from_millis(20);
-/// The end of a wait is awake: a sleep may last this much longer than asked for.
+/// A wait ends without sleep, because a sleep may last this much longer than requested.
 const AWAKE: Duration = Duration::from_micros(150);
-/// A rank that is further behind its emulated time than this gives the rest up.
+/// A rank that is further behind its emulated time than this drops the excess.
 const BEHIND_MAX_S: f64 = 0.25;
 
-/// Passes everything on to `inner`, later.
+/// Passes all calls to `inner` with a delay.
 pub struct EmulatedTransport<T> {
     inner: T,
     links: RankLinks,
     deadline: Duration,
-    /// The newest exchanges; the first one has number `oldest`.
+    /// The latest exchanges; the first one has number `oldest`.
     exchanges: VecDeque<Exchange>,
     oldest: u64,
-    /// As the caller sees them; `inner` may be ahead by the messages that are held.
+    /// Unfinished exchanges of the caller. `inner` may be ahead by the messages that are held.
     pending: Pending,
-    /// By source: the message that waits for its time.
+    /// By source: the message that waits for its arrival time.
     held: Vec<Option<Held>>,
-    /// How far real time is behind emulated time, seconds; never negative.
+    /// Lag of real time behind emulated time, seconds; never negative.
     behind_s: f64,
 }
 
-/// What is known of one exchange.
+/// State of one exchange.
 struct Exchange {
-    /// By rank: time of publishing; of the own rank and those whose messages have been taken.
+    /// By rank: time of publication, known for the own rank and for ranks whose messages have been received.
     published_s: Vec<Option<f64>>,
-    /// By lane: how far receipts are behind the plan.
+    /// By lane: delay of receipts against the plan.
     late_s: Vec<f64>,
 }
 
@@ -66,13 +69,13 @@ struct Held {
     arrival_s: f64,
 }
 
-/// What a message is to the links.
+/// Properties of a message that determine its transfer time.
 struct Travels {
     /// Number of the exchange.
     number: u64,
     /// Bytes of the rows that are read.
     bytes: f64,
-    /// True if rows are picked from it.
+    /// True if only some of its rows are read.
     halo: bool,
 }
 
@@ -90,7 +93,7 @@ fn now_s() -> f64 {
 }
 
 impl<T: Transport> EmulatedTransport<T> {
-    /// Holds messages of `inner` back as `links` say; a wait of more than `deadline` times out.
+    /// Delays messages of `inner` by `links`. A wait of more than `deadline` times out.
     pub fn new(inner: T, links: RankLinks, deadline: Duration) -> EmulatedTransport<T> {
         let ranks = inner.ranks();
         EmulatedTransport {
@@ -105,7 +108,7 @@ impl<T: Transport> EmulatedTransport<T> {
         }
     }
 
-    /// The notes on exchange `number`; none if it is too long ago.
+    /// The stored exchange `number`; none if it is too old.
     fn exchange(&mut self, number: u64) -> Option<&mut Exchange> {
         let ranks = self.held.len();
         let lanes = self.links.whole.iter().chain(&self.links.halo).map(|receipt| receipt.lane + 1).max().unwrap_or(1);
@@ -120,7 +123,7 @@ impl<T: Transport> EmulatedTransport<T> {
         self.exchanges.get_mut(index as usize)
     }
 
-    /// Takes the next message of `source` out of `inner`, which waits for it.
+    /// Receives the next message of `source` from `inner`, which waits for it.
     fn take(&mut self, source: usize) -> Result<(), TransportError> {
         let mut held = None;
         self.inner.finish(source, &mut |message| {
@@ -135,7 +138,7 @@ impl<T: Transport> EmulatedTransport<T> {
         Ok(())
     }
 
-    /// When a message of `source` arrives.
+    /// Arrival time of a message of `source`.
     fn arrival_s(&mut self, source: usize, travels: Travels, sent_s: f64) -> f64 {
         let rank = self.inner.rank();
         let Travels { number, bytes, halo } = travels;
@@ -145,7 +148,7 @@ impl<T: Transport> EmulatedTransport<T> {
         let planned = self.links.halo_bytes.get(source).copied().unwrap_or(0.0);
         let halo = if halo { of_source(&self.links.halo) } else { Vec::new() };
         let (receipts, share) = match halo.is_empty() {
-            // Nothing was planned where this rank was only to hand on what others read.
+            // The plan has no receipt if this rank only forwards rows that others read.
             false => (halo, if planned > 0.0 { bytes / planned } else { 1.0 }),
             true => (of_source(&self.links.whole), bytes / self.links.whole_bytes.max(1.0)),
         };
@@ -168,7 +171,7 @@ impl<T: Transport> EmulatedTransport<T> {
         now_s() - self.behind_s
     }
 
-    /// It is `emulated_s` now in emulated time.
+    /// Sets the emulated time of this rank to `emulated_s`.
     fn set_emulated(&mut self, emulated_s: f64) {
         self.behind_s = (now_s() - emulated_s).clamp(0.0, BEHIND_MAX_S);
     }
@@ -211,7 +214,7 @@ impl<T: Transport> Transport for EmulatedTransport<T> {
         fill: &mut dyn FnMut(&mut [f32]),
     ) -> Result<(), TransportError> {
         let number = self.pending.start(pattern, width)?;
-        // Room for the message is a matter of the real transport; filling it is work.
+        // The real transport provides the buffer; filling it counts as work.
         let begun_s = self.emulated_s();
         let mut sent_s = begun_s;
         self.inner.start(&pattern.with_tail(STAMP_VALUES), width, &mut |buffer| {

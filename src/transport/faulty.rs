@@ -1,21 +1,21 @@
-//! A [`Transport`] that goes wrong on purpose, by a script: for tests of what a run does when messages are lost, late,
-//! cut or refused. It knows only faults of the own rank's messages and calls.
+//! A [`Transport`] with scripted faults, for tests of runs whose messages are lost, late, cut or refused. Faults affect
+//! only messages and calls of the own rank.
 
 use std::time::Duration;
 
 use super::{Counts, Message, Pattern, Transport, TransportError};
 
-/// What goes wrong with an own message. Messages count from 0; exchanges in which nobody reads the own message do not count.
+/// Fault of an own message. Messages count from 0; exchanges without readers of the own message do not count.
 #[allow(missing_docs, reason = "the line of a variant says what it carries")]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// The message is never handed over; its readers see a later one in its place, or time out.
+    /// The message is never published; its readers receive a later one in its place, or time out.
     Drop { message: u64 },
-    /// The message is handed over late.
+    /// The message is published late.
     Delay { message: u64, delay: Duration },
-    /// Only the first `rows` rows are handed over.
+    /// Only the first `rows` rows are published.
     Truncate { message: u64, rows: usize },
-    /// Publishing it fails as if the mechanism below had.
+    /// Publishing fails with a mechanism error.
     Refuse { message: u64 },
 }
 
@@ -30,7 +30,7 @@ impl Fault {
     }
 }
 
-/// Passes everything on to `inner` except for what the script spoils.
+/// Passes all calls to `inner`, except for the faults of the script.
 pub struct FaultyTransport<T> {
     inner: T,
     script: Vec<Fault>,
@@ -38,7 +38,7 @@ pub struct FaultyTransport<T> {
 }
 
 impl<T: Transport> FaultyTransport<T> {
-    /// Spoils messages of `inner` by `script`.
+    /// Applies `script` to the messages of `inner`.
     pub fn new(inner: T, script: Vec<Fault>) -> FaultyTransport<T> {
         FaultyTransport { inner, script, published: 0 }
     }
@@ -126,7 +126,7 @@ mod tests {
         [Pattern::new(2, to(1), Vec::new()), Pattern::new(0, Vec::new(), to(0))]
     }
 
-    /// What rank 1 gets in two exchanges if rank 0 follows `fault`.
+    /// Values that rank 1 receives in two exchanges if rank 0 follows `fault`.
     fn received(fault: Fault) -> Vec<Result<Vec<f32>, TransportError>> {
         let mut ranks = InProcessTransport::group(2);
         let (mut one, zero) = (ranks.pop().unwrap(), ranks.pop().unwrap());

@@ -1,31 +1,31 @@
-//! Long messages in short frames: what is on its way at any time stays small however long a message is. Frames of one
-//! sender arrive complete and in order; this checks it, it does not repair it.
+//! Long messages in short frames, so that the data in transit stay small for any length of a message. Frames of one
+//! sender arrive complete and in order; this module checks it and does not repair it.
 
 use std::collections::VecDeque;
 
-/// Most bytes of a frame. Long enough that copying outweighs the hand-over, short enough that the buffers of all ranks
-/// fit into a container's 64 MiB of shared memory.
+/// Maximum bytes of a frame. A frame is long enough that copying outweighs the cost of a hand-over, and short enough
+/// that the buffers of all ranks fit into a container's 64 MiB of shared memory.
 pub(super) const FRAME_MAX: usize = 256 << 10;
 
-/// Longest message, bytes; a length beyond it is a damaged frame, not a reason to allocate.
+/// Maximum bytes of a message. A greater length is a damaged frame and must not cause an allocation.
 pub(super) const MESSAGE_MAX: u64 = 64 << 30;
 
-/// Where a frame belongs.
+/// Position of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct FrameHead {
-    /// Frames of this sender, counting from 0.
+    /// Number of this frame among those of its sender, from 0.
     pub sequence: u64,
     /// Bytes of the whole message.
     pub message_len: u64,
-    /// Where this frame's bytes begin in it.
+    /// Offset of this frame's bytes in the message.
     pub offset: u64,
 }
 
-/// Messages waiting to be sent, frame by frame.
+/// Messages that wait to be sent, frame by frame.
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
     messages: VecDeque<Vec<u8>>,
-    /// Bytes of the first message that are sent.
+    /// Bytes of the first message that have been sent.
     offset: usize,
     /// Frames sent.
     sequence: u64,
@@ -36,7 +36,7 @@ impl Outbox {
         self.messages.push_back(message);
     }
 
-    /// The next frame, if there is one; it stays the next one until [`Outbox::sent`].
+    /// The next frame, if there is one. It stays the next one until [`Outbox::sent`].
     pub(super) fn next(&self) -> Option<(FrameHead, &[u8])> {
         let message = self.messages.front()?;
         let end = message.len().min(self.offset + FRAME_MAX);
@@ -44,7 +44,7 @@ impl Outbox {
         Some((head, &message[self.offset..end]))
     }
 
-    /// Notes that the frame of [`Outbox::next`] is on its way.
+    /// Records that the frame of [`Outbox::next`] has been sent.
     pub(super) fn sent(&mut self) {
         let Some(len) = self.messages.front().map(Vec::len) else { return };
         self.sequence += 1;
@@ -65,7 +65,7 @@ impl Outbox {
     }
 }
 
-/// A message being put together.
+/// Assembles a message from its frames.
 #[derive(Debug, Default)]
 pub(super) struct Inbox {
     message: Vec<u8>,

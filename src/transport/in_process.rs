@@ -1,5 +1,5 @@
-//! [`Transport`] between threads of one process: for tests and for runs with one rank. Same order, same bounds on how far
-//! a publisher may run ahead, same errors as between processes; no shared-memory files.
+//! [`Transport`] between threads of one process, for tests and for runs with one rank. Order, limits of publishing
+//! ahead, and errors are the same as between processes; it uses no shared-memory files.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use super::pattern::{DEPTH, Pending};
 use super::wait::HOOK_INTERVAL;
 use super::{ALL_GATHER_MAX, Counts, Message, Pattern, RANKS_MAX, Transport, TransportError};
 
-/// One rank of a group of threads. `Hook` is called while it waits; it binds the rank to a thread if it cannot be sent.
+/// One rank of a group of threads. It calls `Hook` during waits; a hook that cannot be sent binds the rank to a thread.
 pub struct InProcessTransport<Hook = SendHook> {
     rank: usize,
     ranks: usize,
@@ -33,7 +33,7 @@ struct Shared {
 }
 
 struct State {
-    /// By rank: its messages that somebody has still to read, oldest first.
+    /// By rank: its messages that still have readers, oldest first.
     messages: Vec<VecDeque<Unread>>,
     /// Contributions to the all-gathers: two slots by parity, each by rank with the number of the operation.
     gathers: [Vec<(u64, Vec<f64>)>; 2],
@@ -59,7 +59,7 @@ impl State {
         })
     }
 
-    /// The first reader of a message of `rank` that leaves no room for the next one.
+    /// The first reader of a message of `rank` that prevents the next one.
     fn in_the_way(&self, rank: usize) -> Option<usize> {
         let oldest = self.messages[rank].front().filter(|_| self.messages[rank].len() >= DEPTH);
         oldest.map(|unread| unread.readers.trailing_zeros() as usize)
@@ -67,7 +67,8 @@ impl State {
 }
 
 impl InProcessTransport {
-    /// The transports of `ranks` ranks, by rank. A rank waits up to a minute, see [`InProcessTransport::set_deadline`].
+    /// The transports of `ranks` ranks, by rank. A rank waits at most one minute, see
+    /// [`InProcessTransport::set_deadline`].
     pub fn group(ranks: usize) -> Vec<InProcessTransport> {
         assert!(ranks <= RANKS_MAX, "{ranks} ranks, at most {RANKS_MAX} are possible");
         let state = State {
@@ -91,7 +92,7 @@ impl InProcessTransport {
             .collect()
     }
 
-    /// The same rank with a hook that is called at least every 50 ms while it waits; true = give up.
+    /// The same rank with a hook that is called at least every 50 ms during a wait; it returns true to give up.
     pub fn with_hook<Hook>(self, on_wait: Hook) -> InProcessTransport<Hook> {
         let on_wait = Some(on_wait);
         InProcessTransport {
@@ -115,12 +116,12 @@ impl<Hook: FnMut() -> bool> InProcessTransport<Hook> {
         self.deadline = deadline;
     }
 
-    /// What [`Transport::max_message_values`] answers; longer messages are not refused. No bound at first.
+    /// Value of [`Transport::max_message_values`]; longer messages are not refused. Unbounded by default.
     pub fn set_max_message_values(&mut self, values: usize) {
         self.max_message_values = values;
     }
 
-    /// Waits until `look` finds something in the shared state.
+    /// Waits until `look` finds a value in the shared state.
     fn wait_for<T>(
         &mut self,
         source_rank: usize,
@@ -162,7 +163,7 @@ impl<Hook: FnMut() -> bool> InProcessTransport<Hook> {
 }
 
 impl Shared {
-    /// A rank that panicked while it held the lock left the state consistent: every change is one assignment.
+    /// The state stays consistent if a rank panics while it holds the lock, because every change is one assignment.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -195,7 +196,7 @@ impl<Hook: FnMut() -> bool> Transport for InProcessTransport<Hook> {
             })?;
         }
         let mut buffer = self.take_buffer();
-        // Nobody else holds the buffer, so this never copies.
+        // No reader holds the buffer, so this never copies.
         let values = Arc::make_mut(&mut buffer);
         values.resize(pattern.message_values(width), 0.0);
         fill(values);
@@ -253,7 +254,7 @@ impl<Hook: FnMut() -> bool> Transport for InProcessTransport<Hook> {
         }
         let (rank, slot) = (self.rank, (sequence & 1) as usize);
         {
-            // Two slots suffice: nobody writes operation k + 2 before everybody has read operation k.
+            // Two slots suffice: no rank writes operation k + 2 before all ranks have read operation k.
             let mut state = self.shared.lock();
             let (number, values) = &mut state.gathers[slot][rank];
             *number = sequence;

@@ -1,45 +1,44 @@
-//! What the place where the workers of a run live offers: cores, and room for their transfers. Says nothing about GPUs
-//! (`gpu::adapters` does).
+//! Resources of the machine of a run's workers: cores, and room for their transfers. `gpu::adapters` lists GPUs.
 
 use thiserror::Error;
 
 use super::{SharedMemoryError, check_shared_memory, shared_memory_space};
 use crate::interconnect::MAX_GPUS;
 
-/// Most ranks of a run: one per GPU of the largest topology.
+/// Maximum number of ranks of a run: one per GPU of the largest topology.
 pub const RANKS_MAX: usize = MAX_GPUS;
 
-/// Threads that this process may run at once.
+/// Number of threads that this process may run at once.
 pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, |cores| cores.get())
 }
 
-/// Why a run does not fit.
+/// Error if a run does not fit.
 #[derive(Debug, Error)]
 pub enum MachineError {
     /// Fewer workers or more room would help.
     #[error("{0}")]
     TooSmall(String),
-    /// It cannot be found out.
+    /// The system does not tell.
     #[error("{0}")]
     Unreadable(String),
 }
 
-/// The place where the workers of a run live.
+/// The machine of the workers of a run.
 pub trait Machine {
-    /// Threads that all workers together may run at once.
+    /// Number of threads that all workers together may run at once.
     fn cores(&self) -> usize {
         cores()
     }
-    /// Threads of each of `workers` workers that run side by side, those of all runs of this program counted.
+    /// Threads of each of `workers` workers that run side by side, counted over all runs of this program.
     fn threads_per_worker(&self, workers: usize) -> usize {
         (self.cores() / workers.max(1)).max(1)
     }
-    /// Says whether there is room for the transfers of `ranks` ranks whose longest message has `max_len` values.
+    /// Checks that there is room for the transfers of `ranks` ranks whose longest message has `max_len` values.
     fn check_transfers(&self, ranks: usize, max_len: usize) -> Result<(), MachineError>;
 }
 
-/// One machine whose workers are processes joined by shared memory.
+/// A machine whose workers are processes joined by shared memory.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SharedMemoryMachine;
 
@@ -51,7 +50,7 @@ impl Machine for SharedMemoryMachine {
     }
 }
 
-/// This process: workers are threads of it, and their messages lie in its own memory.
+/// This process: workers are threads, and their messages lie in its own memory.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OneProcess;
 

@@ -1,5 +1,5 @@
-//! Messages between coordinator and workers as bytes: a small serde header, then bulk arrays that no serializer touches.
-//! Arrays are aligned so that they can be read in place. It says nothing about what the messages mean.
+//! Messages between coordinator and workers as bytes: a small serde header, then bulk arrays that are not serialized.
+//! Arrays are aligned so that they can be read in place. The meaning of the messages lies in `protocol`.
 //!
 //! Layout (little-endian): magic, version, header length, number of arrays, their lengths, header, arrays; header and
 //! arrays each begin at a multiple of 16 bytes.
@@ -12,40 +12,40 @@ use thiserror::Error;
 
 /// First bytes of every message.
 const MAGIC: [u8; 4] = *b"LTMS";
-/// Changes whenever the layout or the meaning of a header does.
+/// Changes with the layout or the meaning of a header.
 const VERSION: u32 = 1;
 /// Magic, version, header length, number of arrays.
 const FIXED: usize = 16;
-/// Every part begins at a multiple of this, bytes.
+/// Alignment of every part, bytes.
 const ALIGNMENT: usize = 16;
-/// Longest header, bytes: bulk belongs into arrays.
+/// Longest header, bytes. Bulk data belong into arrays.
 const HEADER_MAX: usize = 16 << 20;
-/// Most arrays of a message.
+/// Maximum number of arrays of a message.
 const ARRAYS_MAX: usize = 4096;
 
-/// Why bytes are not a message, or a message cannot be made.
+/// Error of decoding or encoding a message.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum MessageError {
     /// The bytes do not begin like a message.
     #[error("not a message of this program (wrong first bytes)")]
     Foreign,
-    /// Made by another version of this program.
+    /// Another version of this program made it.
     #[error("a message of format version {got}, expected {VERSION}: coordinator and workers must be the same build")]
     Version { got: u32 },
     /// The lengths do not fit the bytes.
     #[error("a cut or damaged message: {what}")]
     Damaged { what: &'static str },
-    /// The header cannot be read as what was expected.
+    /// The header is not of the expected type.
     #[error("the message's header cannot be read: {0}")]
     Header(#[from] bincode::error::DecodeError),
-    /// The header cannot be written.
+    /// The header cannot be serialized.
     #[error("the message's header cannot be written: {0}")]
     Encode(#[from] bincode::error::EncodeError),
-    /// Beyond the bounds of the format.
+    /// It exceeds the bounds of the format.
     #[error("{what} is {got}, at most {limit} is possible")]
     TooLarge { what: &'static str, got: usize, limit: usize },
-    /// An array's length is not a multiple of an item's.
+    /// The length of an array is not a multiple of the length of an item.
     #[error("an array of {bytes} bytes does not hold items of {item} bytes")]
     Items { bytes: usize, item: usize },
 }
@@ -87,7 +87,7 @@ pub fn encode<M: Serialize>(header: &M, arrays: &[&[u8]]) -> Result<Vec<u8>, Mes
 /// The header and the arrays (in place) of a message made by [`encode`].
 ///
 /// # Errors
-/// Anything that is not such a message, of this version and with a header of type `M`; never panics.
+/// The bytes are not such a message of this version with a header of type `M`; never panics.
 pub fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<(M, Vec<&[u8]>), MessageError> {
     let cut = MessageError::Damaged { what: "it is shorter than its lengths say" };
     let fixed = bytes.get(..FIXED).ok_or(MessageError::Foreign)?;
@@ -126,7 +126,7 @@ pub fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<(M, Vec<&[u8]>), Mess
     Ok((header, arrays))
 }
 
-/// The items of an array of a message: in place where the bytes happen to be aligned, copied otherwise.
+/// The items of an array of a message: in place if the bytes are aligned, copied otherwise.
 pub fn items_of<T: bytemuck::AnyBitPattern + bytemuck::NoUninit>(bytes: &[u8]) -> Result<Cow<'_, [T]>, MessageError> {
     match bytemuck::try_cast_slice(bytes) {
         Ok(items) => Ok(Cow::Borrowed(items)),
@@ -160,7 +160,7 @@ mod tests {
         assert_eq!(*items_of::<u64>(arrays[2]).unwrap(), long);
         assert_eq!(arrays[3], b"odd");
         assert!(matches!(items_of::<u32>(arrays[3]), Err(MessageError::Items { bytes: 3, item: 4 })));
-        // One byte off alignment: copied instead of read in place.
+        // One byte off alignment: copied, not read in place.
         let shifted: Vec<u8> = std::iter::once(0).chain(arrays[2].iter().copied()).collect();
         assert_eq!(*items_of::<u64>(&shifted[1..]).unwrap(), long);
     }
@@ -215,7 +215,7 @@ mod tests {
             let at = at % bytes.len();
             bytes[at] = value;
             bytes.truncate(bytes.len() - cut % 20);
-            // Whatever comes out, it lies within the message.
+            // Every decoded array lies within the message.
             if let Ok((_, arrays)) = decode::<Header>(&bytes) {
                 prop_assert!(arrays.iter().map(|array| array.len()).sum::<usize>() <= bytes.len());
             }

@@ -1,17 +1,19 @@
-//! Transport between the ranks of a run: what a step needs from the interconnect, and nothing else.
+//! Transport between the ranks of a run: the communication of steps.
 //!
-//! Every rank makes the same sequence of calls on its [`Transport`] (a collective program). An exchange says who reads what of
-//! whom ([`Pattern`]); whoever reads nothing of a message neither waits for it nor receives it. Where ranks share memory a
-//! message is written once, however many read it; a transport between machines would send every reader its rows.
+//! Every rank makes the same sequence of calls on its [`Transport`] (a collective program). A [`Pattern`] states which
+//! rank reads which rows of which other rank in an exchange. A rank that does not read a message neither waits for it
+//! nor receives it. If ranks share memory a message is written once for any number of readers; a transport between
+//! machines would send every reader its rows.
 //!
-//! Implementations: processes ([`IceoryxTransport`]), threads ([`InProcessTransport`]), one rank ([`SoloTransport`]), two
-//! wrappers for tests, one that holds messages back as the links of another machine would ([`EmulatedTransport`]) and one that
-//! records waits ([`TracedTransport`]).
+//! Implementations: processes ([`IceoryxTransport`]), threads ([`InProcessTransport`]), one rank ([`SoloTransport`]),
+//! two wrappers for tests, one wrapper that delays messages as the links of another machine would
+//! ([`EmulatedTransport`]) and one that records waits ([`TracedTransport`]).
 //!
-//! Beside it: the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`], [`encode`]),
-//! where workers come from ([`Launcher`]), how they join the transport ([`Connect`]), what their place offers ([`Machine`]), and
-//! what a run takes of the machine and leaves behind ([`RunName`]). Two mechanisms implement all of them: processes joined by
-//! shared memory (`iceoryx`, [`ProcessLauncher`]) and threads of one process (`threads`). Linux only.
+//! The module also has the control channel between coordinator and workers ([`ControlCoordinator`], [`ControlWorker`],
+//! [`encode`]), the start and end of workers ([`Launcher`]), their connection to the transport ([`Connect`]), the
+//! resources of their machine ([`Machine`]), and the files of a run on the machine ([`RunName`]). Two mechanisms
+//! implement all of them: processes joined by shared memory (`iceoryx`, [`ProcessLauncher`]) and threads of one process
+//! (`threads`). Linux only.
 
 mod collective;
 mod connect;

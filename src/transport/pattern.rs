@@ -1,19 +1,20 @@
-//! Who reads what of whom in an exchange: made once per plan, used for every exchange along it. Nothing travels here.
+//! Pattern of an exchange: which rank reads which rows of which message. It is built once per plan and used for every
+//! exchange along it. This module transfers no data.
 //!
-//! All ranks make their patterns of the same knowledge, so they agree: rank a names b as a reader exactly if b names a as a
-//! source, with the same rows. A rank names only those that really read: who reads nothing of a message neither waits for it
-//! nor receives it.
+//! All ranks build their patterns from the same knowledge, so they agree: rank a names b as a reader exactly if b names
+//! a as a source, with the same rows. A rank names only ranks that read at least one row. A rank that does not read a
+//! message neither waits for it nor receives it.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::TransportError;
 
-/// Exchanges under way at a time: a rank that starts exchange m has finished all up to m - `DEPTH`. A publisher therefore has
-/// at most this many messages that somebody has still to read.
+/// Number of unfinished exchanges at a time: a rank that starts exchange m has finished all up to m - `DEPTH`. A
+/// publisher therefore has at most this many messages that still have readers.
 pub(super) const DEPTH: usize = 2;
 
-/// Buffers of a publisher in shared memory: those that readers may hold or still have to read, and the one being written.
+/// Buffers of a publisher in shared memory: those that readers hold or still have to read, and the one being written.
 pub(super) const BUFFERS: usize = DEPTH + 1;
 
 /// Rows of a message that one rank reads.
@@ -25,7 +26,8 @@ pub enum Rows {
     At(Vec<u32>),
 }
 
-/// The other end of a message: a rank that reads rows of the own message, or of whose message the own rank reads rows.
+/// The other end of a message: a rank that reads rows of the own message, or the source of a message that the own rank
+/// reads.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Neighbor {
     /// The other rank.
@@ -50,7 +52,7 @@ impl Neighbor {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pattern {
     lists: Arc<Lists>,
-    /// Values behind the rows, which go to every reader.
+    /// Values after the rows, which every reader receives.
     tail: usize,
 }
 
@@ -62,8 +64,8 @@ struct Lists {
 }
 
 impl Pattern {
-    /// A pattern of `readers` of the own message, which has `message_rows` rows, and of `sources`. Neighbors that read nothing
-    /// are left out.
+    /// A pattern of `readers` of the own message, which has `message_rows` rows, and of `sources`. Neighbors that read
+    /// no rows are left out.
     ///
     /// # Panics
     /// A position lies outside its message, or a reader's message is not the own one.
@@ -85,7 +87,7 @@ impl Pattern {
         Pattern { lists: Arc::new(Lists { message_rows, readers, sources }), tail: 0 }
     }
 
-    /// Every rank reads all of every other rank's message; `rows[r]`: rows of rank r's.
+    /// Pattern in which every rank reads the whole message of every other rank; `rows[r]`: number of rows of rank r.
     pub fn whole(rank: usize, rows: &[usize]) -> Pattern {
         let neighbors = |message_rows: &dyn Fn(usize) -> usize| {
             let others = (0..rows.len()).filter(|&other| other != rank);
@@ -94,12 +96,13 @@ impl Pattern {
         Pattern::new(rows[rank], neighbors(&|_| rows[rank]), neighbors(&|other| rows[other]))
     }
 
-    /// The same with `values` values behind the rows of every message, which go to every reader.
+    /// The same pattern with `values` values after the rows of every message, which every reader receives.
     pub(super) fn with_tail(&self, values: usize) -> Pattern {
         Pattern { tail: values, ..self.clone() }
     }
 
-    /// The same with another length of the own message, `None`: without readers. For faults only: the others know nothing of it.
+    /// The same pattern with another length of the own message, `None`: without readers. For faults only, because other
+    /// ranks do not know of it.
     pub(super) fn spoiled(&self, message_rows: Option<usize>) -> Pattern {
         let Lists { readers, sources, .. } = &*self.lists;
         let readers = if message_rows.is_some() { readers.clone() } else { Vec::new() };
@@ -117,18 +120,18 @@ impl Pattern {
         &self.lists.readers
     }
 
-    /// Ranks of whose messages the own rank reads rows, ascending.
+    /// Ranks whose messages the own rank reads, ascending.
     pub fn sources(&self) -> &[Neighbor] {
         &self.lists.sources
     }
 
-    /// What the own rank reads of rank `rank`, if it reads anything.
+    /// Rows that the own rank reads of rank `rank`, if any.
     pub fn source(&self, rank: usize) -> Option<&Neighbor> {
         let sources = self.sources();
         sources.binary_search_by_key(&rank, |source| source.rank).ok().map(|at| &sources[at])
     }
 
-    /// Values of the own message with `width` values per row.
+    /// Number of values of the own message with `width` values per row.
     pub fn message_values(&self, width: usize) -> usize {
         self.message_rows() * width + self.tail
     }
@@ -149,18 +152,18 @@ impl<'a> Message<'a> {
         self.positions.map_or_else(|| self.values().len() / self.width.max(1), <[u32]>::len)
     }
 
-    /// Row `k` of those that this rank reads.
+    /// Row `k` of the rows that this rank reads.
     pub fn row(&self, k: usize) -> &'a [f32] {
         let at = self.positions.map_or(k, |positions| positions[k] as usize) * self.width;
         &self.values[at..at + self.width]
     }
 
-    /// The rows one after the other, also those that only others read.
+    /// All rows of the message, including those that only others read.
     pub fn values(&self) -> &'a [f32] {
         &self.values[..self.values.len() - self.tail]
     }
 
-    /// The values behind the rows.
+    /// The values after the rows.
     pub(super) fn tail(&self) -> &'a [f32] {
         &self.values[self.values.len() - self.tail..]
     }
@@ -171,14 +174,14 @@ impl<'a> Message<'a> {
     }
 }
 
-/// What exchanges have moved so far on one rank. All-gathers are not counted.
+/// Total traffic of exchanges on one rank. All-gathers are not counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Own messages that somebody reads, each counted once however many read it.
+    /// Own messages with readers, each counted once for any number of readers.
     pub published: u64,
     /// Bytes of those messages.
     pub bytes_published: u64,
-    /// Messages received: what had to travel to this rank if ranks shared no memory.
+    /// Messages received: those that would travel to this rank without shared memory.
     pub received: u64,
     /// Bytes of the rows read in them.
     pub bytes_received: u64,
@@ -206,7 +209,7 @@ pub(super) struct Due {
 }
 
 impl Due {
-    /// What is read of it.
+    /// The rows that are read of it.
     pub(super) fn neighbor(&self) -> &Neighbor {
         &self.pattern.sources()[self.source]
     }
@@ -216,7 +219,7 @@ impl Due {
         (self.neighbor().rows_read() * self.width * size_of::<f32>()) as u64
     }
 
-    /// The message whose values these are; Err: they are not as many as the pattern says.
+    /// Checks the number of `values` against the pattern and returns the message; Err: the numbers differ.
     pub(super) fn message<'a>(&'a self, rank: usize, values: &'a [f32]) -> Result<Message<'a>, TransportError> {
         let Neighbor { rank: source, message_rows, rows } = self.neighbor();
         let (width, tail) = (self.width, self.pattern.tail);
@@ -233,7 +236,7 @@ impl Due {
     }
 }
 
-/// The exchanges of one rank that are under way.
+/// The unfinished exchanges of one rank.
 pub(super) struct Pending {
     rank: usize,
     started: u64,
@@ -246,7 +249,7 @@ impl Pending {
         Pending { rank, started: 0, due: (0..ranks).map(|_| VecDeque::new()).collect() }
     }
 
-    /// Notes that an exchange begins; returns its number.
+    /// Records that an exchange begins; returns its number.
     pub(super) fn start(&mut self, pattern: &Pattern, width: usize) -> Result<u64, TransportError> {
         let fail = |message: String| Err(TransportError::Mechanism { rank: self.rank, message });
         for end in pattern.sources().iter().chain(pattern.readers()) {
@@ -273,7 +276,7 @@ impl Pending {
         self.due.get(source)?.front()
     }
 
-    /// As [`Pending::next`]; none is an error.
+    /// As [`Pending::next`]; an error if there is none.
     pub(super) fn expect(&self, source: usize) -> Result<&Due, TransportError> {
         self.next(source).ok_or_else(|| {
             let message = format!("there is nothing to receive of rank {source} of {} ranks", self.due.len());
@@ -281,7 +284,7 @@ impl Pending {
         })
     }
 
-    /// Forgets the next message of `source`, which is being received.
+    /// Removes the next message of `source`, which is being received.
     pub(super) fn take(&mut self, source: usize) -> Result<Due, TransportError> {
         self.expect(source)?;
         Ok(self.due[source].pop_front().expect("looked at above"))

@@ -1,6 +1,6 @@
-//! Processes of this machine: is another one still running, and on which core does this one run? The first works for
-//! processes that are not children and for zombies, which count as ended. Linux only; it promises nothing about processes of
-//! other pid namespaces.
+//! Processes of this machine: whether another process still runs, and the core of this one. The first also works for
+//! processes that are not children, and counts zombies as ended. Linux only; it does not cover processes of other pid
+//! namespaces.
 
 use std::os::fd::OwnedFd;
 
@@ -12,7 +12,7 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 #[derive(Debug)]
 pub struct ProcessWatch {
     pid: u32,
-    /// None where the system gives none (old kernels, some sandboxes); the start time does then.
+    /// None if the system does not provide it (old kernels, some sandboxes); the start time then replaces it.
     descriptor: Option<OwnedFd>,
     start_ticks: Option<u64>,
 }
@@ -44,13 +44,13 @@ impl ProcessWatch {
             return self.start_ticks.is_none() || start_ticks(self.pid) != self.start_ticks;
         };
         let mut polled = [PollFd::new(descriptor, PollFlags::IN)];
-        // A poll that fails says nothing about the process: it is asked again at the next call.
+        // A failed poll says nothing about the process; the next call asks again.
         matches!(poll(&mut polled, Some(&Timespec { tv_sec: 0, tv_nsec: 0 })), Ok(ready) if ready > 0)
     }
 }
 
-/// Keeps this thread on one core if `ranks` ranks of one thread each share fewer cores evenly: ranks that wait for each other
-/// in every iteration gather on a few cores otherwise. Says nothing if the system does not let it.
+/// Pins this thread to one core if `ranks` ranks of one thread each share fewer cores evenly. Otherwise ranks that wait
+/// for each other in every iteration gather on a few cores. Ignores a refusal of the system.
 pub fn share_cores(rank: usize, ranks: usize) {
     let Ok(allowed) = sched_getaffinity(None) else { return };
     let cores: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|&core| allowed.is_set(core)).collect();
@@ -61,15 +61,15 @@ pub fn share_cores(rank: usize, ranks: usize) {
     }
 }
 
-/// The core of a rank, if cores are to be shared. Only in equal parts: with 3 ranks on 2 cores, of several runs beside each
-/// other all would crowd the same core.
+/// The core of a rank, if ranks share cores evenly. Uneven shares are not pinned: with 3 ranks on 2 cores, several runs
+/// at the same time would all crowd the same core.
 fn core_of(rank: usize, ranks: usize, cores: &[usize]) -> Option<usize> {
     let shared = ranks > cores.len() && !cores.is_empty() && ranks.is_multiple_of(cores.len());
     shared.then(|| cores[rank % cores.len()])
 }
 
-/// When a process was started, in clock ticks since boot: with the number it names a process for ever. `None` if there
-/// is no such process or it has ended and only waits to be reaped.
+/// Start of a process, in clock ticks since boot; together with the number it identifies a process permanently. `None`
+/// if the process does not exist or is a zombie.
 pub fn start_ticks(pid: u32) -> Option<u64> {
     parse_stat(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
 }
@@ -87,8 +87,8 @@ fn parse_cpu(line: &str) -> Option<u64> {
     Some(user + times.next()?.parse::<u64>().ok()?)
 }
 
-/// The start time in a line of `/proc/PID/stat`, unless the state is dead or zombie. The name (field 2) may hold
-/// spaces and parentheses, so fields are counted from its last closing parenthesis.
+/// The start time in a line of `/proc/PID/stat`, unless the state is dead or zombie. The name (field 2) may hold spaces
+/// and parentheses, so fields are counted from its last closing parenthesis.
 fn parse_stat(line: &str) -> Option<u64> {
     let (_, fields) = line.rsplit_once(')')?;
     let mut fields = fields.split_whitespace();

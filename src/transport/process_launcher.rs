@@ -1,5 +1,5 @@
-//! [`Launcher`] whose workers are processes of this machine: children of this one, or processes that others start. It owns
-//! the run's name and with it what the run puts on the machine.
+//! [`Launcher`] whose workers are processes of this machine: children of this one, or processes that other programs
+//! start. It owns the run's name and with it the run's files on the machine.
 
 use std::cell::RefCell;
 use std::io;
@@ -14,11 +14,11 @@ use crate::os::signals;
 /// Makes the command that starts a worker of a run.
 pub type WorkerCommand = Box<dyn FnMut(&RunName, usize) -> io::Result<Command>>;
 
-/// Starts workers as child processes, or knows those that others start by the run's list of processes.
+/// Starts workers as child processes, or finds those that other programs start in the run's list of processes.
 pub struct ProcessLauncher {
     command: Option<WorkerCommand>,
     children: Vec<Option<Child>>,
-    /// By rank: workers that others have started, as last seen.
+    /// By rank: workers that other programs started, as last seen.
     seen: RefCell<Vec<Option<Member>>>,
     run: RunName,
     // Dropped last: as long as it lives, the run counts as alive.
@@ -26,8 +26,8 @@ pub struct ProcessLauncher {
 }
 
 impl ProcessLauncher {
-    /// A new run of `ranks` workers, started with `command`; without one others start them. The calling process is its
-    /// coordinator.
+    /// A new run of `ranks` workers, started with `command`; without one other programs start them. The calling process
+    /// is its coordinator.
     pub fn new(ranks: usize, command: Option<WorkerCommand>) -> Result<ProcessLauncher, RunError> {
         let (run, member) = RunName::create("coordinator")?;
         let children = (0..ranks).map(|_| None).collect();
@@ -44,7 +44,7 @@ impl ProcessLauncher {
         child.or_else(|| self.member(rank).map(|member| member.pid))
     }
 
-    /// The process of a worker that others have started; none if it has not registered (yet).
+    /// The process of a worker that another program started; none if it has not registered (yet).
     fn member(&self, rank: usize) -> Option<Member> {
         let mut seen = self.seen.borrow_mut();
         let seen = seen.get_mut(rank)?;
@@ -56,7 +56,7 @@ impl ProcessLauncher {
     }
 }
 
-/// What a worker process registers as ([`RunName::join`]).
+/// Role of a registered worker process ([`RunName::join`]).
 pub fn worker_role(rank: usize) -> String {
     format!("worker {rank}")
 }
@@ -99,7 +99,7 @@ impl Launcher for ProcessLauncher {
 
     fn kill(&mut self, rank: usize) {
         match self.children.get_mut(rank) {
-            // A child that has been reaped is not signalled: its number may be another one's.
+            // A child that has been reaped must not be signaled, because another process may have its number.
             Some(Some(child)) => drop(child.kill()),
             _ => {
                 let Some(member) = self.member(rank).filter(Member::is_alive) else { return };
@@ -117,7 +117,7 @@ impl Launcher for ProcessLauncher {
     }
 
     fn clean_up(&mut self) {
-        // Ports of killed workers are only given up by removing the run's files.
+        // The ports of killed workers are released only when the run's files are removed.
         if let Err(error) = self.run.purge() {
             tracing::warn!("cannot remove the run's files: {error}");
         }

@@ -1,37 +1,37 @@
-//! A [`Transport`] that notes what goes through it, for tests of schedules and counts. It changes nothing.
+//! A [`Transport`] that records its calls, for tests of schedules and counts. It changes nothing.
 
 use super::{Counts, Message, Pattern, Transport, TransportError};
 
-/// What a noted call did.
+/// Kind of a recorded call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// A message of the own rank that somebody reads was handed over.
+    /// A message of the own rank with readers was published.
     Publish,
     /// A message was received.
     Receive,
-    /// An all-gather (a barrier is one of length 0) was completed.
+    /// An all-gather was completed (a barrier is an all-gather of length 0).
     AllGather,
 }
 
 /// One successful call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// What happened.
+    /// Kind of the call.
     pub action: Action,
-    /// Rank that the values came from: the own one unless received.
+    /// Source of the values: the own rank unless received.
     pub source: usize,
     /// Number of values: of the own message, of the rows read of another one, of the own contribution to an all-gather.
     pub len: usize,
 }
 
-/// Passes everything on to `inner` and keeps a log of the calls that succeeded.
+/// Passes all calls to `inner` and keeps a log of those that succeeded.
 pub struct RecordingTransport<T> {
     inner: T,
     log: Vec<Record>,
 }
 
 impl<T: Transport> RecordingTransport<T> {
-    /// Records what goes through `inner`.
+    /// Records the calls of `inner`.
     pub fn new(inner: T) -> RecordingTransport<T> {
         RecordingTransport { inner, log: Vec::new() }
     }
@@ -41,7 +41,7 @@ impl<T: Transport> RecordingTransport<T> {
         &self.log
     }
 
-    /// Hands the log over and begins a new one.
+    /// Returns the log and begins a new one.
     pub fn take_log(&mut self) -> Vec<Record> {
         std::mem::take(&mut self.log)
     }

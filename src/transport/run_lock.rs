@@ -1,8 +1,9 @@
-//! Locks that tell whether a run lives, whatever the pid namespace or temp directory of who asks. A run has two: a file
-//! beside its shared memory and one in its folder, because either may be visible without the other. Every process of the
-//! run holds both shared; who can lock one exclusively knows that the run is dead.
+//! Locks that tell whether a run is alive, in any pid namespace and with any temp directory of the caller. A run has
+//! two: a file next to its shared memory and one in its folder, because either may be visible without the other. Every
+//! process of the run holds both as shared locks. A process that can lock one exclusively knows that the run is dead.
 //!
-//! The locks are `flock`s: the system drops them with the process, however it ends. They say nothing across machines.
+//! The locks are `flock`s. The system releases them with the process, however it ends. They do not work across
+//! machines.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
@@ -10,32 +11,32 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// How long a process that joins waits for a look at the lock by somebody else; a look takes microseconds.
+/// Time that a joining process waits for another process's check of the lock; a check takes microseconds.
 const LOOK_LIMIT: Duration = Duration::from_secs(2);
 
-/// What a lock says of its run.
+/// State of a lock.
 #[derive(Debug)]
 pub(super) enum Lock {
     /// A process of the run holds it.
     Held,
-    /// Nobody does; while the value lives, nobody can.
+    /// No process holds it, and none can while this value exists.
     Free(File),
-    /// There is no such file.
+    /// The file does not exist.
     Missing,
     /// It cannot be opened or locked, for example because it belongs to another user.
     Unreadable,
 }
 
-/// Makes the file and holds it shared.
+/// Creates the file and holds a shared lock on it.
 ///
 /// # Errors
-/// `AlreadyExists`, or what the system says.
+/// `AlreadyExists`, or the error of the system.
 pub(super) fn create(path: &Path) -> io::Result<File> {
     let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)?;
     hold(path, file)
 }
 
-/// Holds the existing file shared.
+/// Holds a shared lock on the existing file.
 ///
 /// # Errors
 /// `NotFound` if it does not exist or is being removed.
@@ -55,14 +56,14 @@ fn hold(path: &Path, file: File) -> io::Result<File> {
             Err(TryLockError::Error(error)) => return Err(error),
         }
     }
-    // Who removes a dead run may have taken this file for its lock before it was held here.
+    // A process that removes a dead run may have locked this file before it was locked here.
     match is_at(&file, path) {
         true => Ok(file),
         false => Err(io::ErrorKind::NotFound.into()),
     }
 }
 
-/// Looks at a lock without waiting.
+/// Checks a lock without waiting.
 pub(super) fn look(path: &Path) -> Lock {
     let file = match OpenOptions::new().write(true).open(path) {
         Ok(file) => file,
@@ -93,13 +94,13 @@ impl Membership {
     /// Joins a run by its two locks.
     ///
     /// # Errors
-    /// The path that failed, and what the system said.
+    /// The path that failed, and the error of the system.
     pub(super) fn join(paths: &[PathBuf; 2]) -> Result<Membership, (PathBuf, io::Error)> {
         let open = |path: &PathBuf| join(path).map_err(|error| (path.clone(), error));
         Ok(Membership { _locks: [open(&paths[0])?, open(&paths[1])?] })
     }
 
-    /// Of locks that are held already.
+    /// Takes locks that are held already.
     pub(super) fn of(locks: [File; 2]) -> Membership {
         Membership { _locks: locks }
     }
@@ -125,7 +126,7 @@ mod tests {
         drop(second);
         let Lock::Free(cleaner) = look(&path) else { panic!("nobody holds it") };
         assert!(matches!(look(&path), Lock::Held), "while somebody removes the run, nobody else does");
-        // Who joins during the removal finds no run.
+        // A process that joins during the removal finds no run.
         let late = std::thread::spawn({
             let path = path.clone();
             move || join(&path).map(drop).unwrap_err().kind()

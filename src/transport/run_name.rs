@@ -1,7 +1,7 @@
-//! What a run leaves on the machine, and how it goes away: a folder under the temp directory, shared-memory files with
-//! the run's prefix, and one small file per process of the run. Whoever leaves last removes everything; what killed
-//! runs left behind is found by [`list_runs`]. Locks decide whether a run lives (`run_lock`); what they cannot decide is
-//! left alone, and so is what belongs to other users.
+//! Files of a run on the machine and their removal: a folder under the temp directory, shared-memory files with the
+//! run's prefix, and one small file per process of the run. The last process to leave removes everything; [`list_runs`]
+//! finds the files of killed runs. Locks decide whether a run is alive (`run_lock`). Files for which they cannot decide
+//! are left alone, as are files of other users.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -22,15 +22,15 @@ const ID_LEN: usize = 10;
 const FOLDER_PREFIX: &str = "loomtree-";
 const SHARED_MEMORY_PREFIX: &str = "lt";
 const PROCESSES: &str = "processes";
-/// How long the last member waits for copies of its locks to go.
+/// Time that the last member waits for copies of its locks to be closed.
 const COPIES_LIMIT: Duration = Duration::from_secs(1);
-/// Name of both locks of a run; after the prefix beside the shared memory.
+/// Name of both locks of a run; next to the shared memory it follows the prefix.
 const LOCK: &str = "lock";
 /// Longest path of the temp directory that leaves room for `/loomtree-<id>/` and a socket's name within the 108 bytes
 /// of a Unix socket address (roots of 60 bytes were seen to work, 80 not).
 const TEMP_PATH_MAX: usize = 35;
 
-/// Why the resources of a run could not be created, listed or removed.
+/// Error of creating, listing or removing the resources of a run.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum RunError {
@@ -69,8 +69,8 @@ impl std::str::FromStr for RunName {
 }
 
 impl RunName {
-    /// Makes a new run: its locks, its folder, and the calling process registered in it as `role`. The first file is a
-    /// lock that is held, so that nobody ever takes a run that begins for a dead one.
+    /// Creates a new run: its locks, its folder, and the calling process registered in it as `role`. The first file is
+    /// a held lock, so that other processes never take a run at its start for a dead one.
     pub fn create(role: &str) -> Result<(RunName, RunMember), RunError> {
         loop {
             let run = RunName { id: new_id() };
@@ -82,7 +82,7 @@ impl RunName {
                 Err(error) => return Err(io("create", &beside)(error)),
             };
             let root = run.root();
-            // Others than the user of the run have no business in its folder.
+            // Users other than the user of the run must not access its folder.
             let made = fs::DirBuilder::new().mode(0o700).create(&root);
             if made.as_ref().is_err_and(|error| error.kind() == ErrorKind::AlreadyExists) {
                 let _ = fs::remove_file(&beside);
@@ -122,13 +122,13 @@ impl RunName {
         RunError::Io { action: "join", path: self.root(), source }
     }
 
-    /// The lock beside the shared memory and the one in the folder.
+    /// The lock next to the shared memory and the one in the folder.
     fn locks(&self) -> [PathBuf; 2] {
         let beside = Path::new(SHARED_MEMORY_FOLDER).join(format!("{}{LOCK}", self.shared_memory_prefix()));
         [beside, self.root().join(LOCK)]
     }
 
-    /// Whether the run lives.
+    /// Whether the run is alive.
     pub fn state(&self) -> RunState {
         self.look().0
     }
@@ -162,7 +162,7 @@ impl RunName {
         format!("{SHARED_MEMORY_PREFIX}{}_", self.id)
     }
 
-    /// Processes registered in this run, dead ones too; those that ended in an orderly way are gone.
+    /// Processes registered in this run, including killed ones; processes that left in order have removed their entry.
     pub fn members(&self) -> Vec<Member> {
         let Ok(entries) = fs::read_dir(self.root().join(PROCESSES)) else { return Vec::new() };
         let mut members: Vec<Member> =
@@ -171,8 +171,8 @@ impl RunName {
         members
     }
 
-    /// Shared-memory files of this run that belong to the calling user, but for its lock: path and size in bytes. What
-    /// others have put there under such a name is theirs.
+    /// Shared-memory files of this run that belong to the calling user, without its lock: path and size in bytes. Files
+    /// of other users with such a name belong to them.
     pub fn shared_memory_files(&self) -> Vec<(PathBuf, u64)> {
         let prefix = self.shared_memory_prefix();
         let [lock, _] = self.locks();
@@ -185,11 +185,11 @@ impl RunName {
             .collect()
     }
 
-    /// Removes everything of this run, its locks last. Only for runs without a living process: memory that is still mapped
-    /// stays usable, but no further connection can be made.
+    /// Removes all files of this run, its locks last. Only for runs without a living process: mapped memory stays
+    /// usable, but further connections are impossible.
     ///
     /// # Errors
-    /// Something of it is there and cannot be removed.
+    /// A file of the run exists and cannot be removed.
     pub fn purge(&self) -> Result<(), RunError> {
         for (path, _) in self.shared_memory_files() {
             ignore_missing(fs::remove_file(&path)).map_err(io("remove", &path))?;
@@ -203,7 +203,7 @@ impl RunName {
             };
             ignore_missing(removed).map_err(io("remove", &path))?;
         }
-        // Members may be removing the same folder at the same time.
+        // Other members may remove the same folder at the same time.
         for attempt in 0.. {
             match ignore_missing(fs::remove_dir_all(&root)) {
                 Err(_) if attempt < 3 && root.exists() => std::thread::yield_now(),
@@ -216,7 +216,7 @@ impl RunName {
         ignore_missing(fs::remove_file(&beside)).map_err(io("remove", &beside))
     }
 
-    /// [`RunName::purge`] if the run is known to have no living process; says whether nothing of it is left.
+    /// Calls [`RunName::purge`] if the run is known to have no living process; returns whether all its files are gone.
     pub fn purge_if_last(&self) -> Result<bool, RunError> {
         match self.look() {
             (RunState::Dead, _locks) => self.purge().map(|()| true),
@@ -226,22 +226,22 @@ impl RunName {
     }
 }
 
-/// What the locks of a run say.
+/// State of a run by its locks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunState {
-    /// A process of it lives, here or in another pid namespace.
+    /// One of its processes lives, here or in another pid namespace.
     Alive,
-    /// Nothing of it lives; what is left can go.
+    /// None of its processes lives; its files can be removed.
     Dead,
-    /// It has no lock that can be looked at: perhaps its folder belongs to another machine's shared memory, perhaps an
-    /// older version of this program has made it.
+    /// It does not have a lock that can be checked: its folder may belong to another machine's shared memory, or an
+    /// older version of this program may have made it.
     Unknown,
-    /// Nothing is left of it.
+    /// None of its files exist.
     Gone,
 }
 
-/// Membership of the calling process in a run. Dropping it leaves the run, and removes everything of the run if nobody
-/// else is left: keep it until all transports of the process are gone. `std::process::exit` skips that.
+/// Membership of the calling process in a run. Dropping it leaves the run, and removes the run's files if no other
+/// member is left. Keep it until all transports of the process are dropped. `std::process::exit` skips that.
 #[derive(Debug)]
 pub struct RunMember {
     run: RunName,
@@ -259,10 +259,11 @@ impl RunMember {
 
 impl Drop for RunMember {
     fn drop(&mut self) {
-        // Leave first, then look: of two members that leave at the same time the later one sees nobody.
+        // Leave first, then check: of two members that leave at the same time the later one sees no other.
         let _ = fs::remove_file(&self.file);
         self.locks = None;
-        // A process that another thread is starting holds copies of the locks until it becomes the other program.
+        // A child process that another thread is starting holds copies of the locks until it executes the other
+        // program.
         let start = Instant::now();
         loop {
             match self.run.purge_if_last() {
@@ -283,12 +284,12 @@ pub struct Member {
     pub pid: u32,
     /// Start of the process, clock ticks since boot.
     pub start_ticks: u64,
-    /// What it said it was, for example "coordinator" or "worker 3".
+    /// Its role, for example "coordinator" or "worker 3".
     pub role: String,
 }
 
 impl Member {
-    /// True while that very process runs (not another one with the same number, not a zombie).
+    /// True while this process runs (not another one with the same number, not a zombie).
     pub fn is_alive(&self) -> bool {
         start_ticks(self.pid) == Some(self.start_ticks)
     }
@@ -301,20 +302,20 @@ pub struct FoundRun {
     pub run: RunName,
     /// Its registered processes.
     pub members: Vec<Member>,
-    /// Whether it lives.
+    /// Whether it is alive.
     pub state: RunState,
     /// Number of shared-memory files.
     pub shared_memory_files: usize,
-    /// Their sizes added up, bytes (reserved, not necessarily touched).
+    /// Sum of their sizes, bytes (reserved, not necessarily touched).
     pub shared_memory_bytes: u64,
 }
 
-/// Age from which on [`remove_dead_runs`] removes a run: until then its own processes, or a user who looks into what
-/// happened, may be at it.
+/// Minimum age of a run that [`remove_dead_runs`] removes. Before that its own processes may still be removing it, or a
+/// user may be inspecting it.
 const SETTLED: Duration = Duration::from_secs(60);
 
-/// Removes what dead runs of the calling user have left, as far as that is possible: a coordinator that was killed before its
-/// first worker came has left nobody to do it.
+/// Removes the files of dead runs of the calling user as far as possible. A coordinator that is killed before its first
+/// worker has started leaves no process to do it.
 pub fn remove_dead_runs() {
     let is_settled = |lock: &PathBuf| {
         let made = fs::metadata(lock).and_then(|metadata| metadata.modified());
@@ -327,7 +328,7 @@ pub fn remove_dead_runs() {
     }
 }
 
-/// All runs of the calling user that have left something on this machine, alive or stale, by name.
+/// All runs of the calling user with files on this machine, alive or stale, by name.
 pub fn list_runs() -> Vec<FoundRun> {
     let named = |folder: &Path, prefix: &str, rest_is_id: bool| -> Vec<RunName> {
         let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
@@ -361,18 +362,18 @@ pub fn list_runs() -> Vec<FoundRun> {
         .collect()
 }
 
-/// Belongs to the calling user: what others run here is theirs to look after.
+/// True if the file belongs to the calling user, because runs of other users must be left alone.
 fn is_own(entry: &fs::DirEntry) -> bool {
     entry.metadata().is_ok_and(|metadata| metadata.uid() == rustix::process::geteuid().as_raw())
 }
 
-/// The system's temp directory, or `/tmp` where that has a name that the sockets of a run cannot have.
+/// The system's temp directory, or `/tmp` if its name is not valid for the sockets of a run.
 fn temp_folder() -> PathBuf {
     let folder = std::env::temp_dir();
     if fits_sockets(&folder) { folder } else { PathBuf::from("/tmp") }
 }
 
-/// True if the path is short and plain enough: iceoryx2 takes ASCII only, and not all of it.
+/// True if the path is short and plain enough: iceoryx2 accepts ASCII only, and not all of it.
 fn fits_sockets(folder: &Path) -> bool {
     let bytes = folder.as_os_str().as_encoded_bytes();
     let plain = |byte: &u8| (byte.is_ascii_graphic() || *byte == b' ') && !b"<>\"|?*\\".contains(byte);
@@ -406,7 +407,7 @@ fn register_in(root: &Path, run: &RunName, role: &str) -> Result<String, RunErro
     // A process may be a member more than once (tests are).
     let entry = format!("{pid}-{}", COUNT.fetch_add(1, Ordering::Relaxed));
     let file = folder.join(&entry);
-    // Written aside and renamed: a reader never sees half a line.
+    // Written to another file and renamed, so that a reader never sees half a line.
     let aside = root.join(format!("{entry}.new"));
     fs::write(&aside, line).map_err(io("write", &aside))?;
     fs::rename(&aside, &file).map_err(io("write", &file))?;
@@ -463,7 +464,7 @@ mod tests {
         assert!(run.root().exists() && shared.exists() && !run.purge_if_last().unwrap());
         drop(second);
         assert!(!run.root().exists() && !shared.exists() && run.locks().iter().all(|lock| !lock.exists()));
-        // Purging it again is fine, joining it is not.
+        // A second purge is allowed; joining the run is not.
         assert!(run.purge_if_last().unwrap() && run.state() == RunState::Gone);
         let error = run.join("late").unwrap_err().to_string();
         assert!(error.contains("does not exist"), "{error}");
@@ -488,7 +489,7 @@ mod tests {
         assert_eq!(run.state(), RunState::Gone);
     }
 
-    /// No lock tells that it is dead.
+    /// Without a lock the run is not known to be dead.
     #[test]
     fn what_has_no_lock_is_left_alone() {
         let run = RunName { id: new_id() };

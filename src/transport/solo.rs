@@ -1,4 +1,4 @@
-//! The transport of a run with one rank: there is nobody to talk to, only the run's hook to call.
+//! The transport of a run with one rank. It only calls the run's hook.
 
 use std::time::Duration;
 
@@ -65,7 +65,7 @@ impl Transport for SoloTransport {
     }
 
     fn alive(&mut self) -> Result<(), TransportError> {
-        match self.patience.breathe() {
+        match self.patience.call_hook_if_due() {
             Err(Stopped::Aborted) => Err(TransportError::Aborted { rank: 0, source_rank: 0, what: "its own work" }),
             _ => Ok(()),
         }

@@ -1,22 +1,21 @@
-//! A [`Transport`] that tells a [`Recorder`] what work between ranks that is interwoven with exchanges spends its time on:
-//! computing up to the next message, handing a message over, waiting for one, reading it. It changes nothing else, and nothing
-//! at all where nothing is recorded.
+//! A [`Transport`] that records how work interleaved with exchanges spends its time: computing up to the next message,
+//! publishing a message, waiting for one, reading it. It changes nothing else, and has no effect without a recording.
 
 use super::{Counts, Message, Pattern, Transport, TransportError};
 use crate::telemetry::{Activity, EventName, Moment, Recorder};
 
-/// Passes everything on to a transport and records it as [`EventName::is_share`] says.
+/// Passes all calls to a transport and records them as [`EventName::is_share`] describes.
 pub struct TracedTransport<'a> {
     inner: &'a mut dyn Transport,
     recorder: &'a mut Recorder,
     work: EventName,
     share: EventName,
-    /// When the last exchange ended.
+    /// End of the last exchange.
     since: Moment,
 }
 
 impl<'a> TracedTransport<'a> {
-    /// Work begins now: its parts become events called `work`, its exchanges events called `share`.
+    /// Work begins now. Its parts become events called `work`, its exchanges events called `share`.
     pub fn new(
         inner: &'a mut dyn Transport,
         recorder: &'a mut Recorder,
@@ -32,12 +31,12 @@ impl<'a> TracedTransport<'a> {
         self.share = share;
     }
 
-    /// The work is done: its last part, with the bytes that all parts together read and wrote.
+    /// Ends the work: records its last part, with the bytes that all parts together read and wrote.
     pub fn finish(self, bytes: u64) {
         self.recorder.end(self.work, Activity::Compute, self.since, bytes, 0);
     }
 
-    /// A part of the work ends because an exchange begins.
+    /// Records a part of the work that ends because an exchange begins.
     fn pause(&mut self) -> Moment {
         self.recorder.end(self.work, Activity::Compute, self.since, 0, 0);
         self.recorder.now()
@@ -153,7 +152,7 @@ mod tests {
 
     const LATE: Duration = Duration::from_millis(60);
 
-    /// What rank 0 records while rank 1 works for [`LATE`] before each of its two exchanges.
+    /// Events of rank 0 while rank 1 works for [`LATE`] before each of its two exchanges.
     fn events() -> Vec<Event> {
         let mut ranks = InProcessTransport::group(2);
         let (mut one, mut zero) = (ranks.pop().unwrap(), ranks.pop().unwrap());
@@ -192,7 +191,7 @@ mod tests {
         for pair in events.windows(2) {
             assert!(pair[0].end_ns <= pair[1].start_ns, "{pair:?} overlap");
         }
-        // Two exchanges of a length and a list each; the bytes of the work are told once.
+        // Two exchanges of a length and a list each; the bytes of the work are recorded once.
         assert_eq!(work.iter().map(|e| e.bytes).collect::<Vec<_>>(), [0, 0, 0, 0, 4711]);
         let moved = of(EventName::ShareQuery, Activity::Transfer);
         let routes: Vec<_> = moved.iter().map(|e| (e.source, e.vector, e.bytes)).collect();

@@ -1,5 +1,5 @@
-//! How a rank waits for another one: a moment of spinning where there are cores to spare, a few yields, then sleep, with
-//! the run's hook called all the while. It bounds every wait; it does not know what is waited for.
+//! Waits of a rank for another one: a short spin if there are enough cores, a few yields, then sleep. During the wait
+//! the run's hook is called. Every wait has a deadline. The module does not depend on the awaited event.
 
 use std::time::{Duration, Instant};
 
@@ -7,33 +7,33 @@ use crate::os::clock::AwakeClock;
 
 use super::cores;
 
-/// Called at least every [`HOOK_INTERVAL`] while a rank waits: gives a sign of life, and returns true to give up
-/// waiting (a peer died, the user asked to stop).
+/// Called at least every [`HOOK_INTERVAL`] during a wait. It gives a sign of life, and returns true to give up waiting
+/// (a peer ended, the user requested a stop).
 pub type WaitHook = Box<dyn FnMut() -> bool>;
 
-/// Longest time between two calls of the hook while a rank waits.
+/// Longest time between two calls of the hook during a wait.
 pub const HOOK_INTERVAL: Duration = Duration::from_millis(50);
 
-/// The hook is called when this much time has passed since its last call; a sleep of the same length later it is still
+/// The hook is due when this much time has passed since its last call. A sleep of the same length then still ends
 /// within [`HOOK_INTERVAL`].
 const HOOK_DUE: Duration = Duration::from_millis(20);
-/// Time spent spinning before the first yield where every process has a core. About twice what a wake-up costs (50
-/// microseconds on a virtual machine): two ranks that are that close to each other meet awake.
+/// Time of spinning before the first yield if every process has a core. It is about twice the cost of a wake-up (50
+/// microseconds on a virtual machine), so that two ranks that are this close to each other do not sleep.
 const SPIN: Duration = Duration::from_micros(100);
-/// Yields before sleeping: a few rounds of hand-overs among the processes that share a core, each about a microsecond; to be
-/// put to sleep and woken costs both sides more than all of them.
+/// Yields before sleeping. A yield to a process on the same core takes about a microsecond; a sleep and a wake-up cost
+/// both sides more than all of these yields.
 const YIELDS: u32 = 50;
 
-/// Why a wait ended without what was waited for.
+/// Reason of a wait that failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Stopped {
     /// The deadline passed after this many seconds.
     TimedOut { waited_s: f64 },
-    /// The hook asked for it.
+    /// The hook requested it.
     Aborted,
 }
 
-/// The waiting habits of one rank.
+/// Deadline, spin time and hook of the waits of one rank.
 pub(super) struct Patience {
     deadline: Duration,
     spin: Duration,
@@ -48,8 +48,8 @@ impl Patience {
         Patience { deadline, spin, hook, hook_called: Instant::now() }
     }
 
-    /// Calls the hook if its turn has come, without waiting.
-    pub(super) fn breathe(&mut self) -> Result<(), Stopped> {
+    /// Calls the hook if it is due, without waiting.
+    pub(super) fn call_hook_if_due(&mut self) -> Result<(), Stopped> {
         let now = Instant::now();
         if now - self.hook_called >= HOOK_DUE {
             self.hook_called = now;
@@ -65,9 +65,9 @@ impl Patience {
         Wait { clock: AwakeClock::start(), yields: 0 }
     }
 
-    /// One miss of `wait`: spins or yields and returns `None`, or returns how long the caller may sleep before it looks
-    /// again.
-    pub(super) fn miss(&mut self, wait: &mut Wait) -> Result<Option<Duration>, Stopped> {
+    /// Backs off after an unsuccessful look in `wait`: spins or yields and returns `None`, or returns the time that the
+    /// caller may sleep before the next look.
+    pub(super) fn back_off(&mut self, wait: &mut Wait) -> Result<Option<Duration>, Stopped> {
         let now = Instant::now();
         let waited = wait.clock.elapsed();
         if waited < self.spin {
@@ -116,7 +116,7 @@ mod tests {
         let mut wait = patience.begin();
         let mut yields = 0;
         let stopped = loop {
-            match patience.miss(&mut wait) {
+            match patience.back_off(&mut wait) {
                 Ok(None) => yields += 1,
                 Ok(Some(limit)) => {
                     assert!(limit <= HOOK_DUE);
@@ -126,7 +126,7 @@ mod tests {
             }
         };
         assert!(matches!(stopped, Stopped::TimedOut { waited_s } if waited_s >= 0.2));
-        // A busy machine may hold this thread back between two yields until the hook is due.
+        // A busy machine may delay this thread between two yields until the hook is due.
         assert!((1..=YIELDS).contains(&yields));
         assert!(calls.get() >= 2);
     }
@@ -136,7 +136,7 @@ mod tests {
         let mut patience = Patience::new(Duration::from_secs(60), 1, Box::new(|| true));
         let mut wait = patience.begin();
         let stopped = loop {
-            match patience.miss(&mut wait) {
+            match patience.back_off(&mut wait) {
                 Ok(limit) => std::thread::sleep(limit.unwrap_or_default()),
                 Err(stopped) => break stopped,
             }

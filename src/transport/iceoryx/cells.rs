@@ -1,4 +1,4 @@
-//! Blackboard of one rank: small values that it alone writes and all others read without system calls.
+//! Blackboard of one rank: small values that only this rank writes and all others read without system calls.
 
 use std::sync::atomic::{Ordering, fence};
 
@@ -10,10 +10,10 @@ use iceoryx2::service::port_factory::blackboard::PortFactory;
 use super::node::{Ipc, service_name, text};
 use crate::transport::{ALL_GATHER_MAX, RANKS_MAX};
 
-/// Values that fit beside the sequence number into one cache line.
+/// Values that fit into one cache line with the sequence number.
 pub(super) const HEAD_VALUES: usize = 6;
 
-/// Contribution to an all-gather: number of the operation, then the values if they are few.
+/// Contribution to an all-gather: number of the operation, then the values if they fit.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
 pub(super) struct Head {
@@ -23,7 +23,7 @@ pub(super) struct Head {
     pub values: [f64; HEAD_VALUES],
 }
 
-/// Values of one piece of a tail. Cells are copied whole, also when little of them is used: a dot product of many ranks fits
+/// Values of one piece of a tail. A cell is always copied whole, so pieces are small; a dot product of many ranks fits
 /// into one piece.
 const PIECE: usize = 64;
 const PIECES: usize = ALL_GATHER_MAX.div_ceil(PIECE);
@@ -44,13 +44,14 @@ const KEY_TAIL: u64 = KEY_CONSUMED + RANKS_MAX as u64;
 
 /// The own blackboard.
 pub(super) struct OwnCells {
-    /// One slot per parity of the operation. Two suffice: operation k + 2 overwrites k, and nobody begins k + 2 before
-    /// everybody has contributed to k + 1, that is, has read all of k.
+    /// One slot per parity of the operation. Two suffice: operation k + 2 overwrites k, and no rank begins k + 2 before
+    /// all ranks have contributed to k + 1, that is, have read all of k.
     heads: [EntryHandleMut<Ipc, u64, Head>; 2],
     tails: [Vec<EntryHandleMut<Ipc, u64, Tail>>; 2],
-    /// Bit r is set while this rank sleeps (or is about to) until rank r does something.
+    /// Bit r is set while this rank sleeps (or is about to) until rank r acts.
     pub asleep: EntryHandleMut<Ipc, u64, u64>,
-    /// By source: one more than the number of the last exchange whose message this rank has read and given back; 0 = none.
+    /// By source: one more than the number of the last exchange whose message this rank has read and released; 0 =
+    /// none.
     pub consumed: Vec<EntryHandleMut<Ipc, u64, u64>>,
     _writer: Writer<Ipc, u64>,
     _service: PortFactory<Ipc, u64>,
@@ -93,7 +94,7 @@ impl OwnCells {
         })
     }
 
-    /// Writes a contribution to an all-gather: what the head has no room for, then the head.
+    /// Writes a contribution to an all-gather: first the values that exceed the head, then the head.
     pub(super) fn contribute(&self, slot: usize, sequence: u64, own: &[f64]) {
         let mut head = Head { sequence, len: own.len() as u64, values: [0.0; HEAD_VALUES] };
         if own.len() <= HEAD_VALUES {
@@ -108,11 +109,12 @@ impl OwnCells {
         self.heads[slot].update_with_copy(head);
     }
 
-    /// Says for whom this rank is about to sleep (0: for nobody). A look at the awaited value must follow.
+    /// Publishes the ranks for which this rank is about to sleep (0: none). The caller must then check the awaited
+    /// value once more.
     pub(super) fn announce_sleep(&self, mask: u64) {
         self.asleep.update_with_copy(mask);
-        // Pairs with the fence in `PeerCells::sleeps_for`: either the waker sees the mask or the sleeper, looking once
-        // more before it sleeps, sees what the waker wrote.
+        // Pairs with the fence in `PeerCells::sleeps_for`: either the waker sees the mask, or the sleeper, which checks
+        // once more before it sleeps, sees the value that the waker wrote.
         fence(Ordering::SeqCst);
     }
 }
@@ -151,7 +153,7 @@ impl PeerCells {
         *self.heads[slot].get()
     }
 
-    /// The values of an operation whose head has been seen.
+    /// The values of an operation whose head has been read.
     pub(super) fn copy_values(&self, slot: usize, head: &Head, out: &mut Vec<f64>) {
         let len = (head.len as usize).min(ALL_GATHER_MAX);
         out.clear();
@@ -168,13 +170,14 @@ impl PeerCells {
         *self.consumed.get()
     }
 
-    /// True if the peer sleeps for rank `rank`. Call [`before_waking`] once between the write it may wait for and this.
+    /// True if the peer sleeps for rank `rank`. Call [`before_waking`] once between the write that it may wait for and
+    /// this.
     pub(super) fn sleeps_for(&self, rank: usize) -> bool {
         *self.asleep.get() & (1 << rank) != 0
     }
 }
 
-/// Orders the writes that others may wait for before the look at who sleeps.
+/// Orders the writes that others may wait for before the check for sleeping ranks.
 pub(super) fn before_waking() {
     fence(Ordering::SeqCst);
 }

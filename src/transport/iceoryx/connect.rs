@@ -1,15 +1,15 @@
-//! How a worker process joins the others.
+//! Connection of a worker process to the other ranks.
 
 use crate::transport::connect::with_links;
 use crate::transport::{Connect, Connection, IceoryxOptions, IceoryxTransport, RunName, Transport, TransportError};
 
-/// Joins the processes of a run over shared memory.
+/// Connects the processes of a run over shared memory.
 pub struct IceoryxConnect {
     run: RunName,
 }
 
 impl IceoryxConnect {
-    /// Joins the ranks of `run`.
+    /// Connects the ranks of `run`.
     pub fn new(run: &RunName) -> IceoryxConnect {
         IceoryxConnect { run: run.clone() }
     }

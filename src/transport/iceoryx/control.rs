@@ -1,7 +1,8 @@
 //! The coordinator's end of a [`crate::transport::control`] channel between processes of one machine.
 //!
-//! Every message is cut into frames (see `frames`), one stream each way and rank. A reader counts on its blackboard what
-//! it has taken, so that a sender only ever sends what fits; who sends or takes wakes the other end.
+//! Every message is cut into frames (see `frames`), with one stream for each direction and rank. A reader counts the
+//! frames that it has received on its blackboard, so that a sender sends only frames that fit. A process that sends or
+//! receives wakes the other end.
 
 use std::time::Duration;
 
@@ -19,10 +20,10 @@ use crate::transport::{ControlCoordinator, ControlError, Heartbeat, RANKS_MAX, R
 
 pub(super) const KEY_CONSUMED: u64 = 0;
 pub(super) const KEY_HEARTBEAT: u64 = 1;
-/// On the coordinator's blackboard, after the counters of frames taken from each rank.
+/// Key on the coordinator's blackboard, after the counters of frames received from each rank.
 pub(super) const KEY_PID: u64 = RANKS_MAX as u64;
 
-/// A [`Heartbeat`] as it crosses.
+/// A [`Heartbeat`] in shared memory.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
 pub(super) struct Beat {
@@ -64,9 +65,9 @@ pub struct IceoryxCoordinator {
 struct Link {
     sender: FrameSender,
     receiver: FrameReceiver,
-    /// Frames taken from this worker, for it to see.
+    /// Number of frames received from this worker, published for the worker.
     taken: EntryHandleMut<Ipc, u64, u64>,
-    /// Frames that the worker has taken.
+    /// Number of frames that the worker has received.
     taken_by_worker: EntryHandle<Ipc, u64, u64>,
     heartbeat: EntryHandle<Ipc, u64, Beat>,
     notifier: Notifier<Ipc>,
@@ -76,7 +77,7 @@ struct Link {
 }
 
 impl IceoryxCoordinator {
-    /// Creates the channel for `ranks` workers of `run`; they connect when they come.
+    /// Creates the channel for `ranks` workers of `run`, which connect later.
     ///
     /// # Errors
     /// The machine lacks a resource, or the run has a coordinator already.
@@ -88,7 +89,7 @@ impl IceoryxCoordinator {
         let node = create_node(run, "coordinator")?;
         let (own_name, wake_name) = Names::of_coordinator()?;
         let mut creator = node.service_builder(&own_name).blackboard_creator::<u64>();
-        // One place more than needed, so that a process that does not belong finds out why.
+        // One place more than needed, so that a process that does not belong to the run gets an error.
         creator = creator.max_readers(ranks + 1).max_nodes(ranks + 2).add(KEY_PID, u64::from(std::process::id()));
         for rank in 0..ranks as u64 {
             creator = creator.add(KEY_CONSUMED + rank, 0u64);
@@ -132,7 +133,7 @@ impl ControlCoordinator for IceoryxCoordinator {
         link.pump()?;
         while let Some(taken) = link.receiver.take()? {
             link.taken.update_with_copy(link.receiver.consumed());
-            // A worker that has left needs no waking.
+            // A worker that has left does not need to be woken.
             let _ = link.notifier.notify();
             if taken.is_some() {
                 return Ok(taken);

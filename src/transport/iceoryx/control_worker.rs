@@ -18,21 +18,21 @@ use crate::transport::process::ProcessWatch;
 use crate::transport::wait::{Patience, Stopped};
 use crate::transport::{ControlError, ControlWorker, RANKS_MAX, RunName, shared_memory};
 
-/// Longest sleep between two signs of life while waiting for the coordinator.
+/// Longest sleep between two signs of life during a wait for the coordinator.
 const BEAT: Duration = Duration::from_millis(20);
 
-/// The end of a worker that is a process.
+/// The control end of a worker process.
 pub struct IceoryxWorker {
     deadline: Duration,
     sender: FrameSender,
     receiver: FrameReceiver,
     heartbeat: EntryHandleMut<Ipc, u64, Beat>,
-    /// What `heartbeat` shows.
+    /// Current value of `heartbeat`.
     beat: Cell<Beat>,
     coordinator: ProcessWatch,
-    /// Frames taken from the coordinator, for it to see.
+    /// Number of frames received from the coordinator, published for the coordinator.
     taken: EntryHandleMut<Ipc, u64, u64>,
-    /// Frames that the coordinator has taken.
+    /// Number of frames that the coordinator has received.
     taken_by_coordinator: EntryHandle<Ipc, u64, u64>,
     listener: Listener<Ipc>,
     notifier: Notifier<Ipc>,
@@ -48,7 +48,8 @@ impl IceoryxWorker {
     /// Connects worker `rank` of `run` with its coordinator. `deadline` bounds this and every later call that sends.
     ///
     /// # Errors
-    /// There is no coordinator within the deadline, it made no place for this rank, or another process has taken it.
+    /// The coordinator did not appear within the deadline, has no place for this rank, or another process has taken the
+    /// place.
     pub fn connect(run: &RunName, rank: usize, deadline: Duration) -> Result<IceoryxWorker, ControlError> {
         if rank >= RANKS_MAX {
             return Err(ControlError::NoSuchRank { rank, ranks: RANKS_MAX });
@@ -66,7 +67,8 @@ impl IceoryxWorker {
         let taken_by_coordinator = reader.entry(&(KEY_CONSUMED + rank as u64));
         let taken_by_coordinator =
             taken_by_coordinator.map_err(|_| format!("the coordinator has made no place for rank {rank}"))?;
-        // The own place comes before everything shared: who finds it taken learns that and not another limit.
+        // The own place is claimed first, so that a second process of this rank gets this error and not that of another
+        // limit.
         let own_board = open_when_created(&mut patience, "worker's blackboard", || board(&names.worker));
         let own_board = own_board.map_err(|error| match error {
             OpenError::Failed(message) if message.contains("Exceeds") => {
@@ -80,7 +82,7 @@ impl IceoryxWorker {
         let writer = own_board.writer_builder().create().map_err(text("worker's blackboard"))?;
         let taken = writer.entry(&KEY_CONSUMED).map_err(text("worker's blackboard"))?;
         let heartbeat = writer.entry(&KEY_HEARTBEAT).map_err(text("worker's blackboard"))?;
-        // The listener must be there before the subscriber is: what is sent to the one wakes the other.
+        // The listener must exist before the subscriber, because a message to the subscriber wakes the listener.
         let own_wake = open_when_created(&mut patience, "worker's wake-up service", || wake(&names.wake))?;
         let listener = own_wake.listener_builder().create().map_err(text("worker's listener"))?;
         let up = open_when_created(&mut patience, "control stream", || open_stream(&node, &names.up))?;
@@ -122,7 +124,7 @@ impl IceoryxWorker {
             }
             self.check_coordinator()?;
             let waited = clock.elapsed();
-            // A coordinator that the user has stopped (Ctrl-Z) goes on some day.
+            // A coordinator that the user has suspended (Ctrl-Z) may continue later.
             if waited >= self.deadline && self.coordinator.is_stopped() {
                 clock = AwakeClock::start();
             } else if waited >= self.deadline {
@@ -170,7 +172,7 @@ impl ControlWorker for IceoryxWorker {
         self.coordinator.has_ended()
     }
 
-    /// Returns when at most two frames are not yet taken.
+    /// Returns when at most two frames are not yet received.
     fn send(&mut self, message: Vec<u8>) -> Result<(), ControlError> {
         self.sender.outbox.push(message);
         self.wait_until("the coordinator to take a message", |worker| worker.sender.outbox.is_empty())
@@ -196,7 +198,7 @@ impl ControlWorker for IceoryxWorker {
     fn receive(&mut self, timeout: Duration) -> Result<Option<Vec<u8>>, ControlError> {
         let start = Instant::now();
         loop {
-            // Asked before looking: what it sent before it ended is still received.
+            // Checked before the receipt, so that messages sent before its end are still received.
             let coordinator = self.check_coordinator();
             if let Some(message) = self.try_receive()? {
                 return Ok(Some(message));

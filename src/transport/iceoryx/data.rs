@@ -1,21 +1,22 @@
 //! [`Transport`] between processes: one publisher per rank whose messages all others can read in place, and one blackboard
 //! per rank.
 //!
-//! A message lies in the publisher's memory once and is known to every other rank, but only the readers that its pattern names
-//! take it. Messages carry the number of their exchange; a reader forgets older ones, and what nobody takes off a rank's list
-//! is pushed out by newer messages. Readers write on their blackboard up to which exchange they have read a source: these
-//! credits keep what is pushed out and what is to be read apart.
+//! A message lies once in the publisher's memory. Every other rank has it in its list, but only the readers that its
+//! pattern names receive it. Messages carry the number of their exchange. A reader discards older ones, and newer
+//! messages displace those that a rank leaves in its list. Readers write the last exchange of which they have read a
+//! source on their blackboard. With these credits a publisher never displaces a message that is still to be read.
 //!
-//! **Three buffers per rank suffice** ([`DEPTH`] + 1, for any number of ranks). When a rank begins to write a message, all
-//! readers of the message before the last have given it back ([`IceoryxTransport::wait_for_room`]). So
-//! - only the last message may have readers that have still to read it, or that hold it;
-//! - lists of ranks that do not read hold at most the last [`DEPTH`] messages, because they are no longer;
-//! - besides, a rank that looks for its message holds an older one for the moment in which it sees that it is an older one.
+//! **Three buffers per rank suffice** ([`DEPTH`] + 1, for any number of ranks). When a rank begins to write a message,
+//! all readers of the message before the last have released it ([`IceoryxTransport::wait_for_room`]). So
+//! - only the last message may have readers that still read it or hold it;
+//! - lists of ranks that do not read hold at most the last [`DEPTH`] messages, because this is their capacity;
+//! - in addition, a rank that looks for its message holds an older one for the moment in which it recognizes it as
+//!   older.
 //!
-//! The first two are two buffers, and the third is the one to write. A buffer of the third kind comes back by itself, as its
-//! holder waits for nobody: a writer that finds no buffer looks again. A message that somebody has still to read is never
-//! pushed out: it would take [`DEPTH`] newer ones, and the second of them is not written before it is read.
-//! That nobody waits in a circle is shown in `transport/mod.rs`.
+//! The first two kinds take two buffers, and the third buffer is for writing. A buffer of the last kind is released
+//! without waiting, so a writer that does not find a buffer tries again. A message that is still to be read is never
+//! displaced: this would take [`DEPTH`] newer messages, and the second of them is not written before it is read.
+//! `transport/data.rs` shows that ranks never wait for each other in a circle.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -36,23 +37,23 @@ use crate::transport::{
     ALL_GATHER_MAX, Counts, Message, Pattern, RANKS_MAX, RunName, Transport, TransportError, shared_memory,
 };
 
-/// What a rank needs to connect.
+/// Parameters of a connection of a rank.
 pub struct IceoryxOptions {
     /// Own rank.
     pub rank: usize,
     /// Number of ranks, at most [`RANKS_MAX`].
     pub ranks: usize,
-    /// Number of this connection, the same on all ranks. A run that connects again must count up.
+    /// Number of this connection, the same on all ranks. It must increase with every connection of a run.
     pub epoch: u32,
-    /// Most values of one message, the same on all ranks: memory is reserved for it at the start.
+    /// Maximum number of values of a message, the same on all ranks. Memory is reserved for it at the start.
     pub max_len: usize,
-    /// Longest wait of one call, also while connecting.
+    /// Longest wait of a call and of connecting.
     pub deadline: Duration,
-    /// Called at least every 50 ms while waiting; true = give up.
+    /// Called at least every 50 ms during a wait; returns true to give up.
     pub on_wait: WaitHook,
 }
 
-/// One rank of a run whose ranks are processes (or threads) of this machine. Bound to the thread that made it.
+/// One rank of a run whose ranks are processes (or threads) of this machine. Bound to the thread that created it.
 pub struct IceoryxTransport {
     rank: usize,
     max_len: usize,
@@ -73,7 +74,7 @@ struct Unread {
     pattern: Pattern,
 }
 
-/// All ports; apart from the counters so that a wait can look at them while the hook runs.
+/// All ports. They are separate from the counters, so that a wait can access them while the hook runs.
 struct Links {
     rank: usize,
     own: OwnCells,
@@ -90,8 +91,8 @@ impl IceoryxTransport {
     /// Connects this rank with all others; returns after every rank has connected with every other one.
     ///
     /// # Errors
-    /// A rank did not show up before the deadline, the hook gave up, or the machine lacks a resource (shared memory is
-    /// reserved here, so that running out of it cannot strike later).
+    /// A rank did not connect before the deadline, the hook gave up, or the machine lacks a resource. Shared memory is
+    /// reserved here, so that it cannot run out later.
     pub fn connect(run: &RunName, options: IceoryxOptions) -> Result<IceoryxTransport, TransportError> {
         let IceoryxOptions { rank, ranks, epoch, max_len, deadline, on_wait } = options;
         let fail = |message: String| TransportError::Mechanism { rank, message };
@@ -124,8 +125,8 @@ impl IceoryxTransport {
             gathers: 0,
             counts: Counts::default(),
         };
-        // A port that is registered is not yet connected: first all subscribers must be there, then all senders connect,
-        // then all subscribers do.
+        // A registered port is not yet connected. First all subscribers must exist, then all senders connect, then all
+        // subscribers do.
         transport.barrier()?;
         transport.links.publisher.update_connections().map_err(|error| fail(format!("publisher: {error:?}")))?;
         transport.barrier()?;
@@ -140,7 +141,7 @@ impl IceoryxTransport {
         TransportError::Mechanism { rank: self.rank, message }
     }
 
-    /// Waits until `look` finds something; `source` is the rank that makes it.
+    /// Waits until `look` returns a value; `source` is the rank that provides it.
     fn wait_for<T>(
         &mut self,
         source: usize,
@@ -153,9 +154,9 @@ impl IceoryxTransport {
         let mut wait = self.patience.begin();
         let mut announced = false;
         let result = loop {
-            match self.patience.miss(&mut wait) {
+            match self.patience.back_off(&mut wait) {
                 Ok(None) => {}
-                // Announce first and look again, sleep at the next miss.
+                // Announce the sleep first and look again; sleep after the next failed look.
                 Ok(Some(_)) if !announced => {
                     self.links.own.announce_sleep(1 << source);
                     announced = true;
@@ -178,7 +179,7 @@ impl IceoryxTransport {
         result
     }
 
-    /// Waits until all readers of the own message before the last have given it back.
+    /// Waits until all readers of the own message before the last have released it.
     fn wait_for_room(&mut self) -> Result<(), TransportError> {
         while self.unread.len() >= DEPTH {
             let Some(Unread { number, pattern }) = self.unread.pop_front() else { break };
@@ -223,7 +224,7 @@ impl Transport for IceoryxTransport {
         let mut sample =
             self.wait_for(first.rank, "a free buffer", |links| match links.publisher.loan_slice_uninit(len) {
                 Ok(sample) => Ok(Some(sample)),
-                // Somebody holds an old message for the moment in which it sees that it is old.
+                // A reader holds an old message for the moment in which it recognizes it as old.
                 Err(LoanError::OutOfMemory) => Ok(None),
                 Err(error) => {
                     Err(TransportError::Mechanism { rank, message: format!("buffer for a message: {error:?}") })
@@ -238,7 +239,7 @@ impl Transport for IceoryxTransport {
         // SAFETY: initialized, see above.
         let sample = unsafe { sample.assume_init() };
         let sent = sample.send().map_err(|error| self.fail(format!("publish: {error:?}")))?;
-        // A rank that reads nothing any more may be gone already.
+        // A rank that reads no further message may have ended already.
         let readers = pattern.readers().len();
         if sent < readers {
             return Err(self.fail(format!("a message for {readers} ranks reached {sent}: one has left the run")));
@@ -252,7 +253,7 @@ impl Transport for IceoryxTransport {
     fn ready(&mut self, source: usize) -> bool {
         let Some(number) = self.pending.next(source).map(|due| due.number) else { return false };
         let peer = self.links.peers[source].as_mut();
-        // What is wrong with a message is said by `wait` and `finish`.
+        // `wait` and `finish` report errors of a message.
         peer.is_some_and(|peer| !matches!(peer.find(self.rank, source, number), Ok(false)))
     }
 
@@ -272,7 +273,7 @@ impl Transport for IceoryxTransport {
         let message = due.message(self.rank, sample.payload())?;
         read(&message);
         self.counts.receive(&message);
-        // The buffer goes back before the counter says so.
+        // The buffer is released before the counter is written.
         drop(sample);
         self.links.own.consumed[source].update_with_copy(due.number + 1);
         self.links.wake_if_asleep([source]);
@@ -281,7 +282,7 @@ impl Transport for IceoryxTransport {
 
     fn alive(&mut self) -> Result<(), TransportError> {
         let rank = self.rank;
-        self.patience.breathe().map_err(|stopped| stopped_error(rank, rank, "its own work", stopped))
+        self.patience.call_hook_if_due().map_err(|stopped| stopped_error(rank, rank, "its own work", stopped))
     }
 
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
@@ -343,7 +344,7 @@ impl Links {
 
     fn notify(&self, peer: &Peer) {
         if peer.cells.sleeps_for(self.rank) {
-            // A lost wake-up costs the sleeper the rest of its 20 ms; a peer that has left needs none.
+            // A lost wake-up costs the sleeper the rest of its 20 ms; a peer that has left does not need it.
             let _ = peer.notifier.notify();
         }
     }

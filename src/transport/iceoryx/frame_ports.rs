@@ -1,4 +1,4 @@
-//! The two ends of a stream of frames from one process to one other: bytes of at most [`FRAME_MAX`] per frame.
+//! The two ends of a stream of frames between two processes: at most [`FRAME_MAX`] bytes per frame.
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
@@ -10,7 +10,7 @@ use super::node::{Ipc, text};
 use crate::transport::frames::{FRAME_MAX, FrameHead, Inbox, Outbox};
 use crate::transport::pattern::{BUFFERS, DEPTH};
 
-/// [`FrameHead`] as it crosses.
+/// A [`FrameHead`] in shared memory.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
 pub(super) struct Header {
@@ -67,8 +67,8 @@ impl FrameSender {
         Ok(FrameSender { publisher, outbox: Outbox::default() })
     }
 
-    /// Sends frames while the reader, which has given back `consumed` of them, has room; never waits. Returns true if
-    /// something was sent, that is, the reader should be woken.
+    /// Sends frames while the reader, which has released `consumed` of them, has room; never waits. Returns true if it
+    /// sent a frame, so that the caller should wake the reader.
     pub(super) fn pump(&mut self, consumed: u64) -> Result<bool, String> {
         let before = self.outbox.frames_sent();
         while let Some((head, bytes)) = self.outbox.next() {
@@ -78,7 +78,7 @@ impl FrameSender {
             let mut sample = self.publisher.loan_slice_uninit(bytes.len()).map_err(text("control buffer"))?;
             let FrameHead { sequence, message_len, offset } = head;
             *sample.user_header_mut() = Header { sequence, message_len, offset };
-            // No reader yet: the frame stays the next one.
+            // Without a reader the frame stays the next one.
             if sample.write_from_slice(bytes).send().map_err(text("control send"))? == 0 {
                 break;
             }
@@ -101,7 +101,7 @@ impl FrameReceiver {
         Ok(FrameReceiver { subscriber, inbox: Inbox::default() })
     }
 
-    /// Takes one frame if there is one: `None` if not, otherwise the message that it completed, if it did. The caller
+    /// Receives one frame if there is one: `None` if not, otherwise the message that it completed, if any. The caller
     /// must then tell the sender that [`FrameReceiver::consumed`] has grown.
     pub(super) fn take(&mut self) -> Result<Option<Option<Vec<u8>>>, String> {
         let Some(sample) = self.subscriber.receive().map_err(text("control receive"))? else { return Ok(None) };
@@ -109,7 +109,7 @@ impl FrameReceiver {
         self.inbox.accept(&FrameHead { sequence, message_len, offset }, sample.payload()).map(Some)
     }
 
-    /// Frames taken so far.
+    /// Number of frames received.
     pub(super) fn consumed(&self) -> u64 {
         self.inbox.frames_accepted()
     }

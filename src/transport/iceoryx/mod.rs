@@ -1,16 +1,17 @@
-//! Processes of one machine over iceoryx2: the only folder that knows its API. [`IceoryxTransport`] carries the step's
-//! data, `control` the coordinator's messages.
+//! Transport between processes of one machine over iceoryx2. Only this folder uses its API. [`IceoryxTransport`]
+//! carries the data of steps, `control` the coordinator's messages.
 //!
-//! iceoryx2 is used as a mechanism, not as a protocol. Three rules of ours make it one:
-//! - **Credits.** A publisher sends only while those that read its messages have room, which it knows from a counter that
-//!   each reader keeps on its blackboard. So `send` neither blocks nor drops what somebody reads, a dead reader never blocks
-//!   a sender inside foreign code, and three buffers per publisher are enough for any number of readers (`data.rs`).
-//! - **Announced sleep.** A rank that is about to sleep writes on its blackboard for whom it waits, and only those wake
-//!   it: rounds in which everyone meets awake cost no system call.
-//! - **Nobody cleans up piecemeal.** All files carry the run's prefix and go in one purge after the last process has
-//!   left (`RunName::purge_if_last`); cleaning by iceoryx2 while others start or stop can take innocent ones down.
+//! iceoryx2 provides the mechanism; three rules of this folder make a protocol of it:
+//! - **Credits.** A publisher sends only while the readers of its messages have room. It knows this from a counter that
+//!   each reader keeps on its blackboard. So `send` neither blocks nor drops a message that has readers, a dead reader
+//!   never blocks a sender inside iceoryx2, and three buffers per publisher suffice for any number of readers
+//!   (`data.rs`).
+//! - **Announced sleep.** Before a rank sleeps it writes on its blackboard which ranks it waits for, and only those
+//!   wake it. Rounds in which all ranks are awake cost no system call.
+//! - **One purge.** All files carry the run's prefix and are removed at once after the last process has left
+//!   (`RunName::purge_if_last`), because the cleanup of iceoryx2 can remove files of processes that start or stop.
 //!
-//! It promises nothing across machines, nor to processes of other users.
+//! It does not work across machines, nor with processes of other users.
 
 mod cells;
 mod connect;

@@ -1,4 +1,4 @@
-//! The iceoryx2 node of a process, with everything it creates confined to the run's folder and prefix.
+//! The iceoryx2 node of a process. All its files stay within the run's folder and prefix.
 
 use std::fmt::Debug;
 use std::fs::OpenOptions;
@@ -12,16 +12,16 @@ use iceoryx2::service::port_factory::event::PortFactory;
 use crate::transport::RunName;
 use crate::transport::wait::{Patience, Stopped};
 
-/// The flavour of iceoryx2 used: shared memory between processes, ports bound to one thread.
+/// The iceoryx2 service variant: shared memory between processes, ports bound to one thread.
 pub(super) type Ipc = ipc::Service;
 
-/// Pause between two attempts to open what another process is about to create.
+/// Pause between two attempts to open a resource that another process is about to create.
 const OPEN_PAUSE: Duration = Duration::from_millis(1);
 
-/// A node of `run`. `Config::global_config()` is avoided on purpose: it reads files from the working directory, the
-/// home directory and /etc.
+/// A node of `run`. It avoids `Config::global_config()`, because that reads files from the working directory, the home
+/// directory and /etc.
 pub(super) fn create_node(run: &RunName, name: &str) -> Result<Node<Ipc>, String> {
-    // What matters is returned as errors; the library's own log lines would garble a terminal.
+    // Errors are returned; log lines of the library would only disturb a terminal.
     set_log_level(LogLevel::Fatal);
     let root = run.root();
     let root = root.to_str().ok_or_else(|| format!("the path {} is not valid UTF-8", root.display()))?;
@@ -41,9 +41,9 @@ pub(super) fn create_node(run: &RunName, name: &str) -> Result<Node<Ipc>, String
     Ok(node)
 }
 
-/// Takes the rights of other users on the run's shared memory away: iceoryx2 lets everybody write to its counter of nodes,
-/// and who shortens that file hangs the run. Who has it open already keeps that right, so a private copy takes its place;
-/// iceoryx2 opens the counter anew for every node.
+/// Removes the rights of other users on the run's shared memory. iceoryx2 lets every user write to its counter of
+/// nodes, and a user who shortens that file hangs the run. A process that has opened the file already keeps its right,
+/// so a private copy replaces the file; iceoryx2 opens the counter again for every node.
 fn keep_private(run: &RunName) -> Result<(), String> {
     for (path, _) in run.shared_memory_files().iter().filter(|(path, _)| is_open_to_others(path)) {
         let copy = path.with_extension("private");
@@ -56,7 +56,7 @@ fn keep_private(run: &RunName) -> Result<(), String> {
             std::fs::rename(&copy, path)
         });
         match copied {
-            // Another process of the run is doing the same.
+            // Another process of the run does the same.
             Err(error) if matches!(error.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => {}
             done => done.map_err(|error| format!("node: {}: {error}", path.display()))?,
         }
@@ -68,7 +68,7 @@ fn is_open_to_others(path: &std::path::Path) -> bool {
     std::fs::metadata(path).is_ok_and(|metadata| metadata.permissions().mode() & 0o077 != 0)
 }
 
-/// Turns an error of iceoryx2 into the message of ours.
+/// Converts an error of iceoryx2 to an error message of ours.
 pub(super) fn text<E: Debug>(what: &'static str) -> impl Fn(E) -> String {
     move |error| {
         let name = format!("{error:?}");
@@ -79,7 +79,7 @@ pub(super) fn text<E: Debug>(what: &'static str) -> impl Fn(E) -> String {
     }
 }
 
-/// What an error of iceoryx2 usually means on the machine, for those that users meet.
+/// Usual cause on the machine of an error of iceoryx2, for errors that users meet.
 fn meaning(name: &str) -> Option<&'static str> {
     let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
     match () {
@@ -112,7 +112,7 @@ pub(super) fn create_wake(node: &Node<Ipc>, name: &ServiceName, notifiers: usize
         .map_err(text("wake-up service"))
 }
 
-/// What the system says if this process may not open one more file.
+/// Error text if this process may not open one more file.
 fn descriptor_shortage() -> Option<String> {
     let error = std::fs::File::open("/dev/null").err()?;
     [rustix::io::Errno::MFILE, rustix::io::Errno::NFILE]
@@ -121,15 +121,15 @@ fn descriptor_shortage() -> Option<String> {
         .then(|| error.to_string())
 }
 
-/// How opening what another process creates ended.
+/// Error of opening a resource that another process creates.
 pub(super) enum OpenError {
-    /// It was not there in time, or the run was stopped.
+    /// It did not appear in time, or the run was stopped.
     Stopped(Stopped),
-    /// It is there and does not fit.
+    /// It exists and does not match.
     Failed(String),
 }
 
-/// Opens something that another process creates, trying again until it is there.
+/// Opens a resource that another process creates; retries until it exists.
 pub(super) fn open_when_created<T, E: Debug>(
     patience: &mut Patience,
     what: &'static str,
@@ -141,15 +141,15 @@ pub(super) fn open_when_created<T, E: Debug>(
             Ok(opened) => return Ok(opened),
             Err(error) => format!("{error:?}"),
         };
-        // Under which of many names a lack of descriptors shows up here differs, and waiting does not help.
+        // A shortage of descriptors appears here under different names, and waiting does not help.
         if let Some(shortage) = descriptor_shortage() {
             return Err(OpenError::Failed(format!("{what}: {shortage}")));
         }
-        // Half-created services show up under many names; those that name a mismatch never go away.
+        // Half-created services appear under many names; errors that name a mismatch are permanent.
         if ["Incompatible", "DoesNotSupport", "Exceeds", "VersionMismatch"].iter().any(|word| error.contains(word)) {
             return Err(OpenError::Failed(format!("{what}: {error}")));
         }
-        if let Some(limit) = patience.miss(&mut wait).map_err(OpenError::Stopped)? {
+        if let Some(limit) = patience.back_off(&mut wait).map_err(OpenError::Stopped)? {
             std::thread::sleep(limit.min(OPEN_PAUSE));
         }
     }

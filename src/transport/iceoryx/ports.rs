@@ -1,4 +1,4 @@
-//! The ports of the data transport: a rank's own publisher, and what it opens of every other rank.
+//! The ports of the data transport: a rank's own publisher, and the ports to every other rank.
 
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -12,7 +12,7 @@ use crate::transport::TransportError;
 use crate::transport::pattern::{BUFFERS, DEPTH};
 use crate::transport::wait::{Patience, Stopped};
 
-/// In front of every message.
+/// Header of every message.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
 pub(super) struct Header {
@@ -20,27 +20,27 @@ pub(super) struct Header {
     pub sequence: u64,
 }
 
-/// What a message holds.
+/// Payload of a message.
 pub(super) type Values = [f32];
-/// A message in place.
+/// A received message, in place.
 pub(super) type ValueSample = iceoryx2::sample::Sample<Ipc, Values, Header>;
 
-/// Another rank as seen from this one.
+/// Another rank as this one sees it.
 pub(super) struct Peer {
     pub cells: PeerCells,
     pub subscriber: Subscriber<Ipc, Values, Header>,
     pub notifier: Notifier<Ipc>,
-    /// The next message that this rank reads, if it has been found among those that it does not.
+    /// The next message that this rank reads, if it has been found in the list.
     pub found: Option<ValueSample>,
-    /// What this peer's counter ([`PeerCells::consumed`]) said when last looked at.
+    /// Last observed value of this peer's counter ([`PeerCells::consumed`]).
     pub consumed: u64,
     _values: publish_subscribe::PortFactory<Ipc, Values, Header>,
     _wake: event::PortFactory<Ipc>,
 }
 
 impl Peer {
-    /// Looks for the message of exchange `expected` and forgets older ones, which this rank does not read. True if it is
-    /// there (in `found`).
+    /// Searches the message of exchange `expected` and discards older ones, which this rank does not read. Returns true
+    /// if it is there (in `found`).
     pub(super) fn find(&mut self, rank: usize, source_rank: usize, expected: u64) -> Result<bool, TransportError> {
         while self.found.is_none() {
             let sample = self.subscriber.receive().map_err(|error| {
@@ -57,7 +57,7 @@ impl Peer {
     }
 }
 
-/// The error of a wait for `source_rank` that was given up.
+/// The error of an abandoned wait for `source_rank`.
 pub(super) fn stopped_error(rank: usize, source_rank: usize, what: &'static str, stopped: Stopped) -> TransportError {
     match stopped {
         Stopped::TimedOut { waited_s } => TransportError::TimedOut { rank, source_rank, what, waited_s },
@@ -67,14 +67,14 @@ pub(super) fn stopped_error(rank: usize, source_rank: usize, what: &'static str,
 
 type OwnValues = (publish_subscribe::PortFactory<Ipc, Values, Header>, Publisher<Ipc, Values, Header>);
 
-/// Name of what `rank` offers to the others in connection `epoch`.
+/// Name of the service of `rank` in connection `epoch`.
 pub(super) fn port_name(epoch: u32, rank: usize, kind: &str) -> String {
     format!("epoch/{epoch}/rank/{rank}/{kind}")
 }
 
 /// The service of the own messages and its publisher.
 pub(super) fn create_values(node: &Node<Ipc>, name: &str, ranks: usize, max_len: usize) -> Result<OwnValues, String> {
-    // No `payload_alignment`: it would round the size of every single value up to it.
+    // `payload_alignment` is not set, because it would round up the size of every single value.
     let service = node
         .service_builder(&service_name(name)?)
         .publish_subscribe::<Values>()
@@ -85,7 +85,7 @@ pub(super) fn create_values(node: &Node<Ipc>, name: &str, ranks: usize, max_len:
         .subscriber_max_buffer_size(DEPTH)
         .subscriber_max_borrowed_samples(1)
         .history_size(0)
-        // A rank that reads nothing of a source leaves its messages lying; newer ones push them out.
+        // A rank that does not read a source leaves its messages in the list; newer ones displace them.
         .enable_safe_overflow(true)
         .create()
         .map_err(text("messages"))?;
@@ -101,7 +101,7 @@ pub(super) fn create_values(node: &Node<Ipc>, name: &str, ranks: usize, max_len:
     Ok((service, publisher))
 }
 
-/// Opens everything of rank `source` as soon as it is there.
+/// Opens the ports to rank `source` as soon as they exist.
 pub(super) fn open_peer(
     node: &Node<Ipc>,
     rank: usize,

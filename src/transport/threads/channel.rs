@@ -31,7 +31,7 @@ pub(super) struct Shared {
 struct State {
     links: Vec<Link>,
     coordinator_gone: bool,
-    /// Counts what workers have sent, taken and left.
+    /// Counts the changes that workers make: messages sent and received, and their end.
     news: u64,
 }
 
@@ -42,12 +42,12 @@ struct Link {
     up: VecDeque<Vec<u8>>,
     heartbeat: Heartbeat,
     worker_gone: bool,
-    /// The worker was given up: to it the coordinator has ended.
+    /// The worker was given up; for it the coordinator has ended.
     cut: bool,
 }
 
 impl Shared {
-    /// Every change under the lock is whole, so a thread that panicked with it left the state consistent.
+    /// Every change under the lock is complete, so the state stays consistent if a thread panics with it.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -58,7 +58,7 @@ impl Shared {
         self.changed.notify_all();
     }
 
-    /// A change made by a worker, of which the coordinator must hear.
+    /// A change by a worker, which must wake the coordinator.
     fn report(&self, mut state: MutexGuard<'_, State>) {
         state.news += 1;
         drop(state);
@@ -70,17 +70,17 @@ impl Shared {
         self.changed.wait_timeout(state, limit).unwrap_or_else(PoisonError::into_inner).0
     }
 
-    /// Makes worker `rank` see its coordinator gone.
+    /// Makes worker `rank` believe that its coordinator has ended.
     pub(super) fn cut(&self, rank: usize) {
         self.change(|state| state.links[rank].cut = true);
     }
 }
 
-/// The coordinator's end. The workers see its end when it is dropped.
+/// The coordinator's end. The workers detect its end when it is dropped.
 pub struct ThreadCoordinator {
     ranks: usize,
     shared: Arc<Shared>,
-    /// News that it has been woken for.
+    /// Number of changes that it has been woken for.
     seen: u64,
 }
 
@@ -139,7 +139,7 @@ impl ControlCoordinator for ThreadCoordinator {
     }
 }
 
-/// A worker's place; its thread makes its end of the channel of it.
+/// A worker's place; the worker's thread turns it into its end of the channel.
 pub struct WorkerSeat {
     rank: usize,
     shared: Arc<Shared>,
@@ -155,7 +155,8 @@ impl WorkerSeat {
         &self.shared
     }
 
-    /// Connects the calling thread with its coordinator, which sees the worker's end when the returned value is dropped.
+    /// Connects the calling thread with its coordinator, which detects the worker's end when the returned value is
+    /// dropped.
     pub fn connect(self) -> ThreadWorker {
         let worker = ThreadWorker { rank: self.rank, shared: self.shared };
         worker.beat();

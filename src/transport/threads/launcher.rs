@@ -8,12 +8,12 @@ use std::time::{Duration, Instant};
 use super::channel::{Shared, WorkerSeat};
 use crate::transport::{Launcher, Life};
 
-/// How long a thread that was given up gets to come to its next call; then it is left behind.
+/// Time that a thread gets to reach its next call after it was given up; then it is left running.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Pause between two looks at a thread.
+/// Pause between two checks of a thread.
 const LOOK: Duration = Duration::from_millis(1);
 
-/// What a worker's thread does with its seat.
+/// Job of a worker's thread, which gets its seat.
 pub type ThreadJob = Box<dyn FnOnce(WorkerSeat) + Send>;
 
 /// Starts workers as threads of this process.
@@ -29,7 +29,7 @@ struct Worker {
 }
 
 impl ThreadLauncher {
-    /// A launcher for the workers of `seats`, which are in the order of their ranks; `job` makes what rank r does.
+    /// A launcher for the workers of `seats`, in the order of their ranks. `job` makes the job of rank r.
     pub fn new(seats: Vec<WorkerSeat>, mut job: impl FnMut(usize) -> ThreadJob) -> ThreadLauncher {
         let worker = |seat: WorkerSeat| {
             let shared = seat.shared().clone();
@@ -76,10 +76,10 @@ impl Launcher for ThreadLauncher {
             }
             std::thread::sleep(LOOK);
         }
-        // A panic has been printed, and the coordinator has missed the worker.
+        // The panic has been printed, and the coordinator has detected the worker's end.
         let _ = thread.join();
     }
 
-    /// Threads leave nothing.
+    /// Threads leave no files.
     fn clean_up(&mut self) {}
 }

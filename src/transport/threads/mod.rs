@@ -1,6 +1,6 @@
-//! A run whose workers are threads of this process: control channel, launcher and the way to the data transport
-//! ([`super::InProcessTransport`]). Nothing of it is seen outside the process. A worker that never comes to a call of its channel
-//! or its transport cannot be ended; its thread is left behind.
+//! A run whose workers are threads of this process: control channel, launcher and connection to the data transport
+//! ([`super::InProcessTransport`]). It has no effect outside the process. A worker that never reaches a call of its
+//! channel or its transport cannot be ended; its thread is left running.
 
 mod channel;
 mod launcher;
@@ -14,10 +14,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::connect::with_links;
 use super::{Connect, Connection, InProcessTransport, Transport, TransportError};
 
-/// Transports that ranks have still to fetch, by the number of the connection.
+/// Transports that ranks have yet to fetch, by the number of the connection.
 type Waiting = HashMap<u32, Vec<Option<InProcessTransport>>>;
 
-/// Joins the threads of a run. Every rank holds a clone.
+/// Connects the threads of a run. Every rank holds a clone.
 #[derive(Clone, Default)]
 pub struct ThreadConnect {
     waiting: Arc<Mutex<Waiting>>,

@@ -25,7 +25,7 @@ fn inflated(path: Box, pad_m: f32) -> Box {
     return Box(lo - abs(lo) * BOX_SLACK, hi + abs(hi) * BOX_SLACK);
 }
 
-// Every bound moved inwards; may end up inside out.
+// Moves every bound inward. The box may become inverted (lo > hi).
 fn shrunk(a: Box, by: f32) -> Box {
     return Box(a.lo + vec3<f32>(by), a.hi - vec3<f32>(by));
 }
