@@ -10,7 +10,7 @@ use crate::math::{DVec2, DVec3, Vec2, Vec3};
 pub fn flatten_triangle(corners: [Vec3; 3]) -> [Vec2; 3] {
     let [a, b, c] = corners.map(|p| p.as_dvec3());
     let normal = (b - a).cross(c - a).normalize_or_zero();
-    // Above this value the projection of x can be shorter than that of y.
+    // From this value on the projection of y is the longer one for every normal.
     const FACES_ALONG_X: f64 = 0.8;
     let reference = if normal.x.abs() < FACES_ALONG_X { DVec3::X } else { DVec3::Y };
     let warp = (reference - normal * normal.dot(reference)).normalize_or_zero();

@@ -1,7 +1,7 @@
-//! Files that appear whole or not at all: written beside their final place, then renamed. A link keeps its place and the
-//! file that it names is replaced; a device or a FIFO is written to as it is.
+//! Atomic files: written under a temporary name beside their final place, then renamed. A symbolic link stays and the
+//! file that it names is replaced. Devices and FIFOs are written to directly.
 //!
-//! Does not promise durability: after a power cut the newest file may be empty (nothing is fsynced).
+//! Durability is not guaranteed: nothing is fsynced, so the newest file can be empty after a power failure.
 
 use std::fs;
 use std::io::{self, BufWriter, Write};
@@ -13,14 +13,14 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[error("cannot write {}: {source}", path.display())]
 pub struct WriteError {
-    /// The file that should have come to be.
+    /// The file that could not be written.
     pub path: PathBuf,
-    /// What the system said.
+    /// The error of the operating system.
     pub source: io::Error,
 }
 
 impl WriteError {
-    /// Names `path` in an error of the system.
+    /// Returns a function that adds `path` to an error of the operating system.
     pub fn at(path: &Path) -> impl FnOnce(io::Error) -> WriteError + use<> {
         let path = path.to_path_buf();
         move |source| WriteError { path, source }
@@ -30,8 +30,8 @@ impl WriteError {
 /// Ending of files that are still being written.
 pub(super) const PART_SUFFIX: &str = ".part";
 
-/// Creates or replaces `path` with what `write` puts out. If `write` fails or the process dies, `path` stays as it was,
-/// unless it is a device, FIFO or socket: those take what comes.
+/// Creates or replaces `path` with the output of `write`. If `write` fails or the process dies, `path` keeps its
+/// content, unless it is a device, FIFO or socket.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), WriteError> {
     let attempt = || -> io::Result<()> {
         if is_special(path) {
@@ -42,7 +42,8 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
         let target = end_of_links(path)?;
         let mut builder = tempfile::Builder::new();
         builder.prefix(".").suffix(PART_SUFFIX);
-        // tempfile's default is private to the user; results are as readable as any other file (the umask still applies).
+        // Files of tempfile are private to the user by default. Results get the usual permissions instead, subject to
+        // the umask.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let file = builder.tempfile_in(folder_of(&target))?;
@@ -55,13 +56,13 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
     attempt().map_err(|source| WriteError { path: path.to_path_buf(), source: without_temporary_name(source) })
 }
 
-/// Finds out whether [`write_atomically`] could write to `path`, without changing anything there.
+/// Checks that [`write_atomically`] can write to `path`, without changing anything there.
 ///
 /// # Errors
-/// What the system says against it.
+/// The reason of the operating system why it cannot.
 pub fn check_writable(path: &Path) -> io::Result<()> {
     if is_special(path) {
-        // Opening a FIFO would wait for its reader, and its reader would see an end at once.
+        // A FIFO is not opened: opening would wait for its reader, and the reader would then see the end of the stream.
         return Ok(rustix::fs::access(path, rustix::fs::Access::WRITE_OK)?);
     }
     let target = end_of_links(path)?;
@@ -71,15 +72,15 @@ pub fn check_writable(path: &Path) -> io::Result<()> {
     tempfile::tempfile_in(folder_of(&target)).map(drop).map_err(without_temporary_name)
 }
 
-/// True for a device, FIFO or socket, also at the end of links.
+/// True for a device, FIFO or socket, also through symbolic links.
 fn is_special(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
 }
 
-/// Links that lead to a file: as many as Linux follows.
+/// Limit of symbolic links that are followed, the same as in Linux.
 const LINKS_MOST: usize = 40;
 
-/// The place that `path` names once its links have been followed, whether or not there is a file.
+/// Follows symbolic links to the final path, which need not exist.
 fn end_of_links(path: &Path) -> io::Result<PathBuf> {
     let mut place = path.to_path_buf();
     for _ in 0..=LINKS_MOST {
@@ -96,7 +97,8 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The system's own error: tempfile adds the random name of its file, which says nothing to a user.
+/// The error of the operating system without the random file name that tempfile adds, because users do not know that
+/// name.
 pub(super) fn without_temporary_name(error: io::Error) -> io::Error {
     let text = error.to_string();
     match text.split_once(" at path \"") {
@@ -105,7 +107,7 @@ pub(super) fn without_temporary_name(error: io::Error) -> io::Error {
     }
 }
 
-/// Removes what a killed process left half-written in `folder`. Problems are ignored: the files harm nobody.
+/// Removes unfinished files that a killed process left in `folder`. Errors are ignored, because the files do no harm.
 pub(super) fn remove_parts(folder: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name();

@@ -1,8 +1,8 @@
-//! Checkpoints: the state after a step, from which any number of workers continues with the same bits.
+//! Checkpoints: the state after a step. A run continues from it with the same bits on any number of workers.
 //!
-//! `checkpoint/step_%08d.ltc` (the newest three) and `states/step_%08d.ltc` (all that were asked for), little-endian: "LOOMCKPT", version (u32), header length (u32), header (bincode),
-//! positions and velocities (3 f32 per vertex, original vertex order), xxh3 of all bytes before (u64).
-//! A damaged file is found and skipped; nothing is repaired.
+//! `checkpoint/step_%08d.ltc` (the newest three) and `states/step_%08d.ltc` (all that were requested), little-endian:
+//! "LOOMCKPT", version (u32), header length (u32), header (bincode), positions and velocities (3 f32 per vertex,
+//! original vertex order), xxh3 of all bytes before (u64). A damaged file is detected and skipped, not repaired.
 
 use std::fs;
 use std::io::{self, Write};
@@ -20,18 +20,18 @@ const MAGIC: &[u8; 8] = b"LOOMCKPT";
 const VERSION: u32 = 1;
 /// Magic, version and header length.
 const PREFIX_BYTES: usize = 16;
-/// More than any header needs; what a file claims beyond is damage.
+/// Limit of the header length. A longer one in a file means damage.
 const HEADER_LIMIT: usize = 4096;
 const CHECKSUM_BYTES: usize = 8;
-/// Checkpoints kept: the newest, and two to fall back on.
+/// Checkpoints kept: the newest and two older ones, in case it is damaged.
 const KEPT: usize = 3;
 
-/// State after a step.
+/// State after a step, with its place in the run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Checkpoint {
     /// Last frame written at or before this state.
     pub frame: u32,
-    /// Steps made.
+    /// Number of steps made.
     pub step: u64,
     /// Simulated time, seconds.
     pub time_s: f64,
@@ -54,13 +54,13 @@ struct Header {
 /// Why bytes are not a checkpoint.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum CheckpointError {
-    /// Another kind of file.
+    /// The file is of another kind.
     #[error("it is not a checkpoint")]
     Magic,
-    /// Written by a version with another layout.
+    /// The file was written by a version with another layout.
     #[error("it has layout {0}, this program reads layout 1")]
     Version(u32),
-    /// Too short or too long.
+    /// The file is too short or too long.
     #[error("it is cut off or damaged: {got} bytes where its header asks for {expected}")]
     Length {
         /// Bytes it should have.
@@ -71,13 +71,13 @@ pub enum CheckpointError {
     /// The header does not decode.
     #[error("its header is damaged")]
     Header,
-    /// The bytes are not those that were written.
+    /// The checksum does not match.
     #[error("it is damaged: its checksum does not match")]
     Checksum,
 }
 
 impl Checkpoint {
-    /// Writes the file's bytes.
+    /// Writes the content of the file.
     fn put(&self, out: &mut dyn Write) -> io::Result<()> {
         let Some(vertices) = self.state.vertices() else {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "as many velocities as positions are needed"));
@@ -103,7 +103,7 @@ impl Checkpoint {
         out.out.write_all(&checksum.to_le_bytes())
     }
 
-    /// Reads a file's bytes.
+    /// Decodes the content of a file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Checkpoint, CheckpointError> {
         if bytes.len() < MAGIC.len() || &bytes[..MAGIC.len()] != MAGIC {
             return Err(CheckpointError::Magic);
@@ -150,7 +150,7 @@ fn bincode_form() -> impl bincode::config::Config {
     bincode::config::standard().with_limit::<HEADER_LIMIT>()
 }
 
-/// Passes bytes on and hashes them.
+/// A writer that hashes all bytes that pass through.
 struct Hashing<'a> {
     out: &'a mut dyn Write,
     hasher: Xxh3,
@@ -167,32 +167,32 @@ impl Write for Hashing<'_> {
     }
 }
 
-/// Writes `folder/step_%08d.ltc` and leaves all others there.
+/// Writes `folder/step_%08d.ltc` and removes no other file.
 pub fn keep(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf, WriteError> {
     let path = folder.join(format!("step_{:08}.ltc", checkpoint.step));
     write_atomically(&path, |out| checkpoint.put(out))?;
     Ok(path)
 }
 
-/// Writes `folder/step_%08d.ltc` and keeps the newest three. Files of later steps are removed too: they belong to a
-/// future that was given up when the run was taken up from an earlier step.
+/// Writes `folder/step_%08d.ltc` and keeps the newest three files. Files of later steps are removed too, because the
+/// run was resumed from an earlier step and will compute those steps again.
 pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf, WriteError> {
     let path = keep(folder, checkpoint)?;
     let (later, mut files): (Vec<_>, Vec<_>) = list(folder).into_iter().partition(|(step, _)| *step > checkpoint.step);
     files.truncate(files.len().saturating_sub(KEPT));
     for (_, old) in files.into_iter().chain(later) {
-        // One file too many does no harm; the new one is safe.
+        // Failure is ignored: an extra file does no harm, and the new one is already written.
         let _ = fs::remove_file(old);
     }
     Ok(path)
 }
 
-/// What [`latest`] found.
+/// Result of [`latest`].
 #[derive(Debug, Default)]
 pub struct Latest {
     /// The newest valid checkpoint and its file.
     pub found: Option<(PathBuf, Checkpoint)>,
-    /// One sentence for every newer file that was skipped, and why.
+    /// One sentence for every newer file that was skipped, with the reason.
     pub notes: Vec<String>,
 }
 

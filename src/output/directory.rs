@@ -1,11 +1,11 @@
-//! The run directory: where every file of a run lies, and who may write there.
+//! The run directory: paths of all files of a run, and the lock that allows one writer.
 //!
 //! ```text
 //! RUN_DIR/report.json  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
 //!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc
 //!         states/step_%08d.ltc  pictures/*.png
 //! ```
-//! Does not promise to keep two machines apart on a network file system without locks.
+//! On a network file system without locks, two machines can still write to the same directory.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -15,57 +15,57 @@ use thiserror::Error;
 
 use super::atomic::{self, PART_SUFFIX};
 
-/// What to do with a run that is already there.
+/// How an existing run in the directory is treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
-    /// Refuse: results are never lost by accident.
+    /// Refuse, so that results are never lost by accident.
     Refuse,
-    /// Delete the files of the old run (and nothing else).
+    /// Delete the files of the old run and no others.
     Overwrite,
-    /// Go on with it; there must be one.
+    /// Resume the run, which must exist.
     Resume,
 }
 
-/// Why a run directory cannot be used. Nothing has been written.
+/// Why a run directory cannot be used. Nothing has been written to it.
 #[derive(Debug, Error)]
 pub enum DirectoryError {
-    /// A file is in the way.
+    /// The path is a file.
     #[error("{} is a file, but a run needs a folder; choose another with --out", .0.display())]
     NotAFolder(PathBuf),
-    /// The folder cannot be made or written to.
+    /// The folder cannot be created or written to.
     #[error("cannot write to {}: {source}; choose another folder with --out", path.display())]
     Unwritable {
         /// The run directory.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// There is a run and neither `--resume` nor `--overwrite` was given.
+    /// The directory holds a run, and neither `--resume` nor `--overwrite` was given.
     #[error("{} already holds a run; continue it with --resume, replace it with --overwrite, or choose another folder with --out", .0.display())]
     HoldsARun(PathBuf),
-    /// `--resume` without a run.
+    /// `--resume` was given, but the directory holds no run.
     #[error("{} holds no run to continue; leave out --resume to start one", .0.display())]
     NothingToResume(PathBuf),
     /// Another process is writing a run there.
     #[error("{} is in use by another run that has not ended; choose another folder with --out", .0.display())]
     InUse(PathBuf),
-    /// Not a run directory (for commands that read one).
+    /// The folder is not a run directory. Only commands that read one return this.
     #[error("{} is not a run directory: no report.json, run.toml or frames in it", .0.display())]
     NotARun(PathBuf),
 }
 
-/// A run directory that this process may write to (or, from [`RunDirectory::open`], read).
+/// A run directory that this process may write to, or only read if it came from [`RunDirectory::open`].
 #[derive(Debug)]
 pub struct RunDirectory {
     path: PathBuf,
-    /// Holds the lock on the folder until dropped.
+    /// Lock on the folder, held until it is dropped.
     _lock: Option<File>,
 }
 
-/// Files of a run besides the numbered ones in sub-folders.
+/// Files at the top level of a run directory.
 const FILES: [&str; 7] =
     ["report.json", "run.toml", "run_scene.toml", "run_scene.json", "trace.json", "cloth.pc2", "rest.obj"];
-/// Sub-folders, and how the names of a run's files in them begin.
+/// Sub-folders, with the prefixes of the names of a run's files in them.
 const FOLDERS: [(&str, &[&str]); 4] = [
     ("frames", &["frame_", "obstacle_"]),
     ("checkpoint", &["step_"]),
@@ -74,7 +74,7 @@ const FOLDERS: [(&str, &[&str]); 4] = [
 ];
 
 impl RunDirectory {
-    /// Prepares `path` for a run: makes the folders, locks them against a second run, and clears leftovers.
+    /// Prepares `path` for a run: creates the folders, locks them against a second run and removes leftovers.
     pub fn create(path: &Path, existing: Existing) -> Result<RunDirectory, DirectoryError> {
         let own = || path.to_path_buf();
         let unwritable = |e| DirectoryError::Unwritable { path: own(), source: atomic::without_temporary_name(e) };
@@ -87,7 +87,7 @@ impl RunDirectory {
             _ => {}
         }
         fs::create_dir_all(path).map_err(unwritable)?;
-        // Permission bits do not tell (root, read-only mounts, quotas): only trying does.
+        // Permission bits do not show every obstacle (root, read-only mounts, quotas), so a file is created to try.
         tempfile::Builder::new().prefix(".").suffix(PART_SUFFIX).tempfile_in(path).map_err(unwritable)?;
         let lock = lock(path)?;
         if existing == Existing::Overwrite {
@@ -102,7 +102,7 @@ impl RunDirectory {
         Ok(RunDirectory { path: own(), _lock: lock })
     }
 
-    /// An existing run directory, for reading.
+    /// Opens an existing run directory for reading.
     pub fn open(path: &Path) -> Result<RunDirectory, DirectoryError> {
         if holds_run(path) {
             Ok(RunDirectory { path: path.to_path_buf(), _lock: None })
@@ -143,7 +143,7 @@ impl RunDirectory {
     pub fn checkpoints(&self) -> PathBuf {
         self.path.join("checkpoint")
     }
-    /// `states/`: states that are kept for good.
+    /// `states/`: states that are kept permanently.
     pub fn states(&self) -> PathBuf {
         self.path.join("states")
     }
@@ -158,7 +158,7 @@ fn lock(path: &Path) -> Result<Option<File>, DirectoryError> {
     match folder.try_lock() {
         Ok(()) => Ok(Some(folder)),
         Err(TryLockError::WouldBlock) => Err(DirectoryError::InUse(path.to_path_buf())),
-        // A file system that cannot lock a folder is no reason to refuse a run.
+        // A run is not refused on a file system without locks.
         Err(TryLockError::Error(_)) => Ok(None),
     }
 }

@@ -1,20 +1,20 @@
-//! The mesh of a frame as its file holds it, and why bytes are none.
+//! The mesh in the file of a frame, and the errors of reading it.
 
 use thiserror::Error;
 
 use crate::math::Vec3;
 
-/// A mesh as a frame holds it.
+/// The mesh of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameMesh {
-    /// World positions, metres.
+    /// World positions, meters.
     pub positions: Vec<Vec3>,
     /// Vertex indices, all valid.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl FrameMesh {
-    /// The mesh, if all its vertex indices are valid.
+    /// Returns the mesh if all its vertex indices are valid.
     pub(super) fn checked(self) -> Result<FrameMesh, ReadError> {
         let vertices = self.positions.len();
         match self.triangles.iter().position(|t| t.iter().any(|i| *i as usize >= vertices)) {
@@ -24,13 +24,13 @@ impl FrameMesh {
     }
 }
 
-/// Why bytes are not a frame that `output` wrote.
+/// Why bytes are not a frame written by `output`.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum ReadError {
-    /// A PLY header of another layout.
+    /// The PLY header has another layout.
     #[error("{0}")]
     Header(&'static str),
-    /// Fewer bytes than announced.
+    /// There are fewer bytes than the header announces.
     #[error("it is cut off: shorter than its {vertices} vertices and {triangles} triangles need")]
     Truncated {
         /// Vertices announced.
@@ -38,7 +38,7 @@ pub enum ReadError {
         /// Triangles announced.
         triangles: usize,
     },
-    /// A bad line of an OBJ.
+    /// A line of an OBJ file is malformed.
     #[error("line {line} {problem}")]
     Line {
         /// Counted from 1.
@@ -46,7 +46,7 @@ pub enum ReadError {
         /// What is wrong with it.
         problem: &'static str,
     },
-    /// A triangle names a vertex that does not exist.
+    /// A triangle refers to a missing vertex.
     #[error("triangle {triangle} (from 0) names a vertex beyond the {vertices} there are")]
     Index {
         /// Triangle, from 0.

@@ -1,4 +1,4 @@
-//! Writes the frames of a run in the formats the user asked for. Vertex order and topology never change on output.
+//! Writes the frames of a run in the requested formats. Vertex order and triangles are those of the mesh.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -19,24 +19,24 @@ use crate::mesh::{Part, TriangleMesh};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FrameFormat {
-    /// Wavefront OBJ, one text file a frame, with material coordinates.
+    /// Wavefront OBJ: one text file per frame, with material coordinates.
     Obj,
-    /// Binary little-endian PLY, one file a frame.
+    /// Binary little-endian PLY: one file per frame.
     Ply,
-    /// One PC2 point cache for the whole run, beside `rest.obj`.
+    /// One PC2 point cache for the whole run, with `rest.obj`.
     Pc2,
 }
 
-/// Why a `--format` value is not one.
+/// Why a `--format` value is invalid.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum FormatError {
-    /// Planned, but not there yet.
+    /// USD, which is planned but not yet supported.
     #[error("--format usd is not in this release; use obj, ply or pc2 (separated by commas)")]
     Usd,
-    /// No such format.
+    /// An unknown format.
     #[error("--format {0:?} is unknown; valid are obj, ply and pc2 (separated by commas)")]
     Unknown(String),
-    /// An empty list.
+    /// The list is empty.
     #[error("--format is empty; name at least one of obj, ply and pc2 (separated by commas)")]
     Empty,
 }
@@ -65,7 +65,7 @@ impl fmt::Display for FrameFormat {
     }
 }
 
-/// A list of formats, in words separated by commas; each counts once.
+/// A list of formats, separated by commas in text. Repetitions are dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct FormatList(pub Vec<FrameFormat>);
@@ -98,33 +98,33 @@ impl From<FormatList> for String {
     }
 }
 
-/// Why a frame was not written. Frames written before are whole.
+/// Why a frame was not written. Earlier frames are complete.
 #[derive(Debug, Error)]
 pub enum FrameError {
-    /// The system refused.
+    /// The operating system reported an error.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// The point cache does not fit the run.
+    /// The point cache does not match the run.
     #[error(transparent)]
     PointCache(#[from] Pc2Error),
-    /// A position that no reader would accept.
+    /// A position is not finite, and no reader would accept it.
     #[error("frame {frame} is not written: position of vertex {vertex} is {position} (not a finite number)")]
     NotFinite {
         /// Number of the frame.
         frame: u32,
-        /// First such vertex.
+        /// First vertex with such a position.
         vertex: usize,
-        /// Its position, metres.
+        /// Its position, meters.
         position: Vec3,
     },
-    /// A caller's mistake, said rather than written.
+    /// The number of positions does not match the mesh.
     #[error("frame {frame} is not written: {got} positions for a mesh of {expected} vertices")]
     WrongCount {
         /// Number of the frame.
         frame: u32,
         /// Vertices of the mesh.
         expected: usize,
-        /// Positions handed over.
+        /// Number of positions given.
         got: usize,
     },
 }
@@ -134,7 +134,7 @@ pub struct FrameWriter {
     folder: PathBuf,
     files: Vec<FrameFormat>,
     texture: Option<TextureCoordinates>,
-    /// Objects and groups of the mesh, for OBJ.
+    /// Objects and groups of the mesh, for OBJ files.
     parts: Vec<Part>,
     point_cache: Option<Pc2Writer>,
     vertices: usize,
@@ -142,7 +142,7 @@ pub struct FrameWriter {
 }
 
 impl FrameWriter {
-    /// A writer for the frames of `mesh` from `first_frame` on (0 unless a run is resumed).
+    /// A writer for the frames of `mesh` from `first_frame` on (0 unless the run is resumed).
     pub fn new(
         directory: &RunDirectory,
         formats: &[FrameFormat],
@@ -152,7 +152,7 @@ impl FrameWriter {
         FrameWriter::with_parts(directory, formats, mesh, &[], first_frame)
     }
 
-    /// As [`FrameWriter::new`]; OBJ files name the objects and groups of the mesh.
+    /// Like [`FrameWriter::new`], but OBJ files also name the objects and groups of the mesh.
     pub fn with_parts(
         directory: &RunDirectory,
         formats: &[FrameFormat],
@@ -178,8 +178,8 @@ impl FrameWriter {
         Ok(FrameWriter { folder, files, texture, parts, point_cache, vertices, buffer: Vec::new() })
     }
 
-    /// Writes one frame of the cloth. `mesh` must be the mesh that the writer was made for; of it, only the triangles
-    /// are used.
+    /// Writes one frame of the cloth. `mesh` must be the mesh that the writer was created for. Only its triangles are
+    /// used.
     pub fn write(&mut self, frame: u32, mesh: &TriangleMesh, positions: &[Vec3]) -> Result<(), FrameError> {
         check(frame, self.vertices, positions)?;
         for format in &self.files {
@@ -200,7 +200,7 @@ impl FrameWriter {
         Ok(())
     }
 
-    /// Writes the obstacles of one frame beside the cloth (in the point cache's case as PLY).
+    /// Writes the obstacles of one frame beside the cloth. With the point cache format they are written as PLY.
     pub fn write_obstacle(&mut self, frame: u32, positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), FrameError> {
         check(frame, positions.len(), positions)?;
         let formats = if self.files.is_empty() { &[FrameFormat::Ply][..] } else { &self.files };

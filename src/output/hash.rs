@@ -1,4 +1,4 @@
-//! Hash of the scene that a state belongs to. xxh3 finds accidents, not attacks.
+//! Hash of the scene that a state belongs to. xxh3 detects accidental changes, not deliberate ones.
 
 use std::fmt::{self, Write};
 
@@ -7,8 +7,9 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::model::hash_words;
 use crate::scene::{Obstacles, Scene};
 
-/// Hash of everything that decides how a state goes on: topology, rest shape, fabrics, pins, motions and settings.
-/// The start state is left out (the checkpoint holds its own), and so is the number of frames (a run may be prolonged).
+/// Hash of everything that determines how a state evolves: topology, rest shape, fabrics, pins, motions and settings.
+/// The start state is excluded, because the checkpoint holds its own. The number of frames is excluded, so that a run
+/// can be extended.
 pub fn scene_fingerprint(scene: &Scene) -> u64 {
     let mut hasher = Xxh3::new();
     hasher.update(&(scene.mesh.positions.len() as u64).to_le_bytes());
@@ -20,8 +21,8 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     }
     let mut settings = scene.settings.clone();
     settings.frames = 0;
-    // Debug prints the shortest digits that read back to the same bits, and covers fields added later.
-    // The sink never fails, so neither does formatting into it.
+    // Debug output has the shortest digits that read back to the same bits, and includes fields that are added later.
+    // Formatting cannot fail, because the sink never fails.
     let _ = write!(TextSink(&mut hasher), "{:?} {:?} {:?} {settings:?}", scene.fabrics, scene.pins, scene.motions);
     let obstacles = Obstacles::new(&scene.obstacles);
     let (positions, triangles) = obstacles.arrays();
@@ -32,7 +33,7 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     hasher.digest()
 }
 
-/// Lets formatted text go into the hash without being stored.
+/// Feeds formatted text into the hash without storing it.
 struct TextSink<'a>(&'a mut Xxh3);
 
 impl fmt::Write for TextSink<'_> {

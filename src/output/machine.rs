@@ -1,16 +1,16 @@
-//! What machine a run was made on, for the report. Best effort: what the system does not tell stays empty.
+//! Description of the machine for the report. Values that the system does not provide stay empty.
 
 use serde::{Deserialize, Serialize};
 
 use crate::transport::cores;
 
-/// The machine block of a report.
+/// The machine section of a report.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Machine {
     /// Threads that this process may use.
     pub cores: usize,
-    /// Model of the processor.
+    /// Model name of the processor.
     pub cpu: String,
     /// Main memory, bytes.
     pub memory_bytes: u64,
@@ -19,7 +19,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// This machine.
+    /// Describes the current machine.
     pub fn here() -> Machine {
         let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
         let cpu_info = text("/proc/cpuinfo");
@@ -36,7 +36,7 @@ impl Machine {
     }
 }
 
-/// Value of the first `key : value` line.
+/// Value of the first line `key : value`.
 fn field<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     let line = text.lines().find(|line| line.starts_with(key))?;
     Some(line.split_once(':')?.1.trim())

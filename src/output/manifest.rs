@@ -1,5 +1,5 @@
-//! `run.toml`: everything needed to run again: the scene's text (a file beside it), where it came from, the files that
-//! it names, and the flags after all defaults were filled in.
+//! `run.toml`: everything needed to repeat a run: the scene's text (in a file beside it), the original path of the
+//! scene, the files that the scene names, and the flags with all defaults filled in.
 
 use std::fs;
 use std::io;
@@ -13,29 +13,29 @@ use xxhash_rust::xxh3::xxh3_64;
 use super::RunDirectory;
 use super::atomic::{WriteError, write_atomically};
 
-/// A run's recipe.
+/// The content of `run.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunManifest {
     /// Version of the program.
     pub version: String,
-    /// Where the scene was read from, absolute. Paths in its text start from this file's folder.
+    /// Absolute path that the scene was read from. Relative paths in its text start from this file's folder.
     pub scene_path: PathBuf,
-    /// Name of the file in the run directory that holds the scene's text; filled in by [`RunManifest::save`].
+    /// Name of the file in the run directory with the scene's text. [`RunManifest::save`] fills it in.
     #[serde(default)]
     pub scene_file: String,
-    /// The scene's text, word for word.
+    /// The scene's unchanged text.
     #[serde(skip)]
     pub scene_text: String,
-    /// Files besides the scene that were read (meshes, fabrics, topology).
+    /// Other files that were read (meshes, fabrics, topology).
     #[serde(default)]
     pub inputs: Vec<Input>,
-    /// Flags of the command line with their defaults filled in; [`RunManifest::flags`] gives them their type back.
+    /// Flags of the command line with their defaults filled in. [`RunManifest::flags`] decodes them.
     #[serde(default)]
     pub flags: toml::Table,
 }
 
-/// A file that a run has read.
+/// A file that the run has read.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Input {
     /// Absolute path.
@@ -44,10 +44,10 @@ pub struct Input {
     pub hash: String,
 }
 
-/// Why a recipe cannot be written or read.
+/// Why a manifest cannot be written or read.
 #[derive(Debug, Error)]
 pub enum ManifestError {
-    /// The system refused to write.
+    /// The operating system refused to write.
     #[error(transparent)]
     Write(#[from] WriteError),
     /// A file cannot be read.
@@ -55,34 +55,34 @@ pub enum ManifestError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// Not the TOML that a run writes.
+    /// The file is not TOML of the form that a run writes.
     #[error("{}, line {line}: {message}", path.display())]
     Toml {
         /// `run.toml`.
         path: PathBuf,
-        /// Counted from 1.
+        /// Line from 1.
         line: usize,
         /// What is wrong.
         message: String,
     },
-    /// A value that TOML cannot hold.
+    /// A flag has a value that TOML cannot represent.
     #[error("the flags of this run cannot be written as TOML: {0}")]
     Flags(String),
-    /// `scene_file` leads out of the run directory.
+    /// `scene_file` points outside of the run directory.
     #[error("{}: scene_file = {name:?} must be the name of a file in the run directory", path.display())]
     SceneFile {
         /// `run.toml`.
         path: PathBuf,
-        /// What stands there.
+        /// The value of `scene_file`.
         name: String,
     },
 }
 
 impl RunManifest {
-    /// A recipe for a scene read from `scene_path` with the text `scene_text`.
+    /// A manifest for a scene read from `scene_path` with the text `scene_text`.
     pub fn new<F: Serialize>(scene_path: &Path, scene_text: &str, flags: &F) -> Result<RunManifest, ManifestError> {
         Ok(RunManifest {
             version: env!("CARGO_PKG_VERSION").to_string(),
@@ -94,7 +94,7 @@ impl RunManifest {
         })
     }
 
-    /// Notes a file that the run reads.
+    /// Records a file that the run reads, with its hash.
     pub fn add_input(&mut self, path: &Path) -> Result<(), ManifestError> {
         let path = absolute(path);
         let hash = hash_file(&path).map_err(|source| ManifestError::Read { path: path.clone(), source })?;
@@ -102,7 +102,7 @@ impl RunManifest {
         Ok(())
     }
 
-    /// One sentence for every noted file that is not what it was.
+    /// One sentence for every recorded file whose content has changed.
     pub fn changed_inputs(&self) -> Vec<String> {
         let mut sentences = Vec::new();
         for input in &self.inputs {
@@ -115,7 +115,7 @@ impl RunManifest {
         sentences
     }
 
-    /// The flags as the type they were made from.
+    /// Decodes the flags into the type that they were made from.
     pub fn flags<F: DeserializeOwned>(&self) -> Result<F, ManifestError> {
         self.flags.clone().try_into().map_err(|e: toml::de::Error| ManifestError::Flags(e.message().to_string()))
     }

@@ -1,6 +1,6 @@
-//! What a run leaves behind: frames, report, recipe, trace, checkpoints; and what is made from them: pictures, plots.
+//! Output of a run (frames, report, manifest, trace, checkpoints) and figures made from it (pictures, plots).
 //!
-//! Files appear whole or not at all (`atomic`). Nothing in here decides what is simulated.
+//! Files appear complete or not at all (`atomic`). This module does not influence the simulation.
 
 mod atomic;
 pub mod checkpoint;

@@ -1,4 +1,4 @@
-//! OBJ frames: a fast writer, and a reader for files that this writer wrote (`mesh` reads everybody's).
+//! OBJ frames: a fast writer and a reader for its files. `mesh` reads OBJ files from other programs.
 
 use std::io::{self, Write};
 
@@ -6,10 +6,10 @@ use super::frame_mesh::{FrameMesh, ReadError};
 use crate::math::{Vec2, Vec3};
 use crate::mesh::Part;
 
-/// Bytes collected before they are handed on.
+/// Size at which the buffer is written out, bytes.
 const CHUNK: usize = 1 << 16;
 
-/// The `vt` lines of a mesh: each distinct coordinate of a vertex once.
+/// The `vt` lines of a mesh. Each distinct coordinate of a vertex occurs once.
 pub struct TextureCoordinates {
     coordinates: Vec<Vec2>,
     /// Index into `coordinates` of every triangle corner.
@@ -19,10 +19,10 @@ pub struct TextureCoordinates {
 const NONE: u32 = u32::MAX;
 
 impl TextureCoordinates {
-    /// Merges per-corner coordinates; a vertex on a seam keeps several. Without coordinates (`uv` empty) there are none.
+    /// Merges per-corner coordinates. A vertex on a seam keeps several. An empty `uv` gives no coordinates.
     pub fn new(vertices: usize, triangles: &[[u32; 3]], uv: &[[Vec2; 3]]) -> TextureCoordinates {
         let mut coordinates: Vec<Vec2> = Vec::new();
-        // Coordinates of a vertex form a list: first[vertex], then next[coordinate].
+        // The coordinates of a vertex form a linked list: first[vertex], then next[coordinate].
         let (mut first, mut next) = (vec![NONE; vertices], Vec::new());
         let mut index_of = |vertex: u32, uv: Vec2| {
             let mut candidate = first[vertex as usize];
@@ -46,8 +46,8 @@ impl TextureCoordinates {
     }
 }
 
-/// Writes a mesh; `parts` ascend by their triangles. Numbers have the fewest digits that read back to the same f32. `buffer` is scratch, kept by the caller
-/// to save allocations.
+/// Writes a mesh; `parts` ascend by their triangles. Numbers have the fewest digits that read back to the same f32.
+/// `buffer` is scratch memory that the caller reuses.
 pub fn write(
     out: &mut dyn Write,
     buffer: &mut Vec<u8>,
@@ -74,7 +74,7 @@ pub fn write(
     let (mut object, mut group) = ("", "");
     for (t, triangle) in triangles.iter().enumerate() {
         while parts.next_if(|part| part.triangles.end as usize <= t).is_some() {}
-        // Triangles of no part stand in an object and a group without a name.
+        // Triangles outside all parts are put in an object and a group without a name.
         let here = parts.peek().filter(|part| part.triangles.start as usize <= t);
         let wanted = here.map_or(("", ""), |part| (&part.object[..], &part.group[..]));
         if wanted.0 != object {
@@ -102,7 +102,7 @@ pub fn write(
     Ok(())
 }
 
-/// A line `o name` or `g name`.
+/// Appends a line `o name` or `g name`.
 fn push_name(buffer: &mut Vec<u8>, word: &[u8], name: &str) {
     buffer.extend_from_slice(word);
     if !name.is_empty() {
@@ -120,7 +120,7 @@ fn flush_full(out: &mut dyn Write, buffer: &mut Vec<u8>) -> io::Result<()> {
     Ok(())
 }
 
-/// A space and the number. JSON's numbers are OBJ's numbers too, and serde_json writes them faster than std.
+/// Appends a space and the number. OBJ accepts JSON's notation of numbers, and serde_json writes it faster than std.
 fn push_f32(buffer: &mut Vec<u8>, x: f32) {
     buffer.push(b' ');
     // Writing to a Vec cannot fail.
@@ -130,7 +130,8 @@ fn push_f32(buffer: &mut Vec<u8>, x: f32) {
     }
 }
 
-/// The index, counted from 1, in decimal (std's formatting costs three times as much, and frames hold millions).
+/// Appends the index, counted from 1, in decimal. std's formatting takes three times as long, and frames have millions
+/// of indices.
 fn push_index(buffer: &mut Vec<u8>, index: u32) {
     let mut number = u64::from(index) + 1;
     let mut digits = [0u8; 10];
@@ -146,7 +147,7 @@ fn push_index(buffer: &mut Vec<u8>, index: u32) {
     buffer.extend_from_slice(&digits[start..]);
 }
 
-/// Reads a triangle mesh that [`write`] wrote. Texture coordinates are skipped.
+/// Reads a triangle mesh written by [`write`]. Texture coordinates are skipped.
 pub fn read(bytes: &[u8]) -> Result<FrameMesh, ReadError> {
     let mut mesh = FrameMesh::default();
     for (number, line) in bytes.split(|b| *b == b'\n').enumerate() {

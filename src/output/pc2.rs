@@ -1,7 +1,7 @@
-//! PC2 point cache: all frames of a run in one file that Blender and others play on top of `rest.obj`.
+//! PC2 point cache: all frames of a run in one file. Blender and other programs apply it to `rest.obj`.
 //!
 //! Header, 32 bytes little-endian: "POINTCACHE2\0", version 1, points, start frame (f32), frames per sample (f32), samples.
-//! The sample count is raised after a sample is whole, so that the file of an interrupted run still loads.
+//! The sample count is increased only after a sample is complete, so that the file of an interrupted run can be loaded.
 
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
@@ -16,24 +16,24 @@ use crate::math::Vec3;
 
 const MAGIC: &[u8; 12] = b"POINTCACHE2\0";
 const HEADER_BYTES: u64 = 32;
-/// Where the number of samples stands.
+/// Byte offset of the sample count.
 const SAMPLES_AT: u64 = 28;
 
 /// Why a point cache cannot be used.
 #[derive(Debug, Error)]
 pub enum Pc2Error {
-    /// The system refused.
+    /// The operating system reported an error.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// Not a file, or not one that can be read.
+    /// The file cannot be opened or read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
         /// The point cache.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// Bytes that are no point cache of this mesh.
+    /// The bytes are not a point cache of this mesh.
     #[error("{} is not a point cache of this run: {problem}", path.display())]
     Unfit {
         /// The point cache.
@@ -41,19 +41,19 @@ pub enum Pc2Error {
         /// What is wrong.
         problem: String,
     },
-    /// A gap before the first frame to be written.
+    /// Frames before the first one to be written are missing.
     #[error("frame {frame} does not follow the {samples} frames that {} holds; start without --resume or leave out --format pc2", path.display())]
     Gap {
         /// The point cache.
         path: PathBuf,
-        /// Frame to be written.
+        /// Number of the frame to be written.
         frame: u32,
-        /// Frames in the file.
+        /// Number of frames in the file.
         samples: u32,
     },
 }
 
-/// What the header says.
+/// Content of the header.
 struct Header {
     points: u32,
     samples: u32,
@@ -77,15 +77,15 @@ pub struct Pc2Writer {
     path: PathBuf,
     file: File,
     points: usize,
-    /// Frames that the header counts: the first one that is missing.
+    /// Number of frames in the header, which is the number of the first missing frame.
     samples: u32,
-    /// Frames written beyond it.
+    /// Frames already written after the first missing one.
     ahead: BTreeSet<u32>,
     buffer: Vec<u8>,
 }
 
 impl Pc2Writer {
-    /// Starts a cache (`first_frame` = 0), or goes on with one after its first `first_frame` frames.
+    /// Creates a cache (`first_frame` = 0), or continues one after its first `first_frame` frames.
     pub fn open(path: &Path, points: usize, first_frame: u32) -> Result<Pc2Writer, Pc2Error> {
         let unfit = |problem: String| Pc2Error::Unfit { path: path.to_path_buf(), problem };
         let count = i32::try_from(points).map_err(|_| unfit(format!("{points} points are more than PC2 can count")))?;
@@ -129,8 +129,8 @@ impl Pc2Writer {
         })
     }
 
-    /// Writes frame `frame`, in any order; one that is there already is replaced. The header counts the frames before the
-    /// first one that is missing.
+    /// Writes frame `frame`, in any order. An existing frame is replaced. The header counts the frames before the first
+    /// missing one.
     pub fn write(&mut self, frame: u32, positions: &[Vec3]) -> Result<(), Pc2Error> {
         if positions.len() != self.points {
             let problem = format!("it holds {} points, frame {frame} has {}", self.points, positions.len());
@@ -156,7 +156,7 @@ impl Pc2Writer {
     }
 }
 
-/// Number of whole frames in a point cache.
+/// Number of complete frames in a point cache.
 pub fn samples(path: &Path) -> Result<u32, Pc2Error> {
     let mut file = open(path)?;
     Ok(read_header(&mut file, path)?.samples)
@@ -169,7 +169,7 @@ pub fn read(path: &Path, frame: u32) -> Result<Vec<Vec3>, Pc2Error> {
     let header = read_header(&mut file, path)?;
     let size = u64::from(header.points) * 12;
     let offset = HEADER_BYTES + u64::from(frame) * size;
-    // The header's numbers are believed only as far as the file reaches.
+    // The header's numbers are checked against the length of the file.
     let length = file.metadata().map(|m| m.len()).unwrap_or(0);
     if frame >= header.samples || offset + size > length {
         return Err(unfit(format!("frame {frame} is missing or cut off")));

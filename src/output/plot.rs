@@ -17,10 +17,10 @@ pub struct Series {
     pub points: Vec<(f64, f64)>,
 }
 
-/// Why there is no chart.
+/// Why a chart cannot be drawn.
 #[derive(Debug, Error)]
 pub enum PlotError {
-    /// The system refused.
+    /// The operating system reported an error.
     #[error(transparent)]
     Write(#[from] WriteError),
     /// No finite point in any series.
@@ -29,17 +29,17 @@ pub enum PlotError {
         /// Title of the chart.
         title: String,
     },
-    /// The drawing library gave up.
+    /// The drawing library reported an error.
     #[error("chart {title:?} cannot be drawn: {message}")]
     Draw {
         /// Title of the chart.
         title: String,
-        /// Its words.
+        /// Message of the library.
         message: String,
     },
 }
 
-/// Colours that also people who do not tell red from green tell apart [Okabe & Ito 2008].
+/// Colors that people with red-green color blindness can distinguish [Okabe & Ito 2008].
 const COLORS: [RGBColor; 8] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -52,10 +52,10 @@ const COLORS: [RGBColor; 8] = [
 ];
 const SIZE: (u32, u32) = (860, 520);
 const TITLE_SIZE: u32 = 16;
-/// Characters of a line of the title, about half as wide as high.
+/// Characters per line of the title. A character is about half as wide as high.
 const TITLE_LINE: usize = 100;
 
-/// Draws lines with a dot at every point to `path` (SVG). The y axis starts at 0 unless a value is negative.
+/// Draws lines with a dot at every point into the SVG file `path`. The y axis starts at 0 unless a value is negative.
 pub fn line_chart(path: &Path, title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<(), PlotError> {
     let svg = draw(title, x_label, y_label, series)?;
     write_atomically(path, |out| out.write_all(svg.as_bytes()))?;
@@ -122,7 +122,7 @@ fn draw(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<
     Ok(svg)
 }
 
-/// The title in lines of at most [`TITLE_LINE`] characters.
+/// The title, broken into lines of at most [`TITLE_LINE`] characters.
 fn title_lines(title: &str) -> Vec<String> {
     let (mut lines, mut line) = (Vec::new(), String::new());
     for word in title.split(' ') {
@@ -136,7 +136,7 @@ fn title_lines(title: &str) -> Vec<String> {
     lines
 }
 
-/// The corner of the chart with the fewest points, for the legend.
+/// The corner of the chart with the fewest points; the legend is placed there.
 fn emptiest_corner(points: &[(f64, f64)], x: (f64, f64), y: (f64, f64)) -> SeriesLabelPosition {
     let share = |v: f64, (low, high): (f64, f64)| (v - low) / (high - low);
     let crowd = |right: bool, top: bool| {
@@ -152,7 +152,7 @@ fn emptiest_corner(points: &[(f64, f64)], x: (f64, f64), y: (f64, f64)) -> Serie
     corners.into_iter().min_by_key(|(crowd, _)| *crowd).map_or(SeriesLabelPosition::UpperRight, |(_, corner)| corner)
 }
 
-/// Smallest and largest value with some air around them.
+/// Smallest and largest value with a margin.
 fn padded(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
     let air = if high > low { 0.05 * (high - low) } else { 0.5 * high.abs().max(1.0) };

@@ -1,16 +1,16 @@
-//! Binary PLY frames: a writer, and a reader for files of the layout that this writer writes.
+//! Binary PLY frames: a writer, and a reader for files with the writer's layout.
 
 use std::io::{self, Write};
 
 use super::frame_mesh::{FrameMesh, ReadError};
 use crate::math::Vec3;
 
-/// A face: one byte (3) and three 32-bit indices.
+/// Bytes of a face: one byte (3) and three 32-bit indices.
 const FACE_BYTES: usize = 13;
-/// Faces packed before they are handed on.
+/// Faces that are packed before a write.
 const FACES_PER_CHUNK: usize = 1 << 14;
 
-/// Writes a mesh: float x, y, z; uchar count + int indices, little-endian. `buffer` is scratch.
+/// Writes a mesh: float x, y, z; uchar count + int indices, little-endian. `buffer` is scratch memory.
 pub fn write(out: &mut dyn Write, buffer: &mut Vec<u8>, positions: &[Vec3], triangles: &[[u32; 3]]) -> io::Result<()> {
     let too_many = |_| io::Error::new(io::ErrorKind::InvalidInput, "PLY indices end at 2147483647 vertices");
     i32::try_from(positions.len()).map_err(too_many)?;
@@ -48,7 +48,7 @@ pub(super) fn write_words(out: &mut dyn Write, buffer: &mut Vec<u8>, values: &[f
     Ok(())
 }
 
-/// Positions from little-endian bytes (a whole number of them).
+/// Decodes positions from little-endian bytes; the length must be a multiple of 12.
 pub(super) fn positions_from_bytes(bytes: &[u8]) -> Vec<Vec3> {
     let word = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
     bytes.chunks_exact(12).map(|p| Vec3::new(word(&p[0..4]), word(&p[4..8]), word(&p[8..12]))).collect()
@@ -56,10 +56,10 @@ pub(super) fn positions_from_bytes(bytes: &[u8]) -> Vec<Vec3> {
 
 const PROPERTIES: &str = "float x,float y,float z;list uchar int vertex_indices";
 
-/// Reads a mesh that [`write`] wrote.
+/// Reads a mesh written by [`write`].
 pub fn read(bytes: &[u8]) -> Result<FrameMesh, ReadError> {
     const END: &[u8] = b"end_header\n";
-    // The header is short; looking further would only cost time in a file that is something else.
+    // The header is short. The limit saves time on files of another kind.
     let limit = bytes.len().min(4096);
     let end = bytes[..limit]
         .windows(END.len())

@@ -1,4 +1,4 @@
-//! Reads the frames of a run directory back: only files that `output` wrote itself. Any bytes give a mesh or an error.
+//! Reads frames of a run directory that `output` wrote. Any other bytes give an error.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,7 +14,7 @@ use super::{RunDirectory, obj, pc2, ply};
 /// Why the frames of a run cannot be read.
 #[derive(Debug, Error)]
 pub enum FramesError {
-    /// The folder has none.
+    /// The directory holds no frames.
     #[error("{} holds no frames: neither frames/frame_*.ply, frames/frame_*.obj nor cloth.pc2 with rest.obj", .0.display())]
     None(PathBuf),
     /// A file could not be opened.
@@ -22,7 +22,7 @@ pub enum FramesError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file is damaged.
@@ -36,7 +36,7 @@ pub enum FramesError {
     /// The point cache is damaged.
     #[error(transparent)]
     PointCache(#[from] pc2::Pc2Error),
-    /// The point cache moves another mesh.
+    /// The point cache belongs to another mesh.
     #[error("{} has {cached} points, but rest.obj has {vertices} vertices", path.display())]
     RestDiffers {
         /// The point cache.
@@ -48,18 +48,19 @@ pub enum FramesError {
     },
 }
 
-/// The frames that a run directory holds; reads one at a time.
+/// The frames in a run directory, read one at a time.
 #[derive(Debug)]
 pub struct FrameSource {
     folder: PathBuf,
     files: BTreeMap<u32, FrameFormat>,
     obstacles: BTreeMap<u32, FrameFormat>,
-    /// Point cache and the triangles that it moves.
+    /// Point cache and its mesh.
     point_cache: Option<(PathBuf, FrameMesh)>,
 }
 
 impl FrameSource {
-    /// Looks through `directory`. PLY goes before OBJ (faster), files before the point cache.
+    /// Searches `directory` for frames. PLY is preferred to OBJ, because it is faster to read, and both to the point
+    /// cache.
     pub fn open(directory: &RunDirectory) -> Result<FrameSource, FramesError> {
         let folder = directory.frames();
         let mut files = numbered(&folder, "frame_");
@@ -81,7 +82,7 @@ impl FrameSource {
         self.files.keys().copied().collect()
     }
 
-    /// The cloth of a frame (one of [`FrameSource::numbers`]).
+    /// Reads the cloth of a frame, which must be one of [`FrameSource::numbers`].
     pub fn read(&self, frame: u32) -> Result<FrameMesh, FramesError> {
         match &self.point_cache {
             Some((path, rest)) => {
@@ -99,7 +100,7 @@ impl FrameSource {
         }
     }
 
-    /// The obstacles of a frame, if it has any.
+    /// Reads the obstacles of a frame, if it has any.
     pub fn read_obstacle(&self, frame: u32) -> Result<Option<FrameMesh>, FramesError> {
         let Some(format) = self.obstacles.get(&frame) else { return Ok(None) };
         read_mesh(&frame_path(&self.folder, "obstacle", frame, *format), *format).map(Some)
@@ -112,7 +113,7 @@ fn read_mesh(path: &Path, format: FrameFormat) -> Result<FrameMesh, FramesError>
     mesh.map_err(|source| FramesError::Damaged { path: path.to_path_buf(), source })
 }
 
-/// Files `PREFIX<number>.<ply|obj>` of a folder.
+/// Files `PREFIX<number>.<ply|obj>` of a folder, by number.
 fn numbered(folder: &Path, prefix: &str) -> BTreeMap<u32, FrameFormat> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {

@@ -1,7 +1,7 @@
-//! `report.json`: what a run was, and what every step and frame of it cost and gave.
+//! `report.json`: description of a run, with costs and results of every step and frame.
 //!
-//! The file is replaced as a whole, at most once a second, before every checkpoint and at the end: a crash leaves a valid
-//! report that says `running` and lacks at most what came after the newest checkpoint.
+//! The file is replaced as a whole, at most once a second, before every checkpoint and at the end. After a crash it is
+//! still valid, says `running`, and lacks at most the records after the newest checkpoint.
 
 use std::fs;
 use std::io::{self, Write};
@@ -17,17 +17,17 @@ use crate::impact_zone::ZoneCounts;
 use crate::scene::Untangling;
 use crate::step::{QueryStats, StageSeconds};
 
-/// How a run stands.
+/// State of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub enum Status {
-    /// Under way, or died without a word.
+    /// The run is in progress or its process was killed.
     #[default]
     Running,
-    /// All frames are there.
+    /// All frames are written.
     Done,
-    /// Stopped by the user after a step.
+    /// The user stopped the run after a step.
     Stopped,
-    /// Ended by an error: its sentence.
+    /// The run failed with this message.
     Failed(String),
 }
 
@@ -59,7 +59,7 @@ impl<'de> Deserialize<'de> for Status {
     }
 }
 
-/// What does not change during a run.
+/// Data that do not change during a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ReportHeader {
@@ -79,7 +79,7 @@ pub struct ReportHeader {
     pub schedule: String,
     /// Preconditioner of the solver.
     pub preconditioner: String,
-    /// Topology file, or how one was made up.
+    /// Topology file, or the description of a default topology.
     pub topology: String,
     /// Triangles of the mesh.
     pub triangles: usize,
@@ -89,23 +89,23 @@ pub struct ReportHeader {
     pub step_s: f64,
     /// Steps per frame.
     pub steps_per_frame: u32,
-    /// Frames that the run is meant to write (frame 0 comes on top).
+    /// Number of frames to write, in addition to frame 0.
     pub frames_wanted: u32,
     /// Gravity, m/s^2.
     pub gravity_m_s2: [f64; 3],
     /// `y` or `z`: the axis against gravity.
     pub up_axis: String,
-    /// Where it ran.
+    /// Machine of the run.
     pub machine: Machine,
     /// Seconds since 1970.
     pub started_unix_s: u64,
-    /// Seconds since 1970, once it has ended.
+    /// Seconds since 1970, once the run has ended.
     pub ended_unix_s: Option<u64>,
-    /// How it stands.
+    /// State of the run.
     pub status: Status,
-    /// Where it was taken up again.
+    /// Points at which the run was resumed.
     pub resumed: Vec<Resumption>,
-    /// What untangling the start state took, where that was done.
+    /// Figures of the untangling of the start state, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub untangled: Option<Untangling>,
 }
@@ -121,7 +121,7 @@ impl ReportHeader {
         }
     }
 
-    /// Sets gravity, and with it the axis that pictures show as up.
+    /// Sets gravity and derives the up axis of pictures from it.
     pub fn set_gravity(&mut self, gravity_m_s2: [f64; 3]) {
         self.gravity_m_s2 = gravity_m_s2;
         let [_, y, z] = gravity_m_s2.map(f64::abs);
@@ -129,14 +129,14 @@ impl ReportHeader {
     }
 }
 
-/// A run that was taken up from a checkpoint.
+/// A continuation of the run from a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Resumption {
     /// Step of the checkpoint.
     pub step: u64,
     /// Frame of the checkpoint.
     pub frame: u32,
-    /// Ranks from here on.
+    /// Number of ranks from this point on.
     pub workers: usize,
     /// Seconds since 1970.
     pub unix_s: u64,
@@ -153,11 +153,11 @@ pub struct FrameRecord {
     pub state_hash: String,
 }
 
-/// What the collision queries of one kind did in a step.
+/// Figures of the collision queries of one kind in a step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct QueryRecord {
-    /// All ranks together.
+    /// Sum over all ranks.
     #[serde(flatten)]
     pub total: QueryStats,
     /// Triangle-triangle tests of every rank.
@@ -167,7 +167,7 @@ pub struct QueryRecord {
 }
 
 impl QueryRecord {
-    /// The record of the queries and bytes of each rank, by rank.
+    /// Collects the figures of all ranks, given in rank order.
     pub fn of<'a>(ranks: impl Iterator<Item = (&'a QueryStats, u64)>) -> QueryRecord {
         let mut record = QueryRecord::default();
         for (rank, bytes) in ranks {
@@ -179,13 +179,13 @@ impl QueryRecord {
     }
 }
 
-/// A step.
+/// Record of a step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct StepRecord {
     /// Number of the step, from 1.
     pub step: u64,
-    /// Session that made it; left out where it is 0, as in a run on one session.
+    /// Session that made the step; omitted if it is 0, as in a run with one session.
     #[serde(skip_serializing_if = "is_zero")]
     pub session: usize,
     /// Frame that the step leads to.
@@ -197,31 +197,31 @@ pub struct StepRecord {
     /// Relative residual reached (`null` in the file if it is no number).
     #[serde(deserialize_with = "number_or_null")]
     pub residual: f64,
-    /// Whether the residual asked for was reached.
+    /// True if the requested residual was reached.
     pub converged: bool,
-    /// Seconds per stage, the slowest rank's; `total` as the coordinator saw it.
+    /// Seconds per stage of the slowest rank. `total` is measured by the coordinator.
     pub stage_seconds: StageSeconds,
-    /// Bytes moved between ranks, all ranks together.
+    /// Bytes moved between ranks, summed over all ranks.
     pub bytes_moved: u64,
-    /// Bytes moved between ranks per matrix-vector product, all ranks together.
+    /// Bytes moved between ranks per matrix-vector product, summed over all ranks.
     pub bytes_per_spmv: u64,
     /// Contacts in the matrix.
     pub contacts: u64,
-    /// Impact zones; iterations those of all ranks.
+    /// Impact zones. Iterations are summed over all ranks.
     #[serde(flatten)]
     pub zones: ZoneCounts,
     /// Proximity query.
     pub proximity: QueryRecord,
     /// Continuous queries.
     pub continuous: QueryRecord,
-    /// Bytes of mesh and positions that every rank holds for collisions.
+    /// Bytes of mesh and positions that every rank holds for collision queries.
     pub collision_mesh_bytes_per_rank: Vec<u64>,
     /// Device memory of every rank, bytes.
     pub memory_bytes_per_rank: Vec<u64>,
-    /// Peak resident memory of every worker process, bytes (0 where the system does not tell).
+    /// Peak resident memory of every worker process, bytes (0 if the system does not report it).
     #[serde(default)]
     pub resident_bytes_per_rank: Vec<u64>,
-    /// Smallest gap between two parts of the cloth, metres, if it was measured.
+    /// Smallest gap between two parts of the cloth, meters, if it was measured.
     pub smallest_gap_m: Option<f64>,
 }
 
@@ -229,15 +229,15 @@ fn is_zero(number: &usize) -> bool {
     *number == 0
 }
 
-/// JSON has no NaN: serde_json writes null.
+/// JSON has no NaN, so serde_json writes null.
 fn number_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
-/// A whole report.
+/// The whole report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// What does not change.
+    /// Data that do not change during the run.
     #[serde(flatten)]
     pub header: ReportHeader,
     /// Frames written.
@@ -256,15 +256,15 @@ pub enum ReportError {
     Io {
         /// The report.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The file is no report.
+    /// The file is not a report.
     #[error("{} is not a report of a run: {source}", path.display())]
     Json {
         /// The report.
         path: PathBuf,
-        /// What and where.
+        /// The error with its position.
         source: serde_json::Error,
     },
 }
@@ -276,7 +276,7 @@ impl Report {
         serde_json::from_slice(&text).map_err(|source| ReportError::Json { path: path.to_path_buf(), source })
     }
 
-    /// Writes `path`: the header over several lines, frames and steps one line each.
+    /// Writes the report to `path`. The header spans several lines; frames and steps take one line each.
     pub fn save(&self, path: &Path) -> Result<(), WriteError> {
         write_atomically(path, |out| {
             let header = serde_json::to_string_pretty(&self.header)?;
@@ -298,10 +298,10 @@ fn write_lines<T: Serialize>(out: &mut dyn Write, records: &[T]) -> io::Result<(
     if records.is_empty() { Ok(()) } else { out.write_all(b"\n  ") }
 }
 
-/// Shortest time between two writes of a report.
+/// Shortest time between two writes of the report.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Collects the records of a run and keeps its report up to date.
+/// Collects the records of a run and keeps the report file up to date.
 pub struct ReportWriter {
     path: PathBuf,
     report: Report,
@@ -309,15 +309,15 @@ pub struct ReportWriter {
 }
 
 impl ReportWriter {
-    /// Starts a report and writes it once.
+    /// Starts a report and writes the file once.
     pub fn create(path: &Path, header: ReportHeader) -> Result<ReportWriter, WriteError> {
         let report = Report { header, ..Report::default() };
         report.save(path)?;
         Ok(ReportWriter { path: path.to_path_buf(), report, written: Instant::now() })
     }
 
-    /// Goes on with the report at `path` after a checkpoint: records after `step` and `frame` are dropped, because they
-    /// are made again. The new header is kept, with the old start time. A missing or damaged report is started anew.
+    /// Continues the report at `path` after a checkpoint. Records after `step` and `frame` are dropped, because they
+    /// are made again. The new header is used with the old start time. A missing or damaged report is started anew.
     pub fn resume(path: &Path, mut header: ReportHeader, step: u64, frame: u32) -> Result<ReportWriter, WriteError> {
         let Report { header: old, mut frames, mut steps } = Report::load(path).unwrap_or_default();
         frames.retain(|record| record.frame <= frame);
@@ -333,14 +333,14 @@ impl ReportWriter {
         Ok(ReportWriter { path: path.to_path_buf(), report, written: Instant::now() })
     }
 
-    /// Adds a step; they may come in any order.
+    /// Adds a step. Steps can come in any order.
     pub fn step(&mut self, record: StepRecord) {
         let steps = &mut self.report.steps;
         let place = steps.partition_point(|other| other.step <= record.step);
         steps.insert(place, record);
     }
 
-    /// Adds a frame; they may come in any order. Writes the file if the last time is more than a second ago.
+    /// Adds a frame. Frames can come in any order. Writes the file if the last write was more than a second ago.
     pub fn frame(&mut self, record: FrameRecord) -> Result<(), WriteError> {
         let frames = &mut self.report.frames;
         let place = frames.partition_point(|other| other.frame <= record.frame);
@@ -351,14 +351,14 @@ impl ReportWriter {
         self.save()
     }
 
-    /// Writes the file as it is. Before a checkpoint, so that no record up to it is lost with this process.
+    /// Writes the file now. Called before a checkpoint, so that no record before it is lost if the process dies.
     pub fn save(&mut self) -> Result<(), WriteError> {
         self.report.save(&self.path)?;
         self.written = Instant::now();
         Ok(())
     }
 
-    /// What has been collected.
+    /// The records so far.
     pub fn report(&self) -> &Report {
         &self.report
     }

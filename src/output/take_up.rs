@@ -1,14 +1,15 @@
-//! What a resumed run does for a frame format that it has not written before: a point cache is filled from the frames that
-//! are there, other formats begin where the run goes on.
+//! Prepares a resumed run for frame formats that it has not written before. A point cache is filled from the existing
+//! frames; other formats start at the first new frame.
 
 use super::frames::FrameFormat;
 use super::pc2::{self, Pc2Error, Pc2Writer};
 use super::{FrameSource, FramesError, RunDirectory};
 
-/// Prepares `directory` for frames from `first_frame` on in `formats`; one sentence for everything that a user might miss.
+/// Prepares `directory` for frames from `first_frame` on in `formats`. Returns one sentence for each format that will
+/// lack earlier frames.
 ///
 /// # Errors
-/// A point cache cannot be filled: frames before the first one are missing or damaged.
+/// A point cache cannot be filled, because earlier frames are missing or damaged.
 pub fn take_up_formats(
     directory: &RunDirectory,
     formats: &[FrameFormat],

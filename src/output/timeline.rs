@@ -1,39 +1,40 @@
-//! Timelines as SVG: a band per rank, boxes over time, coloured by group, a legend. For modelled schedules and re-timed runs.
+//! Timelines as SVG for modeled schedules and simulated runs: a band per rank, boxes over time colored by group, and a
+//! legend.
 
 use std::fmt::Write;
 use std::path::Path;
 
 use super::atomic::{WriteError, write_atomically};
 
-/// Something that took time.
+/// A box: an activity with start and end.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimelineBox {
-    /// Band.
+    /// Index of the band.
     pub row: usize,
-    /// Strip of the band; boxes of one strip should not overlap.
+    /// Strip within the band. Boxes in one strip should not overlap.
     pub lane: usize,
     /// Start, seconds.
     pub start_s: f64,
     /// End, seconds.
     pub end_s: f64,
-    /// Text, shown where it fits and as tooltip.
+    /// Text, shown where it fits and as a tooltip.
     pub label: String,
-    /// Index into [`Timeline::groups`]: the colour.
+    /// Index into [`Timeline::groups`]; sets the color.
     pub group: usize,
 }
 
-/// A picture.
+/// A timeline.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Timeline {
     /// Heading.
     pub title: String,
-    /// What the heading leaves out, for example that times are modelled.
+    /// Further text below the heading, for example that times are modeled.
     pub subtitle: String,
     /// Names of the bands.
     pub rows: Vec<String>,
-    /// Names of the colours.
+    /// Names of the groups in the legend.
     pub groups: Vec<String>,
-    /// A group that is no activity: grey.
+    /// Group that is not an activity; drawn in gray.
     pub faint: Option<usize>,
     /// Boxes in any order.
     pub boxes: Vec<TimelineBox>,
@@ -44,10 +45,10 @@ const LEFT: f64 = 90.0;
 const TOP: f64 = 64.0;
 const STRIP: f64 = 18.0;
 const LEGEND_COLUMNS: usize = 4;
-/// Width of a character of the labels.
+/// Width of a label's character.
 const CHARACTER: f64 = 6.0;
 const TICKS: usize = 8;
-/// Boxes stay visible.
+/// Smallest width of a box, so that it stays visible.
 const NARROWEST: f64 = 0.8;
 
 /// Writes the picture to `path`.
@@ -85,7 +86,7 @@ pub fn timeline_svg(timeline: &Timeline) -> String {
     }
     for tick in 0..=TICKS {
         let at_s = end_s * tick as f64 / TICKS as f64;
-        // The last one ends with the picture.
+        // The last label ends at the edge of the picture.
         let anchor = if tick == TICKS { " text-anchor=\"end\"" } else { " text-anchor=\"middle\"" };
         text(x(at_s), bottom + 14.0, anchor, &format!("{:.1} us", at_s * 1e6));
     }
@@ -132,7 +133,7 @@ fn legend_place(column: usize, row: usize, bottom: f64) -> (f64, f64) {
     (LEFT + column as f64 * (WIDTH - LEFT) / LEGEND_COLUMNS as f64, bottom + 24.0 + row as f64 * STRIP)
 }
 
-/// Neighbouring groups get hues far apart (steps of the golden angle), light enough for black text.
+/// Neighboring groups get distant hues (steps of the golden angle), light enough for black text.
 fn color(timeline: &Timeline, group: usize) -> String {
     if timeline.faint == Some(group) {
         return "#ebebeb".to_string();

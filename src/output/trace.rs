@@ -1,8 +1,8 @@
 //! `trace.json` for ui.perfetto.dev and chrome://tracing: a process per rank with tracks for steps, computing,
-//! transfers and waiting, and arrows from what a rank published to where it was received.
+//! transfers and waiting, and arrows from each published message to its reception.
 //!
-//! The file is a JSON array that is closed again after every step, so it can be opened at any time; if the process dies
-//! while writing, only the closing bracket is missing, which both viewers accept. Slices of one track never overlap.
+//! The file is a JSON array that is closed again after every step, so it can be opened at any time. If the process dies
+//! during a write, only the closing bracket is missing, which both viewers accept. Slices of one track never overlap.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -12,25 +12,25 @@ use std::path::{Path, PathBuf};
 use super::atomic::WriteError;
 use crate::telemetry::{Activity, Event, EventName};
 
-/// Events of one rank, and the time that their nanoseconds count from.
+/// Events of one rank, with the reference time of their nanoseconds.
 #[derive(Clone, Copy, Debug)]
 pub struct RankEvents<'a> {
     /// Rank.
     pub rank: usize,
     /// `Recorder::epoch_unix_ns` of the rank.
     pub epoch_unix_ns: u64,
-    /// What it recorded, in any order.
+    /// Recorded events, in any order.
     pub events: &'a [Event],
 }
 
-/// Kinds of tracks, in the order in which they are shown.
+/// Kinds of tracks, in display order.
 const TRACKS: [&str; 4] = ["step", "compute", "transfer", "wait"];
-/// Tracks of one kind that a rank may need when events of that kind overlap.
+/// Limit of tracks of one kind per rank, needed when events of that kind overlap.
 const LANES: usize = 64;
-/// What stands after the last event.
+/// Text after the last event.
 const END: &[u8] = b"\n]\n";
 
-/// Where a slice has been put.
+/// Position of a slice.
 #[derive(Clone, Copy)]
 struct Place {
     rank: usize,
@@ -44,7 +44,7 @@ pub struct TraceWriter {
     path: PathBuf,
     file: File,
     base_unix_ns: u64,
-    /// Per rank and kind: where each of its tracks is filled up to, nanoseconds.
+    /// For every rank and kind: the end of the last slice on each track, nanoseconds.
     lanes: Vec<[Vec<i128>; TRACKS.len()]>,
     arrows: u64,
     empty: bool,
@@ -52,8 +52,8 @@ pub struct TraceWriter {
 }
 
 impl TraceWriter {
-    /// Starts a trace of ranks on `devices` (one name per rank). Time 0 is `base_unix_ns` (for example the smallest
-    /// epoch of the ranks).
+    /// Starts a trace of ranks on `devices` (one name per rank). Time 0 is `base_unix_ns`, for example the smallest
+    /// epoch of the ranks.
     pub fn create(path: &Path, devices: &[String], base_unix_ns: u64) -> Result<TraceWriter, WriteError> {
         let file = File::create(path).map_err(WriteError::at(path))?;
         let mut writer = TraceWriter {
@@ -91,7 +91,7 @@ impl TraceWriter {
         }
     }
 
-    /// Appends the events of all ranks from one step (or several). Arrows are drawn within one call.
+    /// Appends the events of all ranks from one or several steps. Arrows connect events of one call only.
     pub fn append(&mut self, ranks: &[RankEvents<'_>]) -> Result<(), WriteError> {
         let mut flows = Flows::default();
         for rank in ranks {
@@ -99,7 +99,7 @@ impl TraceWriter {
         }
         for (from, to) in flows.pairs() {
             self.arrows += 1;
-            // "s" belongs to the slice around it; "e" ends at the slice around it rather than the next one.
+            // "s" binds to the enclosing slice; "e" makes the arrow end at the enclosing slice instead of the next one.
             let (id, start, end) = (self.arrows, self.micros(from.end_ns - 1), self.micros(to.end_ns - 1));
             let (from_pid, from_tid, to_pid, to_tid) = (from.rank, from.tid, to.rank, to.tid);
             self.entry(format_args!(
@@ -125,7 +125,7 @@ impl TraceWriter {
     fn append_rank(&mut self, rank: &RankEvents<'_>, flows: &mut Flows) {
         let shift = i128::from(rank.epoch_unix_ns) - i128::from(self.base_unix_ns);
         let mut order: Vec<&Event> = rank.events.iter().collect();
-        // Of two that start together the longer one is the outer one.
+        // Of two slices with the same start, the longer one encloses the other.
         order.sort_by_key(|event| (event.start_ns, u64::MAX - event.end_ns));
         for event in order {
             let (start_ns, end_ns) = (shift + i128::from(event.start_ns), shift + i128::from(event.end_ns));
@@ -136,7 +136,7 @@ impl TraceWriter {
         }
     }
 
-    /// The first track of this kind that is free at `start_ns`; announces it when it is new.
+    /// The first track of this kind that is free at `start_ns`. A new track is announced in the file.
     fn lane(&mut self, rank: usize, kind: usize, start_ns: i128, end_ns: i128) -> usize {
         if self.lanes.len() <= rank {
             self.lanes.resize_with(rank + 1, Default::default);
@@ -166,7 +166,7 @@ impl TraceWriter {
         let asked_ns = start_ns + i128::from(event.asked_ns) - i128::from(event.start_ns);
         let (ts, dur) = (self.micros(start_ns), self.micros(end_ns - start_ns));
         let Event { step, stage, source, vector, bytes, flops, .. } = *event;
-        // A block's kernel says which sub-vector it multiplies.
+        // The name of a block kernel includes the sub-vector that it multiplies.
         let plain = event.activity == Activity::Compute as u32 && event.name != EventName::SpmvBlock as u32;
         let route = match plain {
             true => String::new(),
@@ -203,7 +203,7 @@ fn kind(event: &Event) -> usize {
     }
 }
 
-/// Nanoseconds printed as microseconds, exactly.
+/// Nanoseconds, printed exactly as microseconds.
 struct Micros(i128);
 
 impl std::fmt::Display for Micros {
@@ -214,14 +214,16 @@ impl std::fmt::Display for Micros {
     }
 }
 
-/// Matches publications with receptions. Every rank records the beginning of every exchange, also where nobody reads its
-/// message, so a reception belongs to the exchange that the receiver began last: its k-th of that name in the step, and to the
+/// Matches publications with receptions. Every rank records the beginning of every exchange, even if nobody reads its
+/// message. So a reception belongs to the exchange that the receiver began last. If that is its k-th exchange of this
+/// name in the step, the source is its k-th exchange too.
 /// source's k-th of that name.
 #[derive(Default)]
 struct Flows {
-    /// The source's place in each exchange; none for one of no length, from which no arrow can start.
+    /// Position of the source in each exchange. None for a publication of zero length, because an arrow cannot start
+    /// there.
     begun: HashMap<Exchanges, Vec<Option<Place>>>,
-    /// (of which exchange of which source, receiving rank, place).
+    /// Source exchange, index of the exchange, receiving rank and position.
     received: Vec<(Exchanges, usize, u32, Place)>,
 }
 
@@ -229,7 +231,7 @@ struct Flows {
 type Exchanges = (u32, u32, u32);
 
 impl Flows {
-    /// Takes the events of a rank in the order in which it recorded them.
+    /// Adds the events of a rank in the order in which it recorded them.
     fn note(&mut self, event: &Event, place: Place) {
         if event.activity != Activity::Transfer as u32 {
             return;
@@ -241,15 +243,15 @@ impl Flows {
         } else if (name == EventName::Receive || name.is_share()) && event.vector != rank && shown {
             let begins = if name.is_share() { name } else { EventName::Publish } as u32;
             let begun = self.begun.get(&(event.step, begins, rank)).map_or(0, Vec::len);
-            // A reception before any exchange: its beginning was not recorded.
+            // A reception before any exchange is skipped, because the beginning of its exchange was not recorded.
             if let Some(exchange) = begun.checked_sub(1) {
                 self.received.push(((event.step, begins, event.vector), exchange, rank, place));
             }
         }
     }
 
-    /// Pairs in a fixed order. Where two ranks began different numbers of exchanges (an event was not recorded) there is no
-    /// telling which belong together, and no arrow is better than a wrong one.
+    /// The pairs in a fixed order. If two ranks began different numbers of exchanges (an event was not recorded), the
+    /// pairs are unknown and no arrow is drawn.
     fn pairs(self) -> Vec<(Place, Place)> {
         let mut pairs = Vec::new();
         for ((step, name, owner), exchange, rank, to) in &self.received {

@@ -1,5 +1,5 @@
-//! Reads `trace.json` back into events, step by step, rank by rank. Only files that [`super::TraceWriter`] wrote, one event
-//! a line; a last line that was cut off by a crash is the end of the file.
+//! Reads `trace.json` back into events per step and rank. It accepts only files from [`super::TraceWriter`], with one
+//! event per line. A truncated last line counts as the end of the file.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -20,10 +20,10 @@ pub enum TraceReadError {
     Io {
         /// The trace.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// A line is no event of a trace.
+    /// A line is not an event of a trace.
     #[error("{}, line {line}: not an event of a trace: {message}", path.display())]
     Line {
         /// The trace.
@@ -33,7 +33,7 @@ pub enum TraceReadError {
         /// What is wrong.
         message: String,
     },
-    /// No events.
+    /// The trace holds no events.
     #[error("{} holds no events: record some with `loomtree run --trace-steps N`", path.display())]
     Empty {
         /// The trace.
@@ -63,8 +63,8 @@ struct Args {
     flops: u64,
 }
 
-/// Events of every step (by its number) and rank, in the order in which the rank did them or asked its device for them. Times count from the first event.
-/// Events that this version does not know are left out.
+/// Events of every step and rank, in the order in which the rank executed or submitted them. Times count from the first
+/// event. Events that this version does not know are skipped.
 pub fn read_trace(path: &Path) -> Result<BTreeMap<u32, Vec<Vec<Event>>>, TraceReadError> {
     let io_error = |source| TraceReadError::Io { path: path.to_path_buf(), source };
     let mut reader = BufReader::with_capacity(1 << 20, File::open(path).map_err(io_error)?);

@@ -16,8 +16,8 @@ pub struct Fabric {
     pub name: String,
     /// Mass per rest area, kg/m^2.
     pub density_kg_m2: f64,
-    /// Stretching stiffness, N/m: row 0 at rest, rows 1..=5 at a principal strain of 1/6 along 0, 22.5, .. 90 degrees from the
-    /// warp; columns: warp, cross (warp-weft), weft, shear.
+    /// Stretching stiffness, N/m. Row 0: at rest; rows 1..=5: at a principal strain of 1/6 along 0, 22.5, .. 90 degrees
+    /// from the warp. Columns: warp, cross (warp-weft), weft, shear.
     pub stretching_n_m: [[f64; 4]; 6],
     /// Bending stiffness, N m: rows = 0, 45, 90 degrees from the warp; columns = curvature 0, 5, 10, 15, 20 1/m.
     pub bending_n_m: [[f64; 5]; 3],

@@ -1,9 +1,10 @@
-//! Moves cloth that crosses itself, other cloth or an obstacle at the start until the exact check finds nothing, or as far
-//! as it goes: `regions.rs` says what of a surface is on the wrong side, `push.rs` moves it.
+//! Untangling: moves cloth that crosses itself, other cloth or an obstacle at the start, until the exact check finds
+//! nothing or progress stops. `regions.rs` decides which parts of a surface are on the wrong side, `push.rs` moves
+//! them.
 //!
-//! Looks at one state only, so "wrong" is a guess: the smaller part of a piece that another surface cuts in two, or what
-//! is inside a closed obstacle [Baraff et al. 2003]. Does not promise success, nor a state that a fabric would take by
-//! itself. The same result on any number of threads.
+//! It sees one state only, so it must guess the wrong side: the smaller part of a piece that another surface cuts in
+//! two, or the part inside a closed obstacle [Baraff et al. 2003]. It guarantees neither success nor a state that the
+//! fabric would take by itself. The result is the same on any number of threads.
 
 mod push;
 mod regions;
@@ -15,31 +16,31 @@ use crate::math::{DVec3, Vec3};
 use regions::Shape;
 pub use tangle::Tangle;
 
-/// Most rounds of checking and pushing.
+/// Limit of the rounds of checking and pushing.
 const ROUNDS: usize = 200;
-/// Ends after so many rounds without fewer pairs than ever before.
+/// Untangling ends after this many rounds without a new minimum of crossing pairs.
 const PATIENCE: usize = 30;
 
-/// How far the way of a vertex goes towards the mean of its neighbors' where it is evened out.
+/// Smoothing moves the displacement of a vertex by this fraction toward the mean of its neighbors' displacements.
 const SMOOTHING: f64 = 0.5;
 
-/// How far it went.
+/// Result of an untangling.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Untangled {
-    /// Positions with the fewest crossing pairs that were reached; without any if `left` is empty.
+    /// The positions with the fewest crossing pairs; no pair crosses if `left` is empty.
     pub positions: Vec<Vec3>,
-    /// The pairs that cross or touch in them, as [`crossings`] lists them.
+    /// The pairs that cross or touch at these positions, as [`crossings`] lists them.
     pub left: Vec<[u32; 2]>,
-    /// Pairs at the start.
+    /// Crossing pairs at the start.
     pub pairs_before: usize,
-    /// Rounds of pushing behind `positions`.
+    /// Rounds that led to `positions`.
     pub rounds: usize,
 }
 
 impl Tangle<'_> {
-    /// Moves the vertices that must move, none far from where it is, until nothing crosses or no round brings progress.
+    /// Moves crossing parts by short distances until nothing crosses or the rounds bring no progress.
     pub fn untangle(&self, positions: &[Vec3]) -> Untangled {
-        // What was flat is not once it has been pushed.
+        // Pushing can bend a flat sheet, so it is checked against itself afterwards.
         let bent = |group: &Group| match group.kind {
             GroupKind::FlatCloth => Group { kind: GroupKind::Cloth, ..group.clone() },
             _ => group.clone(),
@@ -62,7 +63,7 @@ impl Tangle<'_> {
             }
             self.smooth(positions, &mut now, &shape, &left);
             left = crossings(&now, self.triangles, &groups);
-            // Lists that are full say nothing about progress.
+            // Full lists cannot be compared, because they may be incomplete.
             if left.len() < best.left.len()
                 || (left.len() == best.left.len() && left.len() >= super::crossings::MOST_PAIRS)
             {
@@ -75,7 +76,8 @@ impl Tangle<'_> {
         best
     }
 
-    /// Evens out the ways from `start` where a piece crosses itself: mostly it has been crumpled by pushing.
+    /// Smooths the displacements from `start` where a piece crosses itself, because such a place has mostly been
+    /// crumpled by pushing.
     fn smooth(&self, start: &[Vec3], now: &mut [Vec3], shape: &Shape, pairs: &[[u32; 2]]) {
         let piece = |t: &u32| shape.piece[self.triangles[*t as usize][0] as usize];
         let itself = pairs.iter().filter(|[s, t]| piece(s) == piece(t)).flatten();

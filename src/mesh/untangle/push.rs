@@ -1,12 +1,12 @@
-//! One round of pushing: who moves where. Every push moves two features apart along a line and is shared between them;
-//! a vertex goes the mean way of its pushes.
+//! One round of pushing. A push moves two features apart along a line and is shared between their vertices. A vertex
+//! moves by the mean of its pushes.
 
 use super::regions::{Hit, Region, Shape, at, edges_of, hits, normal, regions, through};
 use super::tangle::Tangle;
 use super::targets::Targets;
 use crate::math::{DVec3, Vec3};
 
-/// Below this length the mean of the normals along a cut says nothing about the way out.
+/// Below this length the mean of the normals along a cut gives no reliable direction.
 const DECISIVE: f64 = 0.3;
 
 /// Displacement of every vertex, meters.
@@ -14,7 +14,7 @@ pub(super) fn moves(positions: &[Vec3], tangle: &Tangle, shape: &Shape, pairs: &
     let hits = hits(positions, tangle.triangles, shape, pairs);
     let (regions, part) = regions(positions, tangle.triangles, shape, &hits);
     let mut round = Round { positions, tangle, shape, sums: vec![(DVec3::ZERO, 0.0); positions.len()] };
-    // Where one region is pushed, the other side of the same cut is left alone.
+    // If one region is pushed, the region on the other side of the same cut stays.
     let mut claimed: Vec<[u32; 2]> = Vec::new();
     for region in &regions {
         let mut pairs: Vec<[u32; 2]> = region.cuts.iter().map(|(hit, _)| hit.pair()).collect();
@@ -56,7 +56,7 @@ impl Round<'_> {
         normal(self.positions, self.tangle.triangles[face as usize])
     }
 
-    /// Pushes a region to the other side of what cuts it off; false if nothing there can move.
+    /// Pushes a region through the surface that cuts it off. False if no vertex can move.
     fn region(&mut self, region: &Region, part: &[u32]) -> bool {
         let Some(along) = self.way_out(region, part) else { return false };
         let targets = Targets::new(self.positions, self.tangle, self.shape, region, part, along);
@@ -73,7 +73,7 @@ impl Round<'_> {
                 pushed |= self.push(along, crossed.distance_m, &[(vertex, 1.0), face[0], face[1], face[2]]);
             }
         }
-        // At the rim of what is in the way a vertex may pass beside it while its edge does not.
+        // At the border of the obstructing surface a vertex can pass beside it although its edge crosses it.
         for &(hit, wrong) in &region.cuts {
             if self.sums[wrong as usize].1 == 0.0 {
                 pushed |= self.end(&hit, wrong);
@@ -82,7 +82,7 @@ impl Round<'_> {
         pushed
     }
 
-    /// Direction in which a region leaves.
+    /// The direction in which a region is pushed out.
     fn way_out(&self, region: &Region, part: &[u32]) -> Option<DVec3> {
         let mut mean = DVec3::ZERO;
         for (hit, wrong) in &region.cuts {
@@ -118,13 +118,13 @@ impl Round<'_> {
         self.push(along, from.abs(), &[(wrong, 1.0), face[0], face[1], face[2]])
     }
 
-    /// For things in one plane any order will do, if it is the same in all pairs of two pieces.
+    /// Orders coplanar features. Any order works if it is the same for all pairs of two pieces.
     fn order(&self, hit: &Hit) -> f64 {
         let piece = |t: u32| self.shape.piece[self.tangle.triangles[t as usize][0] as usize];
         if piece(hit.owner) > piece(hit.face) { 1.0 } else { -1.0 }
     }
 
-    /// Pushes an edge that goes into a surface and out again: over the ridge that the two faces would make.
+    /// Pushes an edge that enters and leaves a surface over the ridge formed by the two faces.
     fn passage(&mut self, run: &[Hit]) {
         let edge = run[0].edge;
         let [from, to] = edge.map(|v| self.at(v));
@@ -135,7 +135,7 @@ impl Round<'_> {
             let corner = self.at(self.tangle.triangles[same[0].face as usize][0]);
             let [low, high] = [from, to].map(|p| normal.dot(p - corner));
             if low == high {
-                // In the plane of a face there is neither in nor out.
+                // An edge in the plane of a face neither enters nor leaves it.
                 for v in edge {
                     self.end(&same[0], v);
                 }
@@ -149,7 +149,7 @@ impl Round<'_> {
             let [n, m] = [one, other].map(|face| self.normal(face));
             let (n, m) = (n * -n.dot(ahead).signum(), m * m.dot(ahead).signum());
             let Some(along) = (n + m).try_normalize() else { continue };
-            // How fast the faces rise over the edge, seen from where it enters and from where it leaves.
+            // Slope of the faces over the edge, seen from the entry and from the exit.
             let [rise, fall] = [-n.dot(ahead) / n.dot(along), m.dot(ahead) / m.dot(along)];
             let length = (to - from).length() * (leaves - enters);
             let (top, height_m) = match rise + fall {
@@ -166,7 +166,7 @@ impl Round<'_> {
         }
     }
 
-    /// Pushes an edge that no region speaks for: over the nearest border of the face, else its nearer end back.
+    /// Pushes an edge outside all regions over the nearest border of the face, or else pushes its nearer end back.
     fn edge(&mut self, hit: &Hit) {
         let mut nearest: Option<(f64, [u32; 2], [f64; 2])> = None;
         for side in edges_of(&self.tangle.triangles[hit.face as usize]) {
@@ -192,7 +192,7 @@ impl Round<'_> {
         self.push(along, distance_m, &ends);
     }
 
-    /// Opens two triangles that lie flat on each other at a common edge.
+    /// Opens two triangles that are folded flat onto each other at a common edge.
     fn fold(&mut self, corners: [[u32; 3]; 2]) {
         let alone = [0, 1].map(|t: usize| corners[t].iter().find(|v| !corners[1 - t].contains(v)).copied());
         let shared = corners[0].iter().filter(|v| corners[1].contains(v)).count();
@@ -205,8 +205,8 @@ impl Round<'_> {
         self.at(a).lerp(self.at(b), share)
     }
 
-    /// Moves the features that `weights` make (of one, and negative of the other) past each other by `distance_m` and the
-    /// gap; false if none of the vertices may move.
+    /// Moves two features past each other by `distance_m` plus the gap. `weights` are positive for the vertices of one
+    /// and negative for those of the other. False if none of the vertices can move.
     fn push(&mut self, along: DVec3, distance_m: f64, weights: &[(u32, f64)]) -> bool {
         let movable = |v: u32| self.tangle.movable[v as usize];
         let sum: f64 = weights.iter().filter(|(v, _)| movable(*v)).map(|(_, weight)| weight * weight).sum();
@@ -223,7 +223,7 @@ impl Round<'_> {
     }
 }
 
-/// Barycentric weights of the point of a triangle's plane nearest to `p`, cut off at the triangle's sides.
+/// Barycentric weights of the point in a triangle's plane nearest to `p`, clamped to the triangle.
 fn barycentric(p: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
     let normal = (b - a).cross(c - a);
     let weight = |from: DVec3, to: DVec3| normal.dot((to - from).cross(p - from)).max(0.0);
@@ -232,7 +232,7 @@ fn barycentric(p: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
     if sum > 0.0 { weights.map(|w| w / sum) } else { [1.0 / 3.0; 3] }
 }
 
-/// Where two segments are closest, as shares of their lengths.
+/// The closest points of two segments, as fractions of their lengths.
 fn closest([a, b]: [DVec3; 2], [c, d]: [DVec3; 2]) -> [f64; 2] {
     let (u, v, w) = (b - a, d - c, a - c);
     let (uu, uv, vv, uw, vw) = (u.dot(u), u.dot(v), v.dot(v), u.dot(w), v.dot(w));

@@ -1,4 +1,4 @@
-//! Which part of a surface is on the wrong side of another: pieces of mesh cut along the edges that cross something.
+//! Finds the parts of a surface on the wrong side of another surface: pieces of mesh, cut along the edges that cross.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -7,17 +7,17 @@ use super::super::intersect::edge_crosses_triangle;
 use super::super::{Group, GroupKind};
 use crate::math::{DVec3, Vec3};
 
-/// What does not change while vertices move.
+/// Data that stay the same while vertices move.
 pub(super) struct Shape {
-    /// A number for the connected piece of every vertex.
+    /// Number of the connected piece of every vertex.
     pub piece: Vec<u32>,
-    /// Of every triangle: 1 or -1 if it belongs to a closed obstacle whose outside it faces or turns its back to, else 0.
+    /// For every triangle: 1 or -1 if it belongs to a closed obstacle and faces outward or inward, else 0.
     pub outward: Vec<i8>,
-    /// Whether every triangle belongs to an obstacle.
+    /// True for every triangle of an obstacle.
     pub obstacle: Vec<bool>,
-    /// Edges with one triangle, ascending.
+    /// Edges with only one triangle, ascending.
     border: Vec<[u32; 2]>,
-    /// Both ways along every edge, ascending.
+    /// Every edge in both directions, ascending.
     neighbours: Vec<[u32; 2]>,
 }
 
@@ -48,13 +48,13 @@ impl Shape {
         self.border.binary_search(&edge).is_ok()
     }
 
-    /// The vertices that share an edge with one, ascending.
+    /// The vertices that share an edge with `vertex`, ascending.
     pub(super) fn neighbours(&self, vertex: u32) -> impl Iterator<Item = u32> {
         let first = self.neighbours.partition_point(|pair| pair[0] < vertex);
         self.neighbours[first..].iter().take_while(move |pair| pair[0] == vertex).map(|pair| pair[1])
     }
 
-    /// Fills `outward` for the pieces of an obstacle that are closed and wound one way.
+    /// Fills `outward` for the closed, consistently wound pieces of an obstacle.
     fn orient(&mut self, positions: &[Vec3], triangles: &[[u32; 3]], range: Range<usize>) {
         let mut directed: Vec<[u32; 2]> =
             triangles[range.clone()].iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
@@ -90,7 +90,7 @@ pub(super) struct Hit {
     /// Piece of the face.
     pub piece: u32,
     pub face: u32,
-    /// A triangle that the edge belongs to.
+    /// A triangle of the edge.
     pub owner: u32,
 }
 
@@ -100,7 +100,7 @@ impl Hit {
     }
 }
 
-/// The edges and faces by which the triangles of `pairs` meet, ascending.
+/// The pairs of an edge and a face at which the triangles of `pairs` meet, ascending.
 pub(super) fn hits(positions: &[Vec3], triangles: &[[u32; 3]], shape: &Shape, pairs: &[[u32; 2]]) -> Vec<Hit> {
     let mut hits = Vec::new();
     for &[s, t] in pairs {
@@ -120,17 +120,17 @@ pub(super) fn hits(positions: &[Vec3], triangles: &[[u32; 3]], shape: &Shape, pa
     hits
 }
 
-/// A part of a piece that is cut off and on the wrong side.
+/// A part of a piece that is cut off and lies on the wrong side.
 pub(super) struct Region {
     /// Its vertices, ascending.
     pub vertices: Vec<u32>,
-    /// Where it is cut off: a hit, and the vertex of the edge that belongs to the region.
+    /// The cuts around the region: a hit, and the vertex of its edge that belongs to the region.
     pub cuts: Vec<(Hit, u32)>,
-    /// Whether it is a part of an obstacle, which cannot move: then the cloth moves the other way.
+    /// True for a part of an obstacle. It cannot move, so the cloth moves in the opposite direction.
     pub obstacle: bool,
 }
 
-/// Runs of hits of one edge and one piece; where the faces are odd in number, the ends of the edge are on different sides.
+/// Groups the hits by edge and piece. With an odd number of faces, the ends of the edge are on different sides.
 pub(super) fn through(hits: &[Hit]) -> impl Iterator<Item = (&[Hit], bool)> {
     hits.chunk_by(|a, b| (a.edge, a.piece) == (b.edge, b.piece)).map(|run| {
         let faces = run.chunk_by(|a, b| a.face == b.face).count();
@@ -138,7 +138,7 @@ pub(super) fn through(hits: &[Hit]) -> impl Iterator<Item = (&[Hit], bool)> {
     })
 }
 
-/// The regions, in the order in which they should be looked at, and a number for the part that every vertex is in.
+/// The regions in processing order, and the number of the part that each vertex is in.
 pub(super) fn regions(
     positions: &[Vec3],
     triangles: &[[u32; 3]],
@@ -149,7 +149,7 @@ pub(super) fn regions(
     let mut cut: Vec<[u32; 2]> = odd().map(|run| run[0].edge).collect();
     cut.dedup();
     let mut sets = Sets::new(positions.len());
-    // Few pieces are cut, and of those few edges.
+    // Only a few pieces are cut, and only a few of their edges.
     let mut cut_vertex = vec![false; positions.len()];
     cut.iter().flatten().for_each(|&v| cut_vertex[v as usize] = true);
     for corners in triangles {
@@ -189,7 +189,8 @@ pub(super) fn regions(
         }
     }
     let mut found: Vec<Region> = found.into_values().collect();
-    // Small ones first: the guess is surest there. Stable, so that equal ones stay in the order of their vertices.
+    // Small regions come first, because the guess is most reliable for them. The sort is stable, so equal ones stay in
+    // the order of their vertices.
     found.sort_by_key(|region| (region.obstacle, region.vertices.len()));
     (found, part)
 }
@@ -213,7 +214,7 @@ pub(super) fn normal(positions: &[Vec3], corners: [u32; 3]) -> DVec3 {
     (b - a).cross(c - a).normalize_or_zero()
 }
 
-/// Disjoint sets of vertices; the root is the smallest vertex.
+/// Union-find over vertices. The root of a set is its smallest vertex.
 struct Sets(Vec<u32>);
 
 impl Sets {

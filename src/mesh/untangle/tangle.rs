@@ -2,15 +2,15 @@
 
 use crate::mesh::Group;
 
-/// A mesh that crosses itself, and which of its vertices may be moved.
+/// A mesh that crosses itself, with the vertices that untangling may move.
 #[derive(Clone, Copy, Debug)]
 pub struct Tangle<'a> {
-    /// Triangles of everything.
+    /// Triangles of cloth and obstacles.
     pub triangles: &'a [[u32; 3]],
-    /// What they belong to, ascending; as [`crate::mesh::crossings`] has them.
+    /// Groups of the triangles, ascending, as for [`crate::mesh::crossings`].
     pub groups: &'a [Group],
-    /// Whether each vertex may be moved; vertices of obstacles never are.
+    /// True for each vertex that may move; always false for obstacles.
     pub movable: &'a [bool],
-    /// Distance that is aimed at between what was pushed apart, meters. Above 0.
+    /// Target distance between surfaces that were pushed apart, meters, above 0.
     pub gap_m: f64,
 }

@@ -1,28 +1,28 @@
-//! The triangles that a region has to get past, sorted into a grid across the direction it is pushed in.
+//! The triangles in the way of a region, in a grid perpendicular to the direction of the push.
 
 use super::Tangle;
 use super::regions::{Region, Shape, at};
 use crate::math::{DVec2, DVec3, Vec3};
 
-/// Most cells along a side of the grid.
+/// Limit of the cells along a side of the grid.
 const SIDE_MOST: usize = 512;
 
 pub(super) struct Targets<'a> {
     positions: &'a [Vec3],
     tangle: &'a Tangle<'a>,
     shape: &'a Shape,
-    /// Unit vector along which things are pushed, and two across it.
+    /// Unit vector of the push direction, followed by two vectors perpendicular to it.
     along: DVec3,
     across: [DVec3; 2],
     low: DVec2,
     cell: DVec2,
     side: usize,
-    /// Triangles by cell; those of cell i are `list[start[i]..start[i + 1]]`, ascending.
+    /// Start of each cell: the triangles of cell i are `list[start[i]..start[i + 1]]`, ascending.
     start: Vec<u32>,
     list: Vec<u32>,
 }
 
-/// Where a line meets a target.
+/// Intersection of a line and a target.
 pub(super) struct Crossed {
     pub face: u32,
     pub weights: [f64; 3],
@@ -30,8 +30,8 @@ pub(super) struct Crossed {
 }
 
 impl<'a> Targets<'a> {
-    /// Those in the way of `region`: of the pieces that cut it off, but nothing of the region itself. `part` = part of
-    /// every vertex.
+    /// The triangles in the way of `region`: those of the pieces that cut it off, without the region itself. `part` =
+    /// number of the part that every vertex is in.
     pub(super) fn new(
         positions: &'a [Vec3],
         tangle: &'a Tangle<'a>,
@@ -90,11 +90,12 @@ impl<'a> Targets<'a> {
 
     fn cell_of(&self, p: DVec2) -> [usize; 2] {
         let place = (p - self.low) / self.cell;
-        // Casting cuts off what is outside, on either side.
+        // The cast clamps positions outside the grid at 0; `min` clamps the other side.
         [place.x, place.y].map(|place| (place as usize).min(self.side - 1))
     }
 
-    /// The first target on the way of a vertex, at most `reach_m` away; of closed obstacles only where the way leads out.
+    /// The first target on the path of a vertex, at most `reach_m` away. A closed obstacle counts only where the path
+    /// leaves it.
     pub(super) fn first(&self, vertex: u32, reach_m: f64) -> Option<Crossed> {
         let origin = at(self.positions, vertex);
         let [x, y] = self.cell_of(DVec2::new(self.across[0].dot(origin), self.across[1].dot(origin)));
@@ -118,7 +119,8 @@ impl<'a> Targets<'a> {
         first
     }
 
-    /// Distance and barycentric weights where the line from `origin` meets a triangle, and whether it goes with its normal.
+    /// Distance and barycentric weights of the point where the line from `origin` meets a triangle, and true if the
+    /// line runs along its normal.
     fn meet(&self, origin: DVec3, [a, b, c]: [DVec3; 3]) -> Option<(f64, [f64; 3], bool)> {
         let normal = (b - a).cross(c - a);
         let rate = normal.dot(self.along);
