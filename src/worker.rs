@@ -65,7 +65,6 @@ struct ExecutorKind {
     place: usize,
 }
 
-/// Connections with all other ranks.
 struct Ports {
     epoch: u32,
     transport: Box<dyn Transport>,

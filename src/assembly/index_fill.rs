@@ -84,7 +84,6 @@ pub struct SubVectors<'a> {
     pub order: &'a [usize],
 }
 
-/// Rows of an index.
 pub(super) struct IndexRows {
     pub own: Range<usize>,
     pub columns: usize,
@@ -121,7 +120,6 @@ impl<'a> Elements<'a> {
         }
     }
 
-    /// Bytes of an element.
     fn size(&self) -> usize {
         match self {
             Elements::Triangles(_) => size_of::<TriangleElement>(),
@@ -173,7 +171,6 @@ pub(super) struct IndexFill {
 }
 
 impl IndexFill {
-    /// Empty tables.
     pub(super) fn new(executor: &Executor) -> IndexFill {
         let empty = || DeviceVec::zeros(executor, 0);
         IndexFill {

@@ -63,7 +63,7 @@ pub struct RunOptions {
     /// Order of the transfers
     #[arg(long, value_enum, default_value_t)]
     pub schedule: ScheduleKind,
-    /// Memory for the collision tables of each worker; what does not fit is done in batches (for example 500M, 2G)
+    /// Memory for the collision tables of each worker; larger tables are built in batches (for example 500M, 2G)
     /// [default: the memory of --topology's GPUs without the solver's]
     #[arg(long = "memory-limit", value_name = "BYTES", value_parser = bytes)]
     #[serde(skip_serializing_if = "Option::is_none")]

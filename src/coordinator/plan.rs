@@ -149,7 +149,6 @@ pub fn check_workers(workers: usize, rows: usize, few: &str) -> Result<(), PlanE
     Ok(())
 }
 
-/// Bytes of a row of a vector.
 const ROW_BYTES: f64 = 12.0;
 
 /// Number of halo rows of one vector that the ranks of a cloth without contacts read of each other.

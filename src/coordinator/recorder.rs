@@ -46,7 +46,6 @@ fn write_error(error: impl Display) -> RecordError {
     RecordError::Write(error.to_string())
 }
 
-/// Writes a run's files.
 pub(super) struct Recorder {
     directory: RunDirectory,
     made: MadeFolders,
@@ -290,7 +289,6 @@ impl Recorder {
         Ok(format!("; the last good state (step {}) is kept in {}, continue with --resume", last.step, path.display()))
     }
 
-    /// Writes the final report.
     pub(super) fn finish(self, status: Status) -> Result<(), RecordError> {
         match self.report {
             Some(report) => report.finish(status).map(|_| ()).map_err(write_error),

@@ -116,11 +116,9 @@ struct Loaded {
     partition: RowPartition,
     /// Vertex of the mesh of every row.
     order: Vec<u32>,
-    /// Step of the state.
     step: u32,
 }
 
-/// The data ports of the workers.
 struct Ports {
     epoch: u32,
     max_message_values: usize,

@@ -135,7 +135,6 @@ fn listen<E>(receiver: Receiver<Told>, tell: &mut dyn FnMut(Told) -> Result<(), 
 struct Player<'a> {
     place: SessionPlace,
     session: Option<Session>,
-    /// The loaded level.
     level: Option<&'a RunPlan>,
     halt: &'a AtomicBool,
     sender: SyncSender<Told>,

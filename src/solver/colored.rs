@@ -380,12 +380,10 @@ impl Colored {
             + self.sums.bytes()
     }
 
-    /// Floating-point operations of a sweep.
     pub(super) fn sweep_flops(&self) -> u64 {
         (self.layout.block_columns.len() * 18 + self.layout.rows * 100) as u64
     }
 
-    /// Bytes that a sweep moves.
     pub(super) fn sweep_bytes(&self) -> u64 {
         (self.layout.block_columns.len() * (BLOCK * 4 + 4) + self.layout.rows * 100) as u64
     }

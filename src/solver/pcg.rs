@@ -48,7 +48,7 @@ pub struct PcgInfo {
     pub products: u32,
 }
 
-/// Why there is no solution.
+/// Error that ends a solve.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Debug, Error)]
 pub enum PcgError {
@@ -63,7 +63,6 @@ pub enum PcgError {
     NotPositiveDefinite { iteration: u32, curvature: f64 },
 }
 
-/// End of a descent.
 enum Descent {
     /// The tolerance or the iteration limit was reached.
     Done(PcgInfo),

@@ -33,7 +33,6 @@ const LEAST_TOLERANCE: f64 = 1e-4;
 enum Smoother {
     /// Row by row, fused with the updates of a solve and the products inside chunks. Native.
     Chain(Box<Sweeps>),
-    /// Color by color.
     Colors(Box<Colored>),
 }
 

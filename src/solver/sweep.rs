@@ -262,12 +262,10 @@ impl Sweeps {
             + self.outer.bytes()
     }
 
-    /// Floating-point operations of a sweep.
     pub(super) fn sweep_flops(&self) -> u64 {
         (self.upper_columns.len() * 54 + self.rows * 100) as u64
     }
 
-    /// Bytes that a sweep moves.
     pub(super) fn sweep_bytes(&self) -> u64 {
         (self.upper.len() * 4 + self.upper_columns.len() * 2 + self.rows * (4 + 48 + 192)) as u64
     }

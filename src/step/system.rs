@@ -82,7 +82,6 @@ impl ColumnOrder {
         }
     }
 
-    /// The numbering of the local rows of `plan`.
     pub(super) fn numbering<'a>(&'a self, plan: &'a HaloPlan) -> Numbering<'a> {
         Numbering {
             own: plan.own.clone(),
@@ -172,7 +171,6 @@ impl Assembled {
         self.elastic.padding_ratio()
     }
 
-    /// The Schwarz preconditioner of this pattern.
     pub(super) fn schwarz(
         &self,
         executor: &Executor,

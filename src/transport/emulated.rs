@@ -56,7 +56,6 @@ pub struct EmulatedTransport<T> {
     behind_s: f64,
 }
 
-/// State of one exchange.
 struct Exchange {
     /// By rank: time of publication, known for the own rank and for ranks whose messages have been received.
     published_s: Vec<Option<f64>>,
@@ -71,7 +70,6 @@ struct Held {
 
 /// Properties of a message that determine its transfer time.
 struct Travels {
-    /// Number of the exchange.
     number: u64,
     /// Bytes of the rows that are read.
     bytes: f64,
@@ -138,7 +136,6 @@ impl<T: Transport> EmulatedTransport<T> {
         Ok(())
     }
 
-    /// Arrival time of a message of `source`.
     fn arrival_s(&mut self, source: usize, travels: Travels, sent_s: f64) -> f64 {
         let rank = self.inner.rank();
         let Travels { number, bytes, halo } = travels;
@@ -166,7 +163,6 @@ impl<T: Transport> EmulatedTransport<T> {
         arrival_s
     }
 
-    /// The emulated time of this rank.
     fn emulated_s(&self) -> f64 {
         now_s() - self.behind_s
     }

@@ -55,7 +55,6 @@ impl Outbox {
         }
     }
 
-    /// Frames sent so far.
     pub(super) fn frames_sent(&self) -> u64 {
         self.sequence
     }
@@ -92,7 +91,6 @@ impl Inbox {
         Ok((end == message_len).then(|| std::mem::take(&mut self.message)))
     }
 
-    /// Frames accepted so far.
     pub(super) fn frames_accepted(&self) -> u64 {
         self.sequence
     }

@@ -40,7 +40,6 @@ struct State {
 }
 
 struct Unread {
-    /// Number of its exchange.
     number: u64,
     /// Bit r is set until rank r has read it.
     readers: u64,

@@ -20,7 +20,6 @@ const FIXED: usize = 16;
 const ALIGNMENT: usize = 16;
 /// Longest header, bytes. Bulk data belong into arrays.
 const HEADER_MAX: usize = 16 << 20;
-/// Maximum number of arrays of a message.
 const ARRAYS_MAX: usize = 4096;
 
 /// Error of decoding or encoding a message.

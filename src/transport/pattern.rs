@@ -236,7 +236,6 @@ impl Due {
     }
 }
 
-/// The unfinished exchanges of one rank.
 pub(super) struct Pending {
     rank: usize,
     started: u64,

@@ -74,22 +74,22 @@ impl RunName {
     pub fn create(role: &str) -> Result<(RunName, RunMember), RunError> {
         loop {
             let run = RunName { id: new_id() };
-            let [beside, inside] = run.locks();
-            let held = match run_lock::create(&beside) {
+            let [in_shared_memory, in_folder] = run.locks();
+            let held = match run_lock::create(&in_shared_memory) {
                 Ok(held) => held,
                 // The name is taken.
                 Err(error) if matches!(error.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => continue,
-                Err(error) => return Err(io("create", &beside)(error)),
+                Err(error) => return Err(io("create", &in_shared_memory)(error)),
             };
             let root = run.root();
             // Users other than the user of the run must not access its folder.
             let made = fs::DirBuilder::new().mode(0o700).create(&root);
             if made.as_ref().is_err_and(|error| error.kind() == ErrorKind::AlreadyExists) {
-                let _ = fs::remove_file(&beside);
+                let _ = fs::remove_file(&in_shared_memory);
                 continue;
             }
             let registered = made.map_err(io("create", &root)).and_then(|()| {
-                let locks = [held, run_lock::create(&inside).map_err(io("create", &inside))?];
+                let locks = [held, run_lock::create(&in_folder).map_err(io("create", &in_folder))?];
                 Ok((Membership::of(locks), register_in(&root, &run, role)?))
             });
             match registered {
@@ -124,8 +124,8 @@ impl RunName {
 
     /// The lock next to the shared memory and the one in the folder.
     fn locks(&self) -> [PathBuf; 2] {
-        let beside = Path::new(SHARED_MEMORY_FOLDER).join(format!("{}{LOCK}", self.shared_memory_prefix()));
-        [beside, self.root().join(LOCK)]
+        let in_shared_memory = Path::new(SHARED_MEMORY_FOLDER).join(format!("{}{LOCK}", self.shared_memory_prefix()));
+        [in_shared_memory, self.root().join(LOCK)]
     }
 
     /// Whether the run is alive.
@@ -194,8 +194,8 @@ impl RunName {
         for (path, _) in self.shared_memory_files() {
             ignore_missing(fs::remove_file(&path)).map_err(io("remove", &path))?;
         }
-        let (root, [beside, inside]) = (self.root(), self.locks());
-        for entry in fs::read_dir(&root).into_iter().flatten().flatten().filter(|entry| entry.path() != inside) {
+        let (root, [in_shared_memory, in_folder]) = (self.root(), self.locks());
+        for entry in fs::read_dir(&root).into_iter().flatten().flatten().filter(|entry| entry.path() != in_folder) {
             let path = entry.path();
             let removed = match entry.file_type() {
                 Ok(kind) if kind.is_dir() => fs::remove_dir_all(&path),
@@ -213,7 +213,7 @@ impl RunName {
                 }
             }
         }
-        ignore_missing(fs::remove_file(&beside)).map_err(io("remove", &beside))
+        ignore_missing(fs::remove_file(&in_shared_memory)).map_err(io("remove", &in_shared_memory))
     }
 
     /// Calls [`RunName::purge`] if the run is known to have no living process; returns whether all its files are gone.
@@ -480,11 +480,11 @@ mod tests {
         assert!(run.state() == RunState::Alive && !run.purge_if_last().unwrap());
         assert!(run.join("late").is_err(), "there is no folder to join");
         fs::rename(&elsewhere, &folder).unwrap();
-        let beside = &run.locks()[0];
-        let away = beside.with_file_name(format!("elsewhere-{run}"));
-        fs::rename(beside, &away).unwrap();
+        let in_shared_memory = &run.locks()[0];
+        let away = in_shared_memory.with_file_name(format!("elsewhere-{run}"));
+        fs::rename(in_shared_memory, &away).unwrap();
         assert!(run.state() == RunState::Alive && !run.purge_if_last().unwrap());
-        fs::rename(&away, beside).unwrap();
+        fs::rename(&away, in_shared_memory).unwrap();
         drop(member);
         assert_eq!(run.state(), RunState::Gone);
     }

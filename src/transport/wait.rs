@@ -60,7 +60,6 @@ impl Patience {
         Ok(())
     }
 
-    /// Begins a wait.
     pub(super) fn begin(&self) -> Wait {
         Wait { clock: AwakeClock::start(), yields: 0 }
     }
@@ -92,7 +91,6 @@ impl Patience {
     }
 }
 
-/// A wait in progress.
 pub(super) struct Wait {
     clock: AwakeClock,
     yields: u32,

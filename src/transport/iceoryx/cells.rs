@@ -42,7 +42,6 @@ const KEY_CONSUMED: u64 = 5;
 /// Of piece 0 in slot 0; slots alternate.
 const KEY_TAIL: u64 = KEY_CONSUMED + RANKS_MAX as u64;
 
-/// The own blackboard.
 pub(super) struct OwnCells {
     /// One slot per parity of the operation. Two suffice: operation k + 2 overwrites k, and no rank begins k + 2 before
     /// all ranks have contributed to k + 1, that is, have read all of k.
@@ -119,7 +118,6 @@ impl OwnCells {
     }
 }
 
-/// The blackboard of another rank.
 pub(super) struct PeerCells {
     heads: [EntryHandle<Ipc, u64, Head>; 2],
     tails: [Vec<EntryHandle<Ipc, u64, Tail>>; 2],

@@ -66,9 +66,7 @@ pub struct IceoryxTransport {
     counts: Counts,
 }
 
-/// An own message.
 struct Unread {
-    /// Number of its exchange.
     number: u64,
     /// Names its readers.
     pattern: Pattern,
@@ -233,7 +231,7 @@ impl Transport for IceoryxTransport {
         sample.user_header_mut().sequence = number;
         let payload = sample.payload_mut();
         // SAFETY: same layout; the memory comes from the system zeroed (or holds an older message) and every bit pattern
-        // is an f32, so what `fill` leaves unwritten holds unspecified values, not uninitialized ones.
+        // is an f32, so values that `fill` does not write are unspecified, but initialized.
         let payload = unsafe { &mut *(std::ptr::from_mut(payload) as *mut [f32]) };
         fill(payload);
         // SAFETY: initialized, see above.

@@ -95,7 +95,6 @@ fn meaning(name: &str) -> Option<&'static str> {
     }
 }
 
-/// A service's name.
 pub(super) fn service_name(name: &str) -> Result<ServiceName, String> {
     ServiceName::new(name).map_err(text("service name"))
 }

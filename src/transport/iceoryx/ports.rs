@@ -20,7 +20,6 @@ pub(super) struct Header {
     pub sequence: u64,
 }
 
-/// Payload of a message.
 pub(super) type Values = [f32];
 /// A received message, in place.
 pub(super) type ValueSample = iceoryx2::sample::Sample<Ipc, Values, Header>;
