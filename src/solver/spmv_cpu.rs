@@ -37,8 +37,8 @@ pub(super) fn spmv(
     x: &[f32],
     y: &mut [f32],
 ) {
-    // The gathers below are unchecked. This check finds a column beyond the end of x, which would be a layout error,
-    // once per call at little cost.
+    // The gathers below are unchecked in release builds. With debug assertions this finds a column beyond the end of x,
+    // which would be an error of the layout.
     debug_assert!(columns.iter().all(|&c| (c as usize + 1) * 3 <= x.len() || slices.is_empty()));
     let tables = Tables { row_of_lane, slice_offsets, columns, values, x };
     let rows = Rows(y.as_mut_ptr(), y.len());

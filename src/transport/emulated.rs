@@ -34,8 +34,8 @@ pub const STAMP_VALUES: usize = 2;
 /// Number of exchanges that are stored; more than can be unfinished.
 const REMEMBERED: usize = 8;
 /// Longest sleep between two signs of life.
-const BREATH: Duration = Duration::from_millis(20);
-/// A wait ends without sleep, because a sleep may last this much longer than requested.
+const SLEEP_MAX: Duration = Duration::from_millis(20);
+/// A wait spins for this long at its end, because a sleep may last this much longer than requested.
 const AWAKE: Duration = Duration::from_micros(150);
 /// A rank that is further behind its emulated time than this drops the excess.
 const BEHIND_MAX_S: f64 = 0.25;
@@ -185,9 +185,9 @@ impl<T: Transport> EmulatedTransport<T> {
                 return Err(TransportError::TimedOut { rank, source_rank: source, what, waited_s });
             }
             self.inner.alive()?;
-            let left = Duration::try_from_secs_f64(until_s - now_s).unwrap_or(BREATH).min(self.deadline);
+            let left = Duration::try_from_secs_f64(until_s - now_s).unwrap_or(SLEEP_MAX).min(self.deadline);
             match left.checked_sub(AWAKE) {
-                Some(sleep) if !sleep.is_zero() => std::thread::sleep(sleep.min(BREATH)),
+                Some(sleep) if !sleep.is_zero() => std::thread::sleep(sleep.min(SLEEP_MAX)),
                 _ => std::thread::yield_now(),
             }
         }
