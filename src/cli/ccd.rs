@@ -1,13 +1,14 @@
 //! `loomtree ccd`: runs the continuous collision test on a file of queries with rational coordinates and counts misses
 //! and false hits against the file's truth.
 //!
-//! The product works in f32, so coordinates are rounded to f32 first; that changes the question, and often the right
-//! answer. The truth for the rounded question is taken from the first of: `--truth`; `STEM.exact.csv` beside the
-//! queries; `KIND_pairs.csv` in the folder above (both with a column `hit_f32`, one row per query in the same order). Failing
-//! these, the seventh column of the queries counts, which answers the question before rounding: then "truth" in the output
-//! is "unrounded", and a miss may be the rounding's. Without any truth, "missed" and "false_hits" are null.
+//! The product works in f32, so coordinates are rounded to f32 first. Rounding changes the query and often its answer.
+//! The truth for the rounded query comes from the first of these: `--truth`; `STEM.exact.csv` beside the queries;
+//! `KIND_pairs.csv` in the folder above. The last two have a column `hit_f32` with one row per query in the same order.
+//! Without them, the seventh column of the queries is used. It answers the query before rounding, so "truth" in the
+//! output is "unrounded" and a miss can be an effect of rounding. Without any truth, "missed" and "false_hits" are
+//! null.
 //!
-//! With `--frames` the question is another one: see `ccd_frames`.
+//! `--frames` runs another test, see `ccd_frames`.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -22,7 +23,7 @@ use super::ccd_frames::write_frames;
 use crate::collision::elementary::{CandidateKind, DecidedBy, ccd};
 use crate::math::Vec3;
 
-/// Rows of a query: four vertices at the start, then at the end of the step.
+/// Rows of a query: four vertices at the start and four at the end of the step.
 const ROWS: usize = 8;
 
 /// Arguments of `loomtree ccd`.
@@ -62,50 +63,50 @@ pub struct Query {
     pub x_t0: [Vec3; 4],
     /// Positions at the end of the step.
     pub x_t1: [Vec3; 4],
-    /// The file's truth before rounding, if it has the seventh column.
+    /// Answer before rounding, if the file has the seventh column.
     pub hit: Option<bool>,
 }
 
-/// Truth of a query.
+/// True answer of a query.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
-    /// Do the parts touch?
+    /// True if the features touch.
     pub hit: bool,
-    /// Earliest time, where known.
+    /// Earliest time of contact, if known.
     pub toi: Option<f64>,
 }
 
-/// What the command prints.
+/// The printed report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CcdReport {
     /// Queries in the file.
     pub queries: usize,
-    /// Queries that the test calls a hit.
+    /// Queries that the test reports as hits.
     pub hits: usize,
-    /// Hits of the truth that were not found; null without a truth.
+    /// True hits that were not found; null without a truth.
     pub missed: Option<usize>,
-    /// Hits found that the truth does not have; null without a truth.
+    /// Reported hits that are not true; null without a truth.
     pub false_hits: Option<usize>,
-    /// Hits found whose time is later than the truth's: as bad as a miss.
+    /// Reported hits with a later time than the truth, which is as bad as a miss.
     pub late: Option<usize>,
-    /// "rounded", "unrounded" or "none": see the module.
+    /// "rounded", "unrounded" or "none", see the module's documentation.
     pub truth: &'static str,
-    /// Which part of the test decided how many.
+    /// Number of queries decided by each part of the test.
     pub decided_by: DecidedByCounts,
-    /// Wall time of the tests alone, one thread, nanoseconds.
+    /// Wall time of the tests alone on one thread, nanoseconds.
     pub ns_per_query: f64,
 }
 
-/// Queries by what decided them.
+/// Number of queries decided by each part of the test.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct DecidedByCounts {
-    /// The boxes of the two trajectories do not meet.
+    /// The boxes of the two trajectories are disjoint.
     pub boxes: usize,
-    /// Separating planes, or a hit that bisection found.
+    /// Separating planes exist, or bisection found a hit.
     pub planes: usize,
-    /// The test in wider arithmetic.
+    /// The test in wider arithmetic decided.
     pub fallback: usize,
-    /// The bound on planes: taken for a hit, which is the safe side.
+    /// The limit of planes was reached. The query counts as a hit, which is the safe side.
     pub plane_limit: usize,
 }
 
@@ -117,10 +118,10 @@ pub fn run(args: CcdArgs) -> Result<(), CliError> {
     write_ccd(&args, &mut io::stdout().lock())
 }
 
-/// Runs the command; the report goes to `out`. A reader that went away is no error.
+/// Runs the command and writes the report to `out`. A closed pipe is not an error.
 ///
 /// # Errors
-/// As [`run`].
+/// Those of [`run`].
 pub fn write_ccd(args: &CcdArgs, out: &mut impl Write) -> Result<(), CliError> {
     if let (Some([start, end]), Some(pairs)) = (args.frames.as_deref(), &args.pairs) {
         return write_frames([start, end], pairs, args.kind, args.minimum_separation, out);
@@ -141,7 +142,7 @@ pub fn write_ccd(args: &CcdArgs, out: &mut impl Write) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Tests all queries and compares with the truth; `truth` has one entry per query.
+/// Tests all queries and compares the results with the truth; `truth` has one entry per query.
 pub fn check(
     kind: CandidateKind,
     queries: &[Query],
@@ -169,7 +170,7 @@ pub fn check(
         hits: answers.iter().filter(|answer| answer.toi.is_some()).count(),
         missed: count(|toi, truth| toi.is_none() && truth.hit),
         false_hits: count(|toi, truth| toi.is_some() && !truth.hit),
-        // The truth is a rounded time as well.
+        // The true time is rounded as well.
         late: count(
             |toi, truth| matches!((toi, truth.toi), (Some(ours), Some(exact)) if f64::from(ours) > exact.next_up()),
         ),
@@ -211,7 +212,7 @@ fn truth_of(
 /// Reads queries; empty lines are skipped.
 ///
 /// # Errors
-/// A line that is no vertex, a truth that changes within a query, or a query cut short.
+/// A line is not a vertex, the truth changes within a query, or the last query is incomplete.
 pub fn parse_queries(bytes: &[u8]) -> Result<Vec<Query>, CsvFault> {
     let mut queries = Vec::new();
     let mut rows: Vec<(Vec3, Option<bool>)> = Vec::with_capacity(ROWS);
@@ -248,8 +249,8 @@ fn parse_vertex(text: &[u8]) -> Result<(Vec3, Option<bool>), String> {
     Ok((Vec3::new(component(0)?, component(1)?, component(2)?), hit))
 }
 
-/// The f32 nearest to the quotient of two decimal integers (ties to even). Exact up to 18 digits each; with more digits
-/// the quotient is rounded to f64 first, which is exact if it is an f64 and both integers are.
+/// The f32 nearest to the quotient of two decimal integers (ties to even). Exact for up to 18 digits each. With more
+/// digits the quotient is rounded to f64 first, which is exact if it is an f64 and both integers are.
 fn ratio_to_f32(numerator: &str, denominator: &str) -> Result<f32, String> {
     let integer = |text: &str| {
         let digits = text.strip_prefix('-').unwrap_or(text);
@@ -276,13 +277,14 @@ fn ratio_to_f32(numerator: &str, denominator: &str) -> Result<f32, String> {
     if value.is_finite() { Ok(value) } else { Err("the coordinate is too large for single precision".into()) }
 }
 
-/// n / d to the nearest f32, for d > 0 and both below 2^63: the result is never subnormal.
+/// n / d, rounded to the nearest f32, for d > 0 and both below 2^63. The result is never subnormal.
 fn nearest_f32(n: u64, d: u64) -> f32 {
     if n == 0 {
         return 0.0;
     }
-    // A quotient of 64 or 65 bits and one more that says whether anything is left: f64 would round twice, so cut to 30
-    // bits first with the rest in the last bit; 30 bits fit f64 exactly and f32 rounds once.
+    // The quotient has 64 or 65 bits plus a bit for a nonzero remainder. Conversion through f64 would round twice, so
+    // it is first cut to 30 bits with the rest folded into the last bit. 30 bits fit f64 exactly, so only the step to
+    // f32 rounds.
     let shift = 64 + n.leading_zeros() - 1;
     let scaled = u128::from(n) << shift;
     let (quotient, rest) = (scaled / u128::from(d), scaled % u128::from(d));
@@ -292,10 +294,10 @@ fn nearest_f32(n: u64, d: u64) -> f32 {
     (head as f64 * 2f64.powi(cut as i32 - 1 - shift as i32)) as f32
 }
 
-/// Reads a table of truth: a header line with the columns `hit_f32` and optionally `toi_f32`, then a row per query.
+/// Reads a table of truth: a header line with the columns `hit_f32` and optionally `toi_f32`, then one row per query.
 ///
 /// # Errors
-/// The column is missing or a row has no proper entry in it.
+/// The column is missing, or a row has an invalid entry in it.
 pub fn parse_truth(bytes: &[u8]) -> Result<Vec<Truth>, CsvFault> {
     let mut lines = lines(bytes);
     let missing = |line| CsvFault { line, what: "no column hit_f32; the first line names the columns".into() };

@@ -1,4 +1,5 @@
-//! What both forms of `loomtree ccd` share: lines and columns of CSV files with the sentence for each mistake, and the report.
+//! Parts shared by both forms of `loomtree ccd`: lines and columns of CSV files with their error messages, and the
+//! report.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,7 +9,7 @@ use serde::Serialize;
 
 use super::{CliError, print_to};
 
-/// What the queries of a file are.
+/// Kind of the queries of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum CcdKind {
     /// Vertex against face
@@ -17,7 +18,7 @@ pub enum CcdKind {
     Ee,
 }
 
-/// Why a line of a file is wrong: line counting from 1, what and what would be right.
+/// An error in a line of a CSV file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {what}")]
 pub struct CsvFault {
@@ -32,12 +33,12 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, CliError> {
     std::fs::read(path).map_err(|error| CliError::bad_input(format!("{}: cannot be read: {error}", path.display())))
 }
 
-/// A fault of a file, as an error of the command.
+/// Turns an error in a file into an error of the command.
 pub(super) fn in_file(path: &Path, fault: &CsvFault) -> CliError {
     CliError::bad_input(format!("{}, {fault}", path.display()))
 }
 
-/// Lines that are not blank, with their numbers.
+/// Lines that are not blank, with their numbers from 1.
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     bytes
         .split(|&b| b == b'\n')
@@ -62,13 +63,13 @@ pub(super) fn parse_flag(text: &str) -> Result<bool, String> {
     }
 }
 
-/// At most a few characters of a field, for an error sentence.
+/// The first few characters of a field, for an error message.
 pub(super) fn shown(text: &str) -> String {
     let start: String = text.chars().take(24).collect();
     format!("{start:?}")
 }
 
-/// Parses a time of contact, in [0, 1] over the step.
+/// Parses a time of contact, from 0 to 1 over the step.
 pub(super) fn parse_time(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(time) if (0.0..=1.0).contains(&time) => Ok(time),
@@ -76,7 +77,7 @@ pub(super) fn parse_time(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Prints a report; a reader that went away is no error.
+/// Prints a report as JSON. A closed pipe is not an error.
 pub(super) fn write_json(report: &impl Serialize, out: &mut impl Write) -> Result<(), CliError> {
     let text = serde_json::to_string_pretty(report).map_err(CliError::failed)?;
     print_to(out, &(text + "\n"))

@@ -1,8 +1,9 @@
-//! `loomtree ccd --frames A B --pairs F.csv`: runs the whole detection (hash table, then continuous test) between two frames
-//! of a mesh and looks for the true pairs of a table among what it reports.
+//! `loomtree ccd --frames A B --pairs F.csv`: runs the whole detection (hash table, then continuous test) between two
+//! frames of a mesh and checks that the true pairs of a table are among its results.
 //!
-//! Vertices are numbered from 0 in the order of the frames; coordinates are rounded to f32 first, so the truth wanted is that
-//! after rounding. Nothing says what is not in the table: reports beside it are counted, not judged.
+//! Vertices are numbered from 0 in the order of the frames. Coordinates are rounded to f32 first, so the table must
+//! hold the truth after rounding. Reported pairs outside the table are counted but not judged, because their truth is
+//! unknown.
 
 use std::collections::{HashMap, HashSet};
 use std::io::{BufReader, Write};
@@ -24,15 +25,15 @@ use crate::transport::cores;
 pub(super) struct TruePair {
     /// Line of the table, counting from 1.
     pub line: usize,
-    /// Vertex and face corners, or two edges.
+    /// One vertex and three face corners, or two edges.
     pub vertices: [u32; 4],
-    /// Whether they touch.
+    /// True if they touch.
     pub hit: bool,
-    /// Earliest time, where known.
+    /// Earliest time of contact, if known.
     pub toi: Option<f64>,
 }
 
-/// What the command prints.
+/// The printed report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct FramesReport {
     pub kind: &'static str,
@@ -42,19 +43,19 @@ pub(super) struct FramesReport {
     pub hits: usize,
     /// True contacts that detection reports.
     pub found: usize,
-    /// True contacts that it does not report.
+    /// True contacts that detection does not report.
     pub missed: usize,
-    /// True contacts reported with a time later than the truth's: as bad as a miss.
+    /// True contacts reported with a later time than the truth, which is as bad as a miss.
     pub late: usize,
-    /// Rows that detection reports although the table says that they do not touch.
+    /// Rows that detection reports although they do not touch according to the table.
     pub false_hits: usize,
     /// "rounded" or "unrounded": the column of the table that was used.
     pub truth: &'static str,
-    /// All that detection reports between the frames, of both kinds.
+    /// All impacts between the frames that detection reports, of both kinds.
     pub impacts: u64,
     /// Pairs of features that the broad phase reports.
     pub candidates: u64,
-    /// Those that the elementary tests looked at.
+    /// Candidates that the elementary tests examined.
     pub tested: u64,
     pub triangles: usize,
     pub seconds: f64,
@@ -63,7 +64,8 @@ pub(super) struct FramesReport {
 /// Runs the command.
 ///
 /// # Errors
-/// A file cannot be read or does not fit the others (exit code 2), or a true pair is missed or found too late (exit code 1).
+/// A file cannot be read or does not match the others (exit code 2), or a true pair is missed or found too late (exit
+/// code 1).
 pub(super) fn write_frames(
     frames: [&Path; 2],
     pairs: &Path,
@@ -135,7 +137,7 @@ fn search(
         hits: count(|_, pair| pair.hit),
         found: count(|toi, pair| toi.is_some() && pair.hit),
         missed: count(|toi, pair| toi.is_none() && pair.hit),
-        // The truth is a rounded time as well.
+        // The true time is rounded as well.
         late: count(
             |toi, pair| matches!((toi, pair.toi), (Some(ours), Some(exact)) if f64::from(*ours) > exact.next_up()),
         ),
@@ -149,7 +151,8 @@ fn search(
     })
 }
 
-/// A frame as it is: not validated, since frames of others may be no sheet and may hold vertices without triangles.
+/// Reads a frame without validation, because frames from other programs can be non-manifold or have vertices without
+/// triangles.
 fn read_frame(path: &Path) -> Result<Surface, CliError> {
     let unreadable =
         |error: std::io::Error| CliError::bad_input(format!("{}: cannot be read: {error}", path.display()));
@@ -167,7 +170,7 @@ fn read_frame(path: &Path) -> Result<Surface, CliError> {
     })
 }
 
-/// Faces by their sorted corners, and edges.
+/// Faces (by sorted corners) and edges.
 struct Features {
     faces: HashMap<[u32; 3], [u32; 3]>,
     edges: HashSet<[u32; 2]>,
@@ -186,7 +189,7 @@ impl Features {
         }
     }
 
-    /// The pair as detection names it, if it is one of that kind without a shared vertex.
+    /// The pair as a candidate of detection, if both features exist and share no vertex.
     fn candidate(&self, pair: &TruePair, kind: CcdKind) -> Option<Candidate> {
         let [a, b, c, d] = pair.vertices;
         match kind {
@@ -201,7 +204,7 @@ impl Features {
         }
     }
 
-    /// The kind of all pairs of a table: the one asked for, or the only one that fits.
+    /// The kind of all pairs of a table: the requested one, or the only one that fits.
     fn kind_of(&self, table: &[TruePair], asked: Option<CcdKind>) -> Result<CcdKind, CsvFault> {
         let stranger = |kind: CcdKind| table.iter().find(|pair| self.candidate(pair, kind).is_none());
         let fault =
@@ -226,11 +229,11 @@ impl Features {
     }
 }
 
-/// Reads a table of pairs: a header line with the columns `i0` to `i3`, the truth `hit_f32` (or `hit`, before rounding) and
-/// optionally its time `toi_f32` (or `toi`), then a row per pair.
+/// Reads a table of pairs: a header line with the columns `i0` to `i3`, the truth `hit_f32` (or `hit`, before rounding)
+/// and optionally its time `toi_f32` (or `toi`), then one row per pair.
 ///
 /// # Errors
-/// A column is missing or a row has no proper entry in it.
+/// A column is missing, or a row has an invalid entry in it.
 pub(super) fn parse_pairs(bytes: &[u8]) -> Result<(Vec<TruePair>, &'static str), CsvFault> {
     let mut lines = lines(bytes);
     let missing =

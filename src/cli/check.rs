@@ -1,4 +1,4 @@
-//! `loomtree check FILE`: is this scene or mesh valid? Reads everything that a run would read before its first step.
+//! `loomtree check FILE`: checks a scene or mesh. It reads everything that a run reads before its first step.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ pub struct CheckArgs {
 /// Prints a summary of the file to `out`.
 ///
 /// # Errors
-/// Exit code 2 and one sentence if the file cannot be used.
+/// Exit code 2 and one sentence if the file is invalid.
 pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let is_scene = match extension.as_str() {
@@ -84,7 +84,8 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     print_to(out, &summary)
 }
 
-/// A fabric file has a density and no cloths; anything that does not parse is taken for a scene, which then says why not.
+/// True for a file with a density and no cloths. A file that cannot be parsed counts as a scene, whose reader then
+/// reports the error.
 fn is_fabric(path: &Path) -> bool {
     let small = std::fs::metadata(path).is_ok_and(|metadata| metadata.is_file() && metadata.len() < 1 << 16);
     let text = if small { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
@@ -114,7 +115,7 @@ fn mesh_summary(path: &Path, write_crossings: Option<&Path>) -> Result<String, C
     Ok(text)
 }
 
-/// The refusal of a mesh that crosses itself; writes the triangles if there is a file to write them to.
+/// Error message about a mesh that crosses itself. Writes the crossing triangles if a file is given.
 fn crossing_sentence(
     path: &Path,
     mesh: &TriangleMesh,
@@ -154,9 +155,9 @@ fn obstacle_summary(path: &Path) -> Result<String, CliError> {
     Ok(text)
 }
 
-/// Names of the objects and groups that pins can select.
+/// A line with the names of the objects and groups that pins can select.
 fn parts_line(parts: &[Part]) -> String {
-    /// Names that are shown.
+    /// Limit of names in the line.
     const SHOWN: usize = 8;
     let mut names: Vec<&str> = parts.iter().flat_map(|part| [part.object.as_str(), part.group.as_str()]).collect();
     names.retain(|name| !name.is_empty());

@@ -1,5 +1,5 @@
-//! `loomtree doctor`: what this machine offers, what a run of a given size needs of it, and what dead runs have left.
-//! It estimates memory from a goal per vertex; only shared memory is known exactly enough to refuse.
+//! `loomtree doctor`: resources of this machine, requirements of a run of a given size, and leftovers of dead runs.
+//! Memory is estimated from a target per vertex. Only shared memory is known exactly enough to fail the check.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use crate::transport::{
     required_descriptors, required_shared_memory_bytes, shared_memory_space,
 };
 
-/// Memory of a run over all workers, bytes per vertex: the goal that the product is measured against.
+/// Memory of a run over all workers, bytes per vertex. This is the target that the product is measured against.
 const MEMORY_PER_VERTEX: u64 = 2500;
 
 /// Arguments of `loomtree doctor`.
@@ -39,7 +39,7 @@ fn triangles(text: &str) -> Result<usize, String> {
     super::count(text).map(|count| count as usize)
 }
 
-/// Form of a report.
+/// Output format of a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Format {
     /// For people
@@ -48,41 +48,41 @@ pub enum Format {
     Json,
 }
 
-/// Everything the command finds out.
+/// The report.
 #[derive(Debug, Serialize)]
 struct Report {
     cores: usize,
-    /// Total and available; none where the system does not say.
+    /// Total and available memory; none if the system does not report it.
     memory_bytes: Option<(u64, u64)>,
-    /// Total and free.
+    /// Total and free shared memory.
     shared_memory_bytes: (u64, u64),
     adapters: Vec<String>,
     needs: Vec<Need>,
     runs: Vec<Run>,
 }
 
-/// What a run needs.
+/// Requirements of a run.
 #[derive(Debug, Serialize, PartialEq)]
 struct Need {
-    /// The scene, or the resolution asked for.
+    /// Name of the scene, or the requested resolution.
     what: String,
     triangles: usize,
     vertices: usize,
     workers: usize,
     shared_memory_bytes: u64,
     memory_bytes: u64,
-    /// Files that a process of the run opens.
+    /// Number of files that one process of the run opens.
     descriptors: u64,
-    /// Enough shared memory is free.
+    /// True if enough shared memory is free.
     fits: bool,
 }
 
-/// A run found on the machine.
+/// A run that was found on this machine.
 #[derive(Debug, Serialize)]
 struct Run {
     id: String,
     alive: bool,
-    /// Whether it lives cannot be told: it is left alone.
+    /// True if it is unknown whether the run lives. Such a run is not touched.
     unknown: bool,
     shared_memory_files: usize,
     shared_memory_bytes: u64,
@@ -90,10 +90,11 @@ struct Run {
     removed: bool,
 }
 
-/// Prints the report for `args`; `adapters` names the GPU adapters, `triangles_of` counts the triangles of a scene file.
+/// Prints the report for `args`. `adapters` names the GPU adapters, `triangles_of` counts the triangles of a scene
+/// file.
 ///
 /// # Errors
-/// A scene cannot be read, the machine has no shared memory, too little of it is free for what was asked for, or
+/// A scene cannot be read, the machine has no shared memory, too little of it is free for the requested run, or
 /// leftovers cannot be removed.
 pub fn run(
     args: DoctorArgs,
@@ -140,13 +141,13 @@ pub fn run(
     Ok(())
 }
 
-/// Values of the longest message: position and velocity of every vertex of the longest row block.
+/// Values of the longest message: positions and velocities of the longest row block.
 fn longest_message(vertices: usize, workers: usize) -> usize {
     vertices.div_ceil(workers).saturating_mul(6)
 }
 
-/// What a cloth of `triangles` needs. A large triangle mesh has half as many vertices as triangles (and a few more along
-/// its border).
+/// Requirements of a cloth of `triangles`. A large triangle mesh has half as many vertices as triangles, plus a few
+/// along its border.
 fn need_of(what: String, triangles: usize, workers: usize, free: u64) -> Need {
     let vertices = triangles.div_ceil(2) + (triangles as f64).sqrt().ceil() as usize + 1;
     let shared_memory_bytes = required_shared_memory_bytes(workers, longest_message(vertices, workers));
@@ -164,13 +165,13 @@ fn need_of(what: String, triangles: usize, workers: usize, free: u64) -> Need {
     }
 }
 
-/// Describes the runs found and removes the dead ones if asked to; the first failure to do so.
+/// Describes the runs found and removes the dead ones if requested. The second value is the first error of a removal.
 fn examine(found: Vec<FoundRun>, clean: bool) -> (Vec<Run>, Option<String>) {
     let mut first_error = None;
     let describe = |found: FoundRun| {
         let mut removed = false;
         if clean && found.state == RunState::Dead {
-            // Looks once more, and keeps others away while it removes.
+            // The check is repeated under a lock before the removal.
             match found.run.purge_if_last() {
                 Ok(done) => removed = done,
                 Err(error) => first_error = first_error.take().or_else(|| Some(format!("run {}: {error}", found.run))),
@@ -309,7 +310,7 @@ mod tests {
     fn dead_runs_are_removed() {
         let (run, member) = RunName::create("doctor test").unwrap();
         drop(member);
-        // As a killed process leaves it: the system has dropped its lock, its entry stays.
+        // State after a killed process: the system has dropped its lock, but its entry remains.
         std::fs::create_dir_all(run.root().join("processes")).unwrap();
         std::fs::write(run.root().join("lock"), "").unwrap();
         std::fs::write(run.root().join("processes/1-0"), format!("{} 1 worker 0", std::process::id())).unwrap();

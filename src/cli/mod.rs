@@ -1,4 +1,4 @@
-//! Command line: one file per command; `bin/` only calls in here.
+//! Command line: one file per command. The programs in `bin/` only call this module.
 
 pub mod bench;
 pub mod check;
@@ -21,10 +21,10 @@ pub(crate) use crate::coordinator::options::count;
 use crate::os::console::{self, note};
 use crate::os::{limits, signals};
 
-/// A command that ended without its result: what to print to stderr and how to exit.
+/// A command that failed: message for stderr and exit code.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CliError {
-    /// 1 for a run that failed, 2 for bad usage or bad input, 128 + signal for a run that a signal stopped.
+    /// 1 for a failed run, 2 for bad usage or bad input, 128 + signal for a run that a signal stopped.
     pub exit_code: u8,
     /// One sentence for the user.
     pub message: String,
@@ -36,21 +36,21 @@ impl CliError {
         CliError { exit_code: 2, message: message.to_string() }
     }
 
-    /// The command was well asked for and failed: exit code 1.
+    /// Failure of a valid command: exit code 1.
     pub fn failed(message: impl std::fmt::Display) -> CliError {
         CliError { exit_code: 1, message: message.to_string() }
     }
 }
 
-/// Writes a result to stdout. A reader that has seen enough (`| head`) is not a failure.
+/// Writes a result to stdout. A closed pipe (`| head`) is not an error.
 ///
 /// # Errors
-/// Stdout cannot take it: exit code 1.
+/// Writing to stdout failed: exit code 1.
 fn print(text: &str) -> Result<(), CliError> {
     printed(console::print(text))
 }
 
-/// [`print`] to any stream.
+/// Like [`print`], to any stream.
 fn print_to(out: &mut dyn std::io::Write, text: &str) -> Result<(), CliError> {
     printed(console::print_to(out, text))
 }
@@ -67,7 +67,7 @@ impl std::fmt::Display for CliError {
 
 impl std::error::Error for CliError {}
 
-/// Maps the result of a command to its exit code; prints the sentence of an error.
+/// Prints the message of an error and returns the exit code.
 pub fn exit_code(result: Result<(), CliError>) -> std::process::ExitCode {
     match result {
         Ok(()) => std::process::ExitCode::SUCCESS,
@@ -80,7 +80,8 @@ pub fn exit_code(result: Result<(), CliError>) -> std::process::ExitCode {
     }
 }
 
-/// First thing in every program: Vulkan loaders complain on stderr about a missing runtime folder; log lines go to stderr; `LOOMTREE_LOG` sets what is shown (default: warnings).
+/// Initializes the log; programs call it first. Log lines go to stderr, and `LOOMTREE_LOG` sets their level (default:
+/// warnings). It also sets a missing `XDG_RUNTIME_DIR`, because Vulkan loaders complain about it on stderr.
 pub fn start_log() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: called first in `main`, before any other thread exists.
@@ -90,8 +91,8 @@ pub fn start_log() {
     limits::raise_descriptor_limit();
     let filter = tracing_subscriber::EnvFilter::try_from_env("LOOMTREE_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("loomtree=warn"));
-    // Errors of the log itself would be printed to the stream that has just failed, with a macro that panics then.
+    // Errors of the log itself would go to the stream that has just failed, through a macro that then panics.
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
-    // A second call (tests) keeps the first log.
+    // A second call (in tests) keeps the first log.
     let _ = log.without_time().try_init();
 }

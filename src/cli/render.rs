@@ -58,7 +58,7 @@ pub struct PictureSize {
     pub height: u32,
 }
 
-/// Sides of a picture: smaller shows nothing, larger needs gigabytes.
+/// Valid sides of a picture in pixels. Smaller pictures show nothing, larger ones need gigabytes.
 const SIDES: RangeInclusive<u32> = 16..=8192;
 
 impl FromStr for PictureSize {
@@ -123,7 +123,7 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
     let drawn = |_frame: u32| {
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
         if terminal {
-            // Progress that nobody can read is no reason to stop.
+            // A failure to print progress does not stop the command.
             let _ = write!(io::stderr(), "\r{done} of {} pictures", numbers.len());
         }
     };
@@ -136,7 +136,7 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
     print(&format!("{count} pictures in {}, overview in {} (drawn by {device})\n", pictures.display(), sheet.display()))
 }
 
-/// What draws. Software adapters only on request: the native path is faster.
+/// Opens the executor that draws. Software adapters are used only on request, because the native path is faster.
 fn open_executor(wanted: ExecutorChoice, adapter: Option<usize>, threads: usize) -> Result<Executor, CliError> {
     let executor = match wanted {
         ExecutorChoice::Cpu if adapter.is_some() => {
@@ -157,7 +157,7 @@ fn open_executor(wanted: ExecutorChoice, adapter: Option<usize>, threads: usize)
     }
 }
 
-/// The report's up axis; z if there is no report.
+/// The up axis from the report; z if there is no report.
 fn recorded_up(directory: &RunDirectory) -> UpAxis {
     let report = Report::load(&directory.report()).ok();
     report.and_then(|r| r.header.up_axis.parse().ok()).unwrap_or_default()

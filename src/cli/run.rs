@@ -1,4 +1,4 @@
-//! `loomtree run`: coordinator in this process, workers as its children.
+//! `loomtree run`: runs the coordinator in this process and starts workers as child processes.
 
 use std::path::PathBuf;
 
@@ -33,10 +33,10 @@ pub struct RunArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad input, a run that failed, or one that a signal has stopped (exit code 128 + its number).
+/// Bad input, a failed run, or a run that a signal has stopped (exit code 128 + its number).
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     let Resolved { places, options, recorded_scene } = resolve(&args)?;
-    // Before a plan is made, which may take a while; more workers than possible are refused there.
+    // Checked before the plan is made, which can take a while. Too many workers are refused there.
     check_descriptors(options.workers.min(RANKS_MAX)).map_err(CliError::bad_input)?;
     let plan = match &recorded_scene {
         Some(text) => RunPlan::of_text(text, &places.scene, &options),
@@ -63,7 +63,7 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
         options.workers,
         plan.transfers.kind.name()
     ));
-    // Up to here a signal ends the process as usual.
+    // Until here a signal ends the process in the default way.
     signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
     let summary = crate::coordinator::run(plan, &options, &places, &launch).map_err(|error| match error {
         RunError::BadInput(text) => CliError::bad_input(text),
@@ -84,22 +84,22 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     if summary.stopped { Err(stopped()) } else { Ok(()) }
 }
 
-/// The end of a run that a signal has stopped; what there is to say has been said.
+/// The result of a run that a signal has stopped. Its message is empty, because it has already been printed.
 fn stopped() -> CliError {
     let exit_code = signals::stop_requested().map_or(1, |signal| signal.exit_code());
     CliError { exit_code, message: String::new() }
 }
 
-/// What a command line asks for.
+/// Resolved arguments of the command.
 struct Resolved {
     places: RunPlaces,
     options: RunOptions,
-    /// The scene's text as the run directory has it, if the run goes on with that.
+    /// The scene's text from the run directory, if the run continues with it.
     recorded_scene: Option<String>,
 }
 
-/// Scene, run directory and options; a resumed run takes from `run.toml` what the command line leaves open, and goes on with
-/// the scene as it was: its file may have moved, changed or gone since.
+/// Resolves the scene, run directory and options. A resumed run takes missing options from `run.toml` and uses the
+/// recorded scene, because the original file can have moved, changed or disappeared.
 fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
     let existing = match (args.resume, args.overwrite) {
         (true, _) => Existing::Resume,

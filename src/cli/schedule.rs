@@ -1,4 +1,4 @@
-//! `loomtree schedule`: shows the work queues for a topology file. Its times are modelled from the file, not measured.
+//! `loomtree schedule`: shows the work queues for a topology file. Its times are modeled from the file, not measured.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use crate::output::{Timeline, TimelineBox, write_timeline};
 
 /// Bytes of one row of a vector: three components in single precision.
 const ROW_BYTES: f64 = 12.0;
-/// Stages side by side in the text table; wider schedules continue below.
+/// Stages per row of the text table. Wider schedules continue below.
 const STAGES_PER_BLOCK: usize = 12;
 
 /// Arguments of `loomtree schedule`.
@@ -52,7 +52,7 @@ pub fn run(args: ScheduleArgs) -> Result<(), CliError> {
     write_schedule(&args, &mut io::stdout().lock())
 }
 
-/// Runs the command; the result goes to `out`. A reader that went away is no error.
+/// Runs the command and writes the result to `out`. A closed pipe is not an error.
 pub fn write_schedule(args: &ScheduleArgs, out: &mut impl Write) -> Result<(), CliError> {
     let topology = Topology::read(&args.topology).map_err(CliError::bad_input)?;
     let sub_vector_bytes = sub_vector_bytes(args.rows, topology.gpus());
@@ -75,7 +75,7 @@ fn sub_vector_bytes(rows: u32, gpus: usize) -> f64 {
     (rows as usize).div_ceil(gpus) as f64 * ROW_BYTES
 }
 
-/// One queue per line, so that people and diffs can read it as well.
+/// Writes one queue per line, so that people and diff tools can read it.
 fn write_json(plan: &Plan, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "{{\"gpus\":{},\"queues\":[", plan.schedule.gpus)?;
     for (rank, queue) in plan.schedule.queues.iter().enumerate() {
@@ -149,7 +149,7 @@ fn write_text(
     Ok(())
 }
 
-/// The bound, where it comes from, and how far every schedule is from it.
+/// Prints the lower bound, its origin, and the distance of every schedule from it.
 fn explain(bound: &LowerBound, topology: &Topology, sub_vector_bytes: f64, out: &mut impl Write) -> io::Result<()> {
     let gpus = topology.gpus();
     if gpus == 1 {
@@ -184,7 +184,7 @@ fn explain(bound: &LowerBound, topology: &Topology, sub_vector_bytes: f64, out: 
     Ok(())
 }
 
-/// Every receipt as a box from its start until its bytes are through, coloured by the busiest link of its path.
+/// Draws every transfer as a box from its start to its end, colored by the busiest link of its path.
 fn draw(path: &Path, plan: &Plan, topology: &Topology, sub_vector_bytes: f64) -> Result<(), CliError> {
     let transfers = plan.transfers(sub_vector_bytes);
     let mut load_s = vec![[0.0f64; 2]; topology.links().len()];
@@ -239,7 +239,7 @@ fn write_row(out: &mut impl Write, head: &str, cells: impl Iterator<Item = Strin
     writeln!(out)
 }
 
-/// Which stages use the root switch.
+/// A sentence about the stages that use the root switch.
 fn root_sentence(crossings: &[Vec<usize>], root: &str) -> String {
     let used: Vec<String> = crossings
         .iter()

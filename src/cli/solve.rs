@@ -1,4 +1,4 @@
-//! `loomtree solve`: the distributed PCG on its own, for any symmetric positive definite matrix. JSON goes to stdout.
+//! `loomtree solve`: runs the distributed PCG for any symmetric positive definite matrix and prints JSON to stdout.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -77,7 +77,7 @@ pub struct SolveArgs {
     pub repeat: u32,
 }
 
-/// Where the workers of a solve come from.
+/// How the workers of a solve are started.
 const LAUNCH: Launch = Launch::Spawn;
 
 fn tolerance(text: &str) -> Result<f64, String> {
@@ -115,12 +115,12 @@ pub fn run(args: SolveArgs) -> Result<(), CliError> {
     report(&facts, &executor, &results)
 }
 
-/// Reads and checks everything.
+/// Reads and checks all input.
 ///
 /// # Errors
 /// Bad input.
 pub fn prepare(args: &SolveArgs) -> Result<SolvePlan, CliError> {
-    // Before a large file is read.
+    // Checked before a large file is read.
     check_workers(args.workers, usize::MAX, "").map_err(CliError::bad_input)?;
     let (system, stored_rhs) = read_system(&args.matrix).map_err(CliError::bad_input)?;
     let rhs = match &args.rhs {
@@ -151,7 +151,7 @@ pub fn prepare(args: &SolveArgs) -> Result<SolvePlan, CliError> {
     SolvePlan::new(system, rhs, &options).map_err(CliError::bad_input)
 }
 
-/// What the report needs of a solve once its system is given away.
+/// Collects what the report needs, because the system is moved into the solve.
 fn facts(args: &SolveArgs, plan: &SolvePlan, trace: Option<TraceFolder>) -> SolveFacts {
     SolveFacts {
         rows: plan.file_rows,
@@ -170,7 +170,7 @@ fn facts(args: &SolveArgs, plan: &SolvePlan, trace: Option<TraceFolder>) -> Solv
 }
 
 impl SolveArgs {
-    /// What the workers run on.
+    /// Options of the session that the workers run in.
     fn session(&self) -> SessionOptions {
         SessionOptions {
             workers: self.workers,
@@ -183,7 +183,7 @@ impl SolveArgs {
     }
 }
 
-/// Finds out before a long solve that its result could not be written.
+/// Checks before a long solve that its result can be written.
 fn check_solution(path: &std::path::Path) -> Result<(), CliError> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
     let refused = |what: String| CliError::bad_input(format!("--solution {}: {what}", path.display()));

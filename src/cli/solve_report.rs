@@ -1,4 +1,5 @@
-//! What `loomtree solve` tells: the solution in a file, the report as JSON on stdout, the header of a trace's report.
+//! Output of `loomtree solve`: the solution in a file, the report as JSON on stdout, and the header of a trace's
+//! report.
 
 use std::path::PathBuf;
 
@@ -12,7 +13,7 @@ use crate::math::DIM;
 use crate::output::{ReportHeader, write_atomically};
 use crate::solver::ExchangeMode;
 
-/// What the report needs beyond the results.
+/// Data for the report besides the results.
 pub(super) struct SolveFacts {
     pub(super) rows: usize,
     pub(super) block_rows: usize,
@@ -29,7 +30,7 @@ pub(super) struct SolveFacts {
 }
 
 impl SolveFacts {
-    /// What a report of a run says about what does not change.
+    /// The header of the trace's report.
     pub(super) fn header(&self) -> ReportHeader {
         ReportHeader {
             scene: self.matrix.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
@@ -42,7 +43,7 @@ impl SolveFacts {
     }
 }
 
-/// The JSON on stdout. The first six names are a contract.
+/// The JSON on stdout. The first six names are a stable interface.
 #[derive(Debug, Serialize)]
 pub(super) struct SolveReport {
     /// Rows of the matrix in the file.
@@ -53,7 +54,7 @@ pub(super) struct SolveReport {
     pub converged: bool,
     /// |b - A x| / |b| in double precision.
     pub relative_residual: f64,
-    /// Seconds of the solve, the preconditioner's set-up for the values included (median if repeated).
+    /// Seconds of the solve, including the set-up of the preconditioner (median if repeated).
     pub seconds: f64,
     /// Bytes that all workers received from each other in one solve.
     pub bytes_exchanged: u64,
@@ -64,11 +65,11 @@ pub(super) struct SolveReport {
     preconditioner: &'static str,
     block_rows: usize,
     blocks: u64,
-    /// Block slots, padding included, over stored blocks.
+    /// Ratio of block slots (including padding) to stored blocks.
     padding_ratio: f64,
     /// Matrix-vector products.
     products: u32,
-    /// Corrections after the first PCG.
+    /// Corrections solved after the first PCG.
     refinements: u32,
     /// Bytes received by all workers per product.
     bytes_per_product: f64,
@@ -77,15 +78,15 @@ pub(super) struct SolveReport {
     seconds_best: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     milliseconds_per_iteration_best: Option<f64>,
-    /// Milliseconds of one product (best).
+    /// Milliseconds of one product (best time).
     #[serde(skip_serializing_if = "Option::is_none")]
     spmv_ms: Option<f64>,
-    /// Bytes that the kernels of all workers move in a product over its time.
+    /// Bytes that the kernels of all workers move in a product, divided by its time.
     #[serde(skip_serializing_if = "Option::is_none")]
     spmv_gb_s: Option<f64>,
 }
 
-/// Writes the solution if it was asked for and prints the report.
+/// Writes the solution if requested and prints the report.
 ///
 /// # Errors
 /// The solution cannot be written, or the solve did not converge.

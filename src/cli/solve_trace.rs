@@ -1,5 +1,5 @@
-//! What `loomtree solve --trace` leaves behind: a folder with `report.json` and `trace.json`, every solve one step, that
-//! `loomtree predict` takes like a run directory.
+//! Output of `loomtree solve --trace`: a folder with `report.json` and `trace.json`, in which every solve is a step.
+//! `loomtree predict` accepts it like a run directory.
 
 use std::path::{Path, PathBuf};
 
@@ -8,20 +8,20 @@ use crate::linear_system::SolveResult;
 use crate::output::{RankEvents, ReportHeader, ReportWriter, Status, StepRecord, TraceWriter, WriteError};
 use crate::step::StageSeconds;
 
-/// Solves of a repeated one whose events are kept: as many as steps of a run.
+/// Limit of the solves whose events are kept, the same as for the steps of a run.
 pub(super) const SOLVES_MOST: u32 = 20;
 
-/// A folder that can be written to and holds no run.
+/// A writable folder that holds no run.
 #[derive(Clone, Debug)]
 pub(super) struct TraceFolder {
     path: PathBuf,
 }
 
 impl TraceFolder {
-    /// Makes the folder. Nothing that is there is replaced.
+    /// Creates the folder. Existing files are not replaced.
     ///
     /// # Errors
-    /// A file is in the way, the folder holds a run or a trace, or it cannot be written to.
+    /// The path is a file, the folder holds a run or a trace, or it cannot be written to.
     pub(super) fn new(path: &Path) -> Result<TraceFolder, CliError> {
         let refused = |what: &str| CliError::bad_input(format!("--trace {}: {what}", path.display()));
         if path.exists() && !path.is_dir() {
@@ -35,7 +35,8 @@ impl TraceFolder {
         Ok(TraceFolder { path: path.to_path_buf() })
     }
 
-    /// Writes both files. `header`: scene, exchange, schedule, topology and sizes of the solve; the rest is filled in.
+    /// Writes both files. `header` gives scene, exchange, schedule, topology and sizes of the solve; the other fields
+    /// are filled in here.
     ///
     /// # Errors
     /// A file cannot be written.

@@ -1,5 +1,5 @@
-//! What a command leaves behind when it refuses a start state: meshes of what crosses, and of the best that untangling
-//! has reached. Files appear whole or not at all.
+//! Meshes that a command writes when it refuses a start state: the crossing triangles, and the best state that
+//! untangling reached. Files appear complete or not at all.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -8,17 +8,17 @@ use crate::math::Vec3;
 use crate::output::{WriteError, write_atomically};
 use crate::scene::SceneError;
 
-/// Where meshes of a refused start state go.
+/// Files for the meshes of a refused start state.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Places {
-    /// Of the triangles that cross.
+    /// For the crossing triangles.
     pub crossings: Option<PathBuf>,
-    /// Of the cloth, as far as untangling went.
+    /// For the cloth at the best state of untangling.
     pub best: Option<PathBuf>,
 }
 
 impl Places {
-    /// Beside a run directory, or where that has no place yet, in the working directory.
+    /// Files beside a run directory, or in the working directory if its parent does not exist.
     pub(super) fn beside(out: &Path) -> Places {
         let place = |ending: &str| {
             let mut name = out.file_name().unwrap_or("run".as_ref()).to_os_string();
@@ -30,7 +30,7 @@ impl Places {
         Places { crossings: place(".crossings.obj"), best: place(".untangled.obj") }
     }
 
-    /// The sentence of a refusal; writes the meshes if it is one of a start state.
+    /// The message of an error. If the error is about the start state, the meshes are written.
     pub(super) fn refuse(&self, error: &mut SceneError) -> String {
         let SceneError::Crossing { crossings, .. } = error else { return error.to_string() };
         let mut faults = Vec::new();
@@ -51,7 +51,7 @@ impl Places {
     }
 }
 
-/// Writes an OBJ file of positions and triangles; every digit of a position is kept.
+/// Writes an OBJ file of positions and triangles with all digits of the positions.
 pub(super) fn write_mesh(file: &Path, positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), WriteError> {
     write_atomically(file, |out: &mut dyn Write| -> io::Result<()> {
         for p in positions {
@@ -64,7 +64,7 @@ pub(super) fn write_mesh(file: &Path, positions: &[Vec3], triangles: &[[u32; 3]]
     })
 }
 
-/// What untangling did, for the user.
+/// A sentence about the result of untangling.
 pub(super) fn untangled_line(done: &crate::scene::Untangling) -> String {
     format!(
         "untangled: {} pairs of triangles crossed; {} vertices moved, the farthest by {:.3e} m, in {} rounds",

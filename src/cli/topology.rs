@@ -1,6 +1,6 @@
-//! `loomtree topology detect`: a topology file for the machine it runs on, as far as the system tells: GPUs from the graphics
-//! interface, the PCIe tree and its links from sysfs (Linux). What the system does not tell is assumed, and the file says
-//! so in its first lines.
+//! `loomtree topology detect`: writes a topology file for this machine. GPUs come from the graphics interface, the PCIe
+//! tree and its links from sysfs (Linux). Values that the system does not provide are assumed; the first lines of the
+//! file list them.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -56,27 +56,27 @@ pub fn run(args: TopologyArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Share of the wire rate that copies reach, as in the shipped files: 12 of 15.75 GB/s.
+/// Fraction of the wire rate that copies reach, as in the shipped files: 12 of 15.75 GB/s.
 const USABLE: f64 = 12.0 / 15.75;
-/// PCIe 3 x16, usable: where the system does not tell.
+/// Usable rate of PCIe 3 x16, assumed if the system does not report the link.
 const ASSUMED_GB_S: f64 = 12.0;
 const ASSUMED_LATENCY_US: f64 = 2.0;
 const ASSUMED_DEVICE_GB_S: f64 = 500.0;
 const ASSUMED_GFLOPS: f64 = 10_000.0;
 const ASSUMED_MEMORY_GB: f64 = 8.0;
 
-/// What stands for the machine's GPUs when a rate is measured.
+/// A device whose memory bandwidth is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Device {
-    /// The processor, where there is no GPU.
+    /// The processor, if there is no GPU.
     Processor,
     /// An adapter of the graphics interface.
     Adapter(usize),
 }
 
-/// Memory bandwidth of a device, GB/s (copying); none if it cannot be measured.
+/// Memory bandwidth of a device by copying, GB/s; none if it cannot be measured.
 fn measured(device: Device) -> Option<f64> {
-    /// Well above the last cache, and read and written in well under a second.
+    /// Well above the size of the last-level cache, yet copied in well under a second.
     const BYTES: usize = 256 << 20;
     let executor = match device {
         Device::Processor => Executor::cpu(cores()),
@@ -85,14 +85,14 @@ fn measured(device: Device) -> Option<f64> {
     bandwidth_gb_s(&executor, BYTES).ok().map(|measured| (measured.copy_gb_s * 10.0).round() / 10.0)
 }
 
-/// A figure of the file and where it comes from.
+/// A value in the file and its origin.
 struct Figure {
     value: f64,
     origin: &'static str,
 }
 
-/// The text of the file. `sysfs`: where the system shows its devices; `found`: adapters of the graphics interface; `measure`:
-/// memory bandwidth of a device, if it can be had.
+/// Generates the text of the file. `sysfs`: folder in which the system shows its devices. `found`: adapters of the
+/// graphics interface. `measure`: measures the memory bandwidth of a device, if possible.
 pub fn detect(
     args: &DetectArgs,
     sysfs: &Path,
@@ -159,7 +159,7 @@ pub fn detect(
         _ => hardware.first().map_or("unknown device", |adapter| adapter.name.as_str()),
     };
     let text = parts.text(&notes, device, &figures);
-    // Whatever was found, the file must be one that the other commands take.
+    // The generated file must be valid for the other commands.
     Topology::parse(text.as_bytes(), "detected topology").map_err(CliError::bad_input)?;
     Ok(text)
 }
@@ -172,11 +172,12 @@ fn main_memory_gb() -> Option<f64> {
     Some((kib * 1024.0 / 1e8).round() / 10.0)
 }
 
-/// PCI vendors whose display controllers compute: AMD, NVIDIA, Intel, Moore Threads. What else has the class of a display
-/// controller (chips of management boards, adapters of virtual machines) draws screens only.
+/// PCI vendors whose display controllers can compute: AMD, NVIDIA, Intel, Moore Threads. Display controllers of other
+/// vendors (management boards, virtual machines) only drive screens.
 const COMPUTE_VENDORS: [&str; 4] = ["0x1002", "0x10de", "0x8086", "0x1ed5"];
 
-/// Why a PCI device that may be a GPU is none to compute on; `Ok(false)` if it is something else altogether.
+/// True for a compute device, false for a device of another kind. An error is the reason why a possible GPU is not
+/// used.
 fn computes(class: &str, vendor: &str) -> Result<bool, &'static str> {
     match class.get(..6) {
         // 3D controllers (GPUs without a screen) and processing accelerators.
@@ -187,15 +188,15 @@ fn computes(class: &str, vendor: &str) -> Result<bool, &'static str> {
     }
 }
 
-/// Compute devices and what lies between them and the processor.
+/// Compute devices and the PCIe bridges between them and the processor.
 #[derive(Default)]
 struct PciTree {
     /// Path of every GPU from the root complex down, ascending: `[pci0000:00, 0000:00:01.0, 0000:01:00.0]`.
     gpus: Vec<Vec<String>>,
-    /// Usable GB/s of the link above a device, where the system tells.
+    /// Usable GB/s of the link above a device, if the system reports it.
     links: BTreeMap<String, f64>,
     memory_gb: Option<f64>,
-    /// Devices that look like GPUs and are not taken, with the reason.
+    /// Possible GPUs that are not used, with the reason.
     left_out: Vec<String>,
 }
 
@@ -235,7 +236,8 @@ impl PciTree {
             }
             tree.gpus.push(path);
         }
-        // A GPU of the processor itself hangs on the root complex; beside others it is there for the screen.
+        // An integrated GPU is attached to the root complex. It is skipped if there are others, because it then drives
+        // the screen.
         if tree.gpus.iter().any(|path| path.len() > 2) {
             let (others, own): (Vec<_>, Vec<_>) = tree.gpus.into_iter().partition(|path| path.len() > 2);
             tree.gpus = others;
@@ -256,7 +258,7 @@ fn link_rate(folder: &Path) -> Option<f64> {
     let width = text("current_link_width").or_else(|| text("max_link_width"))?;
     let gigatransfers: f64 = speed.split_whitespace().next()?.parse().ok()?;
     let lanes: f64 = width.trim().parse().ok()?;
-    // 8b/10b up to PCIe 2, 128b/130b from PCIe 3.
+    // PCIe 1 and 2 use 8b/10b coding, PCIe 3 and later 128b/130b.
     let coding = if gigatransfers < 8.0 { 0.8 } else { 128.0 / 130.0 };
     let rate = gigatransfers * lanes * coding / 8.0 * USABLE;
     (rate > 0.0).then_some(rate)
@@ -266,7 +268,7 @@ fn link_rate(folder: &Path) -> Option<f64> {
 struct Parts {
     switches: Vec<String>,
     gpus: Vec<String>,
-    /// Ends and GB/s.
+    /// Both ends and GB/s of every link.
     links: Vec<(String, String, f64)>,
 }
 
@@ -295,8 +297,8 @@ impl Parts {
             .push("processors are taken as one switch `host`: a slower link between sockets is not told by PCI".into());
     }
 
-    /// Adds what hangs below `parent`: `paths` start with its children. Bridges with one child only are passed over;
-    /// `above` is the narrowest link of those passed over.
+    /// Adds the devices below `parent`; `paths` start with its children. Bridges with a single child are skipped;
+    /// `above` is the narrowest link of the skipped ones.
     fn grow(&mut self, parent: &str, paths: &[&[String]], above: f64, tree: &PciTree, unknown: &mut Vec<String>) {
         let mut children: BTreeMap<&str, Vec<&[String]>> = BTreeMap::new();
         for path in paths {
@@ -364,7 +366,7 @@ mod tests {
 
     const NOTHING: DetectArgs = DetectArgs { out: None, bandwidth: None, gflops: None, memory: None };
 
-    /// A sysfs with devices at these paths: (path below `devices`, class, speed, width).
+    /// A sysfs with these devices: (path below `devices`, class, speed, width).
     fn sysfs(devices: &[(&str, &str, &str, &str)]) -> tempfile::TempDir {
         let root = tempfile::tempdir().unwrap();
         let bus = root.path().join("bus/pci/devices");
@@ -399,7 +401,7 @@ mod tests {
             let rates = topology.path(from, to).iter().map(|hop| topology.links()[hop.link].bandwidth_gb_s);
             rates.fold(f64::INFINITY, f64::min)
         };
-        // x8 of PCIe 4; the third one's root port is PCIe 3 x16.
+        // x8 of PCIe 4; the root port of the third device is PCIe 3 x16.
         assert!((narrowest(0, 1) - 12.0).abs() < 0.01 && (narrowest(0, 2) - 12.0).abs() < 0.01, "{text}");
         assert_eq!(
             topology.path(0, 1).len(),

@@ -14,12 +14,12 @@ pub struct WorkerArgs {
     pub rank: usize,
 }
 
-/// Runs the worker until its coordinator says stop.
+/// Runs the worker until its coordinator stops it.
 pub fn run(args: WorkerArgs) -> Result<(), CliError> {
     let run: RunName = args.run.parse().map_err(CliError::bad_input)?;
     match crate::worker::run(&run, args.rank) {
         Ok(()) => Ok(()),
-        // The coordinator tells the user; one sentence is enough.
+        // The coordinator has already told the user.
         Err(crate::worker::WorkerError::Reported(_)) => Err(CliError::failed("")),
         Err(error) => Err(CliError::failed(format!("worker {}: {error}", args.rank))),
     }

@@ -166,7 +166,7 @@ impl TraceWriter {
         let asked_ns = start_ns + i128::from(event.asked_ns) - i128::from(event.start_ns);
         let (ts, dur) = (self.micros(start_ns), self.micros(end_ns - start_ns));
         let Event { step, stage, source, vector, bytes, flops, .. } = *event;
-        // The name of a block kernel includes the sub-vector that it multiplies.
+        // A block product keeps its route, because that names the sub-vector that it multiplies.
         let plain = event.activity == Activity::Compute as u32 && event.name != EventName::SpmvBlock as u32;
         let route = match plain {
             true => String::new(),
@@ -217,7 +217,6 @@ impl std::fmt::Display for Micros {
 /// Matches publications with receptions. Every rank records the beginning of every exchange, even if nobody reads its
 /// message. So a reception belongs to the exchange that the receiver began last. If that is its k-th exchange of this
 /// name in the step, the source is its k-th exchange too.
-/// source's k-th of that name.
 #[derive(Default)]
 struct Flows {
     /// Position of the source in each exchange. None for a publication of zero length, because an arrow cannot start
