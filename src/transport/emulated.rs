@@ -35,7 +35,7 @@ pub const STAMP_VALUES: usize = 2;
 const REMEMBERED: usize = 8;
 /// Longest sleep between two signs of life.
 const SLEEP_MAX: Duration = Duration::from_millis(20);
-/// A wait spins for this long at its end, because a sleep may last this much longer than requested.
+/// A wait only yields for this long at its end, because a sleep may last this much longer than requested.
 const AWAKE: Duration = Duration::from_micros(150);
 /// A rank that is further behind its emulated time than this drops the excess.
 const BEHIND_MAX_S: f64 = 0.25;
