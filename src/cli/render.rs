@@ -29,7 +29,7 @@ pub struct RenderArgs {
     /// Draw frames A to B (both included); either end may be left out.
     #[arg(long, value_name = "A..B", default_value = "..")]
     pub frames: FrameRange,
-    /// What colours mean: shaded, height or normal.
+    /// What colors mean: shaded, height or normal.
     #[arg(long, value_name = "COLORING", default_value = "shaded")]
     pub color: Coloring,
     /// Axis that points up: y or z (default: against the run's gravity).

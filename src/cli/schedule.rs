@@ -33,7 +33,7 @@ pub struct ScheduleArgs {
     /// Also print the lower bound that no schedule beats and what every schedule reaches of it (text format)
     #[arg(long)]
     pub explain: bool,
-    /// Draw the schedule (ranks over modelled time, coloured by link) into this SVG file
+    /// Draw the schedule (ranks over modelled time, colored by link) into this SVG file
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
 }

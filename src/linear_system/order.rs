@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_come_together_and_every_row_comes_once() {
+    fn neighbors_come_together_and_every_row_comes_once() {
         let system = scattered_grid(40, |_, _, _| 0.9);
         let order = locality_order(&system, 100);
         let mut sorted = order.clone();

@@ -93,8 +93,8 @@ fn grid(side: usize) -> BlockSystem {
             for j in 0..i {
                 add(v * 3 + i, v * 3 + j, 0.2);
             }
-            for neighbour in [(v % side > 0).then(|| v - 1), (v >= side).then(|| v - side)].into_iter().flatten() {
-                add(v * 3 + i, neighbour * 3 + i, -0.9);
+            for neighbor in [(v % side > 0).then(|| v - 1), (v >= side).then(|| v - side)].into_iter().flatten() {
+                add(v * 3 + i, neighbor * 3 + i, -0.9);
             }
         }
     }

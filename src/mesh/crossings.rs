@@ -149,8 +149,8 @@ impl Search<'_> {
     }
 
     fn tree(&self, triangles: Vec<u32>) -> Tree {
-        let centres: Vec<Vec3> = triangles.iter().map(|&t| self.corners(t).iter().sum::<Vec3>() / 3.0).collect();
-        let order: Vec<u32> = locality_order(&centres).into_iter().map(|i| triangles[i as usize]).collect();
+        let centers: Vec<Vec3> = triangles.iter().map(|&t| self.corners(t).iter().sum::<Vec3>() / 3.0).collect();
+        let order: Vec<u32> = locality_order(&centers).into_iter().map(|i| triangles[i as usize]).collect();
         let boxes: Vec<Bounds> = order.iter().map(|&t| Bounds::of(self.corners(t))).collect();
         let mut nodes = Vec::with_capacity(order.len());
         build(&boxes, 0, &mut nodes);

@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn chunks_hold_neighbours_of_one_piece_and_blocks_hold_all_pieces() {
+    fn chunks_hold_neighbors_of_one_piece_and_blocks_hold_all_pieces() {
         let (count, side, chunk) = (3, 64, 96);
         let mesh = sheets(count, side, 0.01);
         let order = vertex_order(&mesh, chunk);

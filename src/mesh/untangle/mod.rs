@@ -86,7 +86,7 @@ impl Tangle<'_> {
         near.dedup();
         let way = |now: &[Vec3], v: u32| now[v as usize].as_dvec3() - start[v as usize].as_dvec3();
         let even = |&v: &u32| {
-            let (sum, count) = shape.neighbours(v).fold((DVec3::ZERO, 0.0), |(sum, n), w| (sum + way(now, w), n + 1.0));
+            let (sum, count) = shape.neighbors(v).fold((DVec3::ZERO, 0.0), |(sum, n), w| (sum + way(now, w), n + 1.0));
             way(now, v).lerp(sum / count, SMOOTHING)
         };
         let ways: Vec<DVec3> = near.iter().map(even).collect();

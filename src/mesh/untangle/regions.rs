@@ -18,7 +18,7 @@ pub(super) struct Shape {
     /// Edges with only one triangle, ascending.
     border: Vec<[u32; 2]>,
     /// Every edge in both directions, ascending.
-    neighbours: Vec<[u32; 2]>,
+    neighbors: Vec<[u32; 2]>,
 }
 
 impl Shape {
@@ -33,10 +33,10 @@ impl Shape {
         edges.sort_unstable();
         let border = edges.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| same[0]).collect();
         edges.dedup();
-        let mut neighbours: Vec<[u32; 2]> = edges.iter().flat_map(|&[a, b]| [[a, b], [b, a]]).collect();
-        neighbours.sort_unstable();
+        let mut neighbors: Vec<[u32; 2]> = edges.iter().flat_map(|&[a, b]| [[a, b], [b, a]]).collect();
+        neighbors.sort_unstable();
         let (outward, obstacle) = (vec![0; triangles.len()], vec![false; triangles.len()]);
-        let mut shape = Shape { piece, outward, obstacle, border, neighbours };
+        let mut shape = Shape { piece, outward, obstacle, border, neighbors };
         for group in groups.iter().filter(|group| group.kind == GroupKind::Obstacle) {
             shape.obstacle[group.triangles.clone()].fill(true);
             shape.orient(positions, triangles, group.triangles.clone());
@@ -49,9 +49,9 @@ impl Shape {
     }
 
     /// The vertices that share an edge with `vertex`, ascending.
-    pub(super) fn neighbours(&self, vertex: u32) -> impl Iterator<Item = u32> {
-        let first = self.neighbours.partition_point(|pair| pair[0] < vertex);
-        self.neighbours[first..].iter().take_while(move |pair| pair[0] == vertex).map(|pair| pair[1])
+    pub(super) fn neighbors(&self, vertex: u32) -> impl Iterator<Item = u32> {
+        let first = self.neighbors.partition_point(|pair| pair[0] < vertex);
+        self.neighbors[first..].iter().take_while(move |pair| pair[0] == vertex).map(|pair| pair[1])
     }
 
     /// Fills `outward` for the closed, consistently wound pieces of an obstacle.
