@@ -230,7 +230,7 @@ pub(super) fn real(text: &[u8]) -> Option<f64> {
     let fortran = || -> Option<f64> {
         let exponent = text.find(['d', 'D']).or_else(|| Some(1 + text.get(1..)?.find(['+', '-'])?))?;
         let (mantissa, exponent) = text.split_at(exponent);
-        format!("{mantissa}e{}", exponent.trim_start_matches(['d', 'D'])).parse().ok()
+        format!("{mantissa}e{}", exponent.strip_prefix(['d', 'D']).unwrap_or(exponent)).parse().ok()
     };
     text.parse().ok().or_else(fortran).filter(|v: &f64| v.is_finite())
 }

@@ -117,7 +117,7 @@ mod tests {
         assert_eq!(parse_stat(&format!("42 (a name) S {rest}")), Some(987654));
         assert_eq!(parse_stat(&format!("42 (odd) name)) R {rest}")), Some(987654));
         assert_eq!(parse_stat(&format!("42 (gone) Z {rest}")), None);
-        assert_eq!(parse_cpu(&format!("42 (odd) name)) R {rest}")), Some(4 + 5));
+        assert_eq!(parse_cpu(&format!("42 (odd) name)) R {rest}")), Some(5 + 6));
         assert_eq!(parse_cpu("42 (cut) R 1 2"), None);
         assert_eq!(parse_stat("42 (cut"), None);
         assert_eq!(parse_stat(""), None);
