@@ -361,5 +361,5 @@ fn a_closed_pipe_is_no_error_and_a_full_disk_is_one() {
     assert_eq!(write_schedule(&args, &mut Failing(std::io::ErrorKind::BrokenPipe)), Ok(()));
     let full = write_schedule(&args, &mut Failing(std::io::ErrorKind::StorageFull)).unwrap_err();
     assert_eq!(full.exit_code, 1);
-    assert!(full.message.starts_with("cannot write the schedule: "), "{full}");
+    assert!(full.message.starts_with("cannot write the result to stdout: "), "{full}");
 }
