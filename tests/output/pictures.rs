@@ -384,8 +384,8 @@ fn bad_requests_get_one_sentence() {
     let sentences = HashMap::from([
         (["--size", "9x9999"], "is no size; write WIDTHxHEIGHT with 16 to 8192 pixels each"),
         (["--frames", "9..3"], "is no range of frames; write A..B with A not above B"),
-        (["--color", "plaid"], "is no colouring; valid are shaded, height and normal"),
-        (["--up", "x"], "is no up axis; valid are y and z"),
+        (["--color", "plaid"], "is not a coloring; valid are shaded, height and normal"),
+        (["--up", "x"], "is not an up axis; valid are y and z"),
         (["--every", "0"], "0 is not in 1.."),
     ]);
     for (flags, sentence) in sentences {
