@@ -24,7 +24,7 @@ pub enum CcdKind {
 pub struct CsvFault {
     /// Line counting from 1.
     pub line: usize,
-    /// What is wrong and what would be right.
+    /// The error and the correct form.
     pub what: String,
 }
 

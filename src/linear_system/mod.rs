@@ -50,7 +50,7 @@ pub enum SystemError {
         file: String,
         /// Line, from 1.
         line: u64,
-        /// What is wrong and what would be right.
+        /// The error and the correct form.
         what: String,
     },
     /// A binary file is malformed.
@@ -60,7 +60,7 @@ pub enum SystemError {
         file: String,
         /// Byte, from 0.
         offset: u64,
-        /// What is wrong and what would be right.
+        /// The error and the correct form.
         what: String,
     },
     /// The file is well-formed, but this solver does not accept the system.
@@ -68,7 +68,7 @@ pub enum SystemError {
     System {
         /// The file.
         file: String,
-        /// What is wrong and what would be right.
+        /// The error and the correct form.
         what: String,
     },
 }

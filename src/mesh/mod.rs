@@ -74,7 +74,7 @@ pub enum MeshReadError {
 pub struct ParseFault {
     /// Line from 1; none for formats without lines.
     pub line: Option<u64>,
-    /// What is wrong and what would be right.
+    /// The error and the correct form.
     pub what: String,
 }
 

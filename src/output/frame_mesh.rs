@@ -43,7 +43,7 @@ pub enum ReadError {
     Line {
         /// Counted from 1.
         line: usize,
-        /// What is wrong with it.
+        /// Description of the error.
         problem: &'static str,
     },
     /// A triangle refers to a missing vertex.

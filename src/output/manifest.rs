@@ -65,7 +65,7 @@ pub enum ManifestError {
         path: PathBuf,
         /// Line from 1.
         line: usize,
-        /// What is wrong.
+        /// Description of the error.
         message: String,
     },
     /// A flag has a value that TOML cannot represent.

@@ -38,7 +38,7 @@ pub enum Pc2Error {
     Unfit {
         /// The point cache.
         path: PathBuf,
-        /// What is wrong.
+        /// Description of the error.
         problem: String,
     },
     /// Frames before the first one to be written are missing.

@@ -30,7 +30,7 @@ pub enum FramesError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Description of the error.
         source: ReadError,
     },
     /// The point cache is damaged.

@@ -30,7 +30,7 @@ pub enum TraceReadError {
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// What is wrong.
+        /// Description of the error.
         message: String,
     },
     /// The trace holds no events.

@@ -281,12 +281,12 @@ impl<'a> Value<'a> {
         Fields { source: self.source, path: self.name.clone(), offset, table: Some(table) }.only(known)
     }
 
-    /// Whether this is an array, of numbers or of anything else.
+    /// True for an array with entries of any type.
     pub(super) fn is_array(&self) -> bool {
         self.value.get_ref().is_array()
     }
 
-    /// Whether this is a text.
+    /// True for a string.
     pub(super) fn is_text(&self) -> bool {
         self.value.get_ref().is_str()
     }

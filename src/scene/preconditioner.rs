@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What PCG multiplies the residual by.
+/// Preconditioner of PCG.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum PreconditionerKind {

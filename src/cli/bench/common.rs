@@ -1,4 +1,4 @@
-//! What benchmarks share: options, parsers of their values, medians, the machine of modeled figures.
+//! Shared parts of the benchmarks: options, parsers of their values, medians, the machine of modeled figures.
 
 use std::path::{Path, PathBuf};
 

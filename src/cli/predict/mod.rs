@@ -48,7 +48,7 @@ pub struct PredictArgs {
     pub svg: Option<PathBuf>,
 }
 
-/// What products exchange.
+/// Exchange mode of products.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PredictExchange {
     /// Only the rows that are read

@@ -49,7 +49,7 @@ impl RecordedRun {
         Ok(rows)
     }
 
-    /// What its products exchanged.
+    /// Exchange mode of its products.
     pub(crate) fn exchange(&self) -> ProductExchange {
         match self.report.header.exchange.as_str() {
             "full" => ProductExchange::Full,
