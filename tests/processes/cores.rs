@@ -34,7 +34,7 @@ fn workers_that_share_cores_keep_to_one_each_unless_told_otherwise() {
             assert_eq!(cores_of(pid), Some(expected), "--bind-cores {choice}, rank {rank}");
         }
         support::process::signal(running.pid(), support::process::Signal::INT);
-        running.wait().expect(0);
+        running.wait().expect(130);
         let recipe = std::fs::read_to_string(place.path(choice).join("run.toml")).expect("the recipe");
         assert!(recipe.contains(&format!("bind_cores = \"{choice}\"")), "{recipe}");
     }

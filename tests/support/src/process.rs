@@ -126,7 +126,9 @@ impl Place {
     }
 
     fn command_of(&self, program: &str, words: &str) -> Command {
-        let mut command = Command::new(program);
+        // A test that runs in the background of a shell inherits an ignored SIGINT; the programs of the tests must hear it.
+        let mut command = Command::new("env");
+        command.args(["--default-signal=INT,TERM,HUP", program]);
         command.args(words.split_whitespace()).current_dir(self.folder.path()).stdin(Stdio::null());
         command.env(MARK, self.folder.path()).env("TMPDIR", self.path("tmp"));
         command
