@@ -1,7 +1,7 @@
 //! Loomtree: a distributed simulator for very large cloth.
 //!
-//! A scene is planned for a number of ranks. A session of workers (processes, or threads of this process) is loaded with
-//! the plan and advances the cloth step by step; its state has the same bits for any number of workers.
+//! A scene is planned for a number of ranks. A session of workers (processes, or threads of this process) is loaded
+//! with the plan and advances the cloth step by step; its state has the same bits for any number of workers.
 //!
 //! ```
 //! use loomtree::{Launch, RunOptions, RunPlan, Session, SessionPlace};

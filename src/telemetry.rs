@@ -66,9 +66,9 @@ event_names! {
 }
 
 impl EventName {
-    /// True for exchanges of all ranks with all ranks outside of the solver. Such an exchange is a transfer from the own rank
-    /// (handing over, also if it has nothing to tell), then per other rank that tells something a wait for it and a transfer
-    /// from it; an all-gather is a wait for the own rank, whose bytes are the own values.
+    /// True for exchanges of all ranks with all ranks outside of the solver. Such an exchange is a transfer from the
+    /// own rank (handing over, also if it has nothing to tell), then per other rank that tells something a wait for it
+    /// and a transfer from it; an all-gather is a wait for the own rank, whose bytes are the own values.
     pub fn is_share(self) -> bool {
         use EventName::*;
         matches!(self, SharePositions | ShareQuery | ShareContacts | ShareImpacts | ShareMoved)
@@ -91,8 +91,8 @@ pub struct Event {
     pub source: u32,
     /// Sub-vector index, or the own rank.
     pub vector: u32,
-    /// Time at which the host asked for it, nanoseconds since the recorder's epoch. It orders the events of a rank; a device
-    /// may begin later.
+    /// Time at which the host asked for it, nanoseconds since the recorder's epoch. It orders the events of a rank; a
+    /// device may begin later.
     pub asked_ns: u64,
     /// Nanoseconds since the recorder's epoch.
     pub start_ns: u64,
@@ -106,8 +106,8 @@ pub struct Event {
 
 /// The clock of a device that runs kernels while the host goes on.
 pub trait DeviceClock {
-    /// Puts a mark behind the device's commands so far. `None`: the device has no such clock, but everything asked so far has
-    /// been done.
+    /// Puts a mark behind the device's commands so far. `None`: the device has no such clock, but everything asked so
+    /// far has been done.
     fn mark(&self) -> Option<u32>;
     /// Times at which the device reached each mark, by number, on the axis of `host_ns`. Forgets all marks.
     fn read(&self, host_ns: &dyn Fn() -> u64) -> Vec<u64>;

@@ -79,8 +79,8 @@ pub(super) fn apply_sums(
     }
 }
 
-/// Fills the values of `matrix`, padding included. `positions`: of the corners of every entry; `lanes`: segment of every lane
-/// of the matrix.
+/// Fills the values of `matrix`, padding included. `positions`: of the corners of every entry; `lanes`: segment of
+/// every lane of the matrix.
 pub(super) fn apply_blocks(
     executor: &Executor,
     lists: &ContactLists<'_>,

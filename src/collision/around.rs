@@ -1,5 +1,5 @@
-//! Triangles around each vertex (one-ring). They decide whether a point near an edge or a vertex of a surface is closest
-//! there.
+//! Triangles around each vertex (one-ring). They decide whether a point near an edge or a vertex of a surface is
+//! closest there.
 
 use super::broad::CollisionMesh;
 

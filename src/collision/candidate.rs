@@ -1,5 +1,5 @@
-//! What the stages of detection pass on: pairs of features that may touch, and pairs that do within a step. Plain data, the
-//! same on every executor.
+//! What the stages of detection pass on: pairs of features that may touch, and pairs that do within a step. Plain data,
+//! the same on every executor.
 
 use bytemuck::{Pod, Zeroable};
 

@@ -52,7 +52,8 @@ impl Detector {
         Ok(Detector { searches: Searches::new(Broad::new(mesh)), around, rules, memory_limit_bytes: None })
     }
 
-    /// Bounds the tables of later queries, bytes; a search that does not fit is done in batches. None, the default: no bound.
+    /// Bounds the tables of later queries, bytes; a search that does not fit is done in batches. None, the default: no
+    /// bound.
     pub fn limit_memory(&mut self, bytes: Option<u64>) {
         self.memory_limit_bytes = bytes;
     }
@@ -76,8 +77,8 @@ impl Detector {
         Ok(())
     }
 
-    /// The contact that a candidate of the mesh leads to at positions `x`, if there is one: what [`Detector::contacts`] does
-    /// with every candidate.
+    /// The contact that a candidate of the mesh leads to at positions `x`, if there is one: what [`Detector::contacts`]
+    /// does with every candidate.
     pub fn contact(&self, x: &[f32], candidate: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.searches.native.mesh(), around: &self.around, x };
         let pair =
@@ -85,9 +86,10 @@ impl Detector {
         self.rules.element(&pair)
     }
 
-    /// The contacts at positions `x` (x, y, z of every vertex, meters: cloth, then obstacles) that fall to this rank, sorted,
-    /// each once; see [`merge_contacts`] for those of all ranks. Clears `out` first. All ranks must run on executors of one
-    /// kind; what they find together has the same bits on every kind, as native code decides in the end.
+    /// The contacts at positions `x` (x, y, z of every vertex, meters: cloth, then obstacles) that fall to this rank,
+    /// sorted, each once; see [`merge_contacts`] for those of all ranks. Clears `out` first. All ranks must run on
+    /// executors of one kind; what they find together has the same bits on every kind, as native code decides in the
+    /// end.
     ///
     /// # Errors
     /// As [`Broad::candidates`].
@@ -103,8 +105,8 @@ impl Detector {
 
     /// As [`Detector::contacts`], with those pairs, too, that are farther apart at `x` and come closer than their thickness
     /// on the straight way to `ahead`, as their closest points at `x` see it: fast cloth then meets a repulsion before it
-    /// meets cloth. Two kinds of executors may differ in a few of the pairs that only come closer, because one may find a
-    /// separating direction that the other misses.
+    /// meets cloth. Two kinds of executors may differ in a few of the pairs that only come closer, because one may find
+    /// a separating direction that the other misses.
     ///
     /// # Errors
     /// As [`Broad::candidates`].
@@ -141,10 +143,10 @@ impl Detector {
         Ok(DetectionStats { found: out.len() as u64, ..stats })
     }
 
-    /// The pairs of features that touch on the straight way from `x_t0` to `x_t1` and fall to this rank, sorted; each is found
-    /// by exactly one rank. Executors as in [`Detector::contacts`]. With `touched` (one mark per vertex) only pairs with a
-    /// marked vertex: a search after a few vertices have been moved, which costs one look at every triangle's box and the
-    /// work near those vertices. Clears `out` first.
+    /// The pairs of features that touch on the straight way from `x_t0` to `x_t1` and fall to this rank, sorted; each
+    /// is found by exactly one rank. Executors as in [`Detector::contacts`]. With `touched` (one mark per vertex) only
+    /// pairs with a marked vertex: a search after a few vertices have been moved, which costs one look at every
+    /// triangle's box and the work near those vertices. Clears `out` first.
     ///
     /// # Errors
     /// As [`Broad::candidates`].
@@ -213,8 +215,8 @@ pub fn merge_impacts(lists: &[&[Impact]]) -> Vec<Impact> {
     all
 }
 
-/// Per vertex the smallest altitude, meters, of the `triangles` around it in their rest shapes (three corners each, material
-/// coordinates in meters with any third component); infinite for a vertex in no triangle.
+/// Per vertex the smallest altitude, meters, of the `triangles` around it in their rest shapes (three corners each,
+/// material coordinates in meters with any third component); infinite for a vertex in no triangle.
 pub fn smallest_altitudes(vertices: usize, triangles: &[[u32; 3]], rest: impl Fn(usize) -> [Vec3; 3]) -> Vec<f32> {
     let mut smallest = vec![f32::INFINITY; vertices];
     for (triangle, corners) in triangles.iter().enumerate() {

@@ -41,8 +41,8 @@ impl<T> Findings<T> {
     }
 }
 
-/// Calls `test(kind, group, count)` with groups of four candidates of one kind. Only the first `count` of a group are new;
-/// the rest repeats the first one.
+/// Calls `test(kind, group, count)` with groups of four candidates of one kind. Only the first `count` of a group are
+/// new; the rest repeats the first one.
 #[inline(always)]
 fn for_each_group(
     found: &[Candidate],

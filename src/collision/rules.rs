@@ -1,5 +1,5 @@
-//! Which pairs of features are contacts, and what contact element a pair becomes. Checks the parameters that decide it; does
-//! not look for pairs.
+//! Which pairs of features are contacts, and what contact element a pair becomes. Checks the parameters that decide it;
+//! does not look for pairs.
 
 use thiserror::Error;
 
@@ -14,8 +14,8 @@ pub(super) const WIDER: f32 = 1.001;
 /// Parameters that decide which pairs of features are contacts, and the forces of these contacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ContactParams {
-    /// Distance below which features repel each other, meters. Features of one piece of cloth repel each other below half
-    /// the smallest altitude around their vertices, if that is less: a fine mesh at rest does not repel itself.
+    /// Distance below which features repel each other, meters. Features of one piece of cloth repel each other below
+    /// half the smallest altitude around their vertices, if that is less: a fine mesh at rest does not repel itself.
     pub thickness_m: f32,
     /// Distance that counts as an impact, meters; 0 asks for touching.
     pub separation_m: f32,
@@ -28,8 +28,8 @@ pub struct ContactParams {
     pub friction: Vec<f32>,
     /// Per vertex: 1/mass, 1/kg; 0 for vertices whose motion is imposed (pins, obstacles).
     pub inverse_masses_per_kg: Vec<f32>,
-    /// Per vertex: smallest altitude at rest of the triangles around it, meters: see [`smallest_altitudes`]. Not looked at
-    /// for obstacles.
+    /// Per vertex: smallest altitude at rest of the triangles around it, meters: see [`smallest_altitudes`]. Not looked
+    /// at for obstacles.
     pub smallest_altitudes_m: Vec<f32>,
 }
 

@@ -14,14 +14,14 @@ const GRAIN: usize = 1024;
 pub struct RunsOn<'a> {
     /// Threads of native code.
     pub host: &'a CpuExecutor,
-    /// Runs the broad phase and the first part of the narrow phase. None: native code runs them. A detector must always be
-    /// given the same executor, because its arrays stay there.
+    /// Runs the broad phase and the first part of the narrow phase. None: native code runs them. A detector must always
+    /// be given the same executor, because its arrays stay there.
     pub kernels: Option<&'a Executor>,
 }
 
 impl<'a> RunsOn<'a> {
-    /// A device and the host's threads, or threads alone for a native executor, because the native search is faster than the
-    /// twins of the kernels.
+    /// A device and the host's threads, or threads alone for a native executor, because the native search is faster
+    /// than the twins of the kernels.
     pub fn new(executor: &'a Executor, host: &'a CpuExecutor) -> RunsOn<'a> {
         RunsOn { host, kernels: Some(executor).filter(|executor| executor.native().is_none()) }
     }
@@ -50,9 +50,9 @@ impl Searches {
         self.native.mesh_bytes() + self.device.as_ref().map_or(0, DeviceBroad::mesh_bytes)
     }
 
-    /// As [`Broad::search`]; what the filter drops may be missing. A search among touched vertices is native: it costs a look
-    /// at every triangle and the work near a few vertices, less than asking a device. So is one that does not fit a device,
-    /// which is the same decision on all ranks.
+    /// As [`Broad::search`]; what the filter drops may be missing. A search among touched vertices is native: it costs
+    /// a look at every triangle and the work near a few vertices, less than asking a device. So is one that does not
+    /// fit a device, which is the same decision on all ranks.
     pub(super) fn search<S: Sink>(
         &mut self,
         on: RunsOn,

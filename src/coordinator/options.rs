@@ -21,14 +21,16 @@ use crate::transport::Machine;
 #[derive(Clone, Debug, PartialEq, Args, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunOptions {
-    /// Worker processes, each with its own device and row block (with --resume: as before, unless given; so for all options)
+    /// Worker processes, each with its own device and row block (with --resume: as before, unless given; so for all
+    /// options)
     #[arg(long, short = 'n', value_name = "N", default_value_t = 1)]
     pub workers: usize,
     /// Topology file; workers sit on its first GPUs [default: a balanced binary tree]
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub topology: Option<PathBuf>,
-    /// Hold messages back until the clock says that they have arrived over the links of --topology: a run as slow as there
+    /// Hold messages back until the clock says that they have arrived over the links of --topology: a run as slow as
+    /// there
     #[arg(long)]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub emulate_links: bool,
@@ -75,7 +77,8 @@ pub struct RunOptions {
     /// Write a checkpoint every K frames (one is always left at the end, at Ctrl-C and after a failure); 0 = only then
     #[arg(long, value_name = "K", default_value_t = 10)]
     pub checkpoint_every: u32,
-    /// Keep states for good, as states/step_%08d.ltc (positions and velocities): that of every frame, or of every K steps
+    /// Keep states for good, as states/step_%08d.ltc (positions and velocities): that of every frame, or of every K
+    /// steps
     #[arg(long, value_name = "frames|K")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub keep_states: Option<KeepStates>,

@@ -1,5 +1,5 @@
-//! Measures the memory bandwidth of an executor, to compare memory-bound kernels with. The result holds for this machine at
-//! this moment; other processes lower it.
+//! Measures the memory bandwidth of an executor, to compare memory-bound kernels with. The result holds for this
+//! machine at this moment; other processes lower it.
 
 use std::hint::black_box;
 use std::time::Instant;

@@ -1,7 +1,7 @@
 //! Time stamps among the commands of a device, converted to the host's time axis.
 //!
-//! The host only asks for kernels; the device's own clock measures them. A device without time stamps is waited for instead,
-//! so that the host's clock measures them.
+//! The host only asks for kernels; the device's own clock measures them. A device without time stamps is waited for
+//! instead, so that the host's clock measures them.
 
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! Commands for a device: collected in the order of the calls until somebody waits.
 //!
-//! Parameters and small writes lie in one arena buffer that each submission uploads before its own commands, so the arena is
-//! free again as soon as the commands are submitted.
+//! Parameters and small writes lie in one arena buffer that each submission uploads before its own commands, so the
+//! arena is free again as soon as the commands are submitted.
 
 use std::sync::{Arc, Mutex};
 
@@ -119,8 +119,8 @@ impl Commands {
         }
     }
 
-    /// Writes `bytes`: a few through the arena. For many, the commands so far are submitted first, because the queue's own
-    /// writes overtake commands that are not submitted.
+    /// Writes `bytes`: a few through the arena. For many, the commands so far are submitted first, because the queue's
+    /// own writes overtake commands that are not submitted.
     pub(super) fn write(&self, buffer: &wgpu::Buffer, offset: u64, bytes: &[u8]) {
         if self.fault.raised() || bytes.is_empty() {
             return;

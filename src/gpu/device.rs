@@ -1,8 +1,8 @@
 //! The wgpu executor: one device, its compiled kernels and bind groups.
 //!
-//! Commands run in the order of the calls, whichever thread makes them; none need start before [`GpuExecutor::flush`] or a
-//! read. After a fault (lost device, out of memory, a kernel that the driver refuses) nothing is executed any more and reads
-//! give zeros; [`super::Executor::take_fault`] returns the fault.
+//! Commands run in the order of the calls, whichever thread makes them; none need start before [`GpuExecutor::flush`]
+//! or a read. After a fault (lost device, out of memory, a kernel that the driver refuses) nothing is executed any more
+//! and reads give zeros; [`super::Executor::take_fault`] returns the fault.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -152,8 +152,8 @@ impl GpuExecutor {
         }
     }
 
-    /// Panics if the bindings are not those of the shader: a mistake in the wrapper, whatever the scene. Stops the executor
-    /// if one is larger than the adapter binds.
+    /// Panics if the bindings are not those of the shader: a mistake in the wrapper, whatever the scene. Stops the
+    /// executor if one is larger than the adapter binds.
     fn check_bindings(&self, kernel: &Kernel, bindings: &[Binding<'_>]) {
         assert_eq!(bindings.len(), kernel.arrays.len(), "{}: number of arrays", kernel.name);
         let (alignment, most) =

@@ -1,5 +1,5 @@
-//! The choice between native code and a device, and the requests that both understand. Running a kernel is not among them:
-//! its wrapper does that.
+//! The choice between native code and a device, and the requests that both understand. Running a kernel is not among
+//! them: its wrapper does that.
 
 use super::adapter::any_hardware;
 use super::cpu::CpuExecutor;
@@ -21,14 +21,14 @@ impl Executor {
         Executor::Cpu(CpuExecutor::new(threads))
     }
 
-    /// A device. `adapter` is a number from [`adapters`]; by default ranks take turns among the best ones, software only
-    /// where there is nothing else ([`Executor::device_name`] says so).
+    /// A device. `adapter` is a number from [`adapters`]; by default ranks take turns among the best ones, software
+    /// only where there is nothing else ([`Executor::device_name`] says so).
     pub fn gpu(adapter: Option<usize>, rank: usize) -> Result<Executor, GpuError> {
         Executor::gpu_binding(adapter, rank, u64::MAX)
     }
 
-    /// As [`Executor::gpu`], on a device that binds at most `binding_bytes` bytes of an array, fewer if that is the adapter's
-    /// limit. For tests: small arrays are split as large ones are.
+    /// As [`Executor::gpu`], on a device that binds at most `binding_bytes` bytes of an array, fewer if that is the
+    /// adapter's limit. For tests: small arrays are split as large ones are.
     pub fn gpu_binding(adapter: Option<usize>, rank: usize, binding_bytes: u64) -> Result<Executor, GpuError> {
         let gpu = GpuExecutor::open(adapter, rank, binding_bytes)?;
         gpu.self_test()?;
@@ -86,8 +86,8 @@ impl Executor {
         }
     }
 
-    /// The clock of a device that runs kernels while the host goes on; none for native code, whose kernels are done when the
-    /// call returns.
+    /// The clock of a device that runs kernels while the host goes on; none for native code, whose kernels are done
+    /// when the call returns.
     pub fn clock(&self) -> Option<Box<dyn DeviceClock>> {
         match self {
             Executor::Cpu(_) => None,
@@ -95,8 +95,8 @@ impl Executor {
         }
     }
 
-    /// The first fault of the device, if it had one. Ask after reads whose values count, because a faulted device reads as
-    /// zeros. The executor stays unusable: every later call gives the same error.
+    /// The first fault of the device, if it had one. Ask after reads whose values count, because a faulted device reads
+    /// as zeros. The executor stays unusable: every later call gives the same error.
     pub fn take_fault(&self) -> Option<GpuError> {
         match self {
             Executor::Cpu(_) => None,

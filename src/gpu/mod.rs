@@ -1,8 +1,8 @@
 //! Executors and device memory: what runs kernels, and the arrays they run on.
 //!
 //! A kernel wrapper (`x.rs`) is the only place that chooses between a shader and its native twin; everything else hands
-//! [`DeviceVec`]s around and asks the executor (`Executor::native`, `Executor::window_items`) where host code must know.
-//! Two executors do not promise the same bits; one executor gives the same bits every time on the same adapter.
+//! [`DeviceVec`]s around and asks the executor (`Executor::native`, `Executor::window_items`) where host code must
+//! know. Two executors do not promise the same bits; one executor gives the same bits every time on the same adapter.
 
 mod adapter;
 mod array;

@@ -35,7 +35,8 @@ pub struct DrawVertex {
 }
 
 gpu_struct! {
-    /// Camera, light and colors; the same for all pictures of a sequence. Vectors have a fourth component that is unused.
+    /// Camera, light and colors; the same for all pictures of a sequence. Vectors have a fourth component that is
+    /// unused.
     pub struct DrawLook {
         /// Position of the camera, meters.
         pub eye: [f32; 4],

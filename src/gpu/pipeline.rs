@@ -20,8 +20,8 @@ pub(super) struct Kernel {
 }
 
 impl Kernel {
-    /// Compiles `source`; `id` is a number that no other array or kernel of the device has. What the driver refuses becomes
-    /// a fault of the device instead.
+    /// Compiles `source`; `id` is a number that no other array or kernel of the device has. What the driver refuses
+    /// becomes a fault of the device instead.
     ///
     /// # Errors
     /// The text is not a valid kernel, or needs more than the adapter has.

@@ -1,4 +1,5 @@
-//! Constraints: the direction in which the two parts of a pair must stay apart, from their motion just before the impact.
+//! Constraints: the direction in which the two parts of a pair must stay apart, from their motion just before the
+//! impact.
 
 use crate::collision::elementary::{CandidateKind, closest_offset};
 use crate::collision::{Candidate, Impact};
@@ -24,15 +25,15 @@ const MARGINS_MOST: usize = 10;
 /// Error of a constraint that counts as not met, in margins.
 const UNMET: f64 = 0.5;
 
-/// The distance, in margins, that a pair's constraint number `before` (from 0) asks for. It grows with every further impact
-/// of the pair, because the normals so far were not good enough. Other pairs keep their distance, because in a pile every
-/// wider gap is taken from the layers around it.
+/// The distance, in margins, that a pair's constraint number `before` (from 0) asks for. It grows with every further
+/// impact of the pair, because the normals so far were not good enough. Other pairs keep their distance, because in a
+/// pile every wider gap is taken from the layers around it.
 pub(super) fn margins(before: usize) -> f64 {
     (1 + before).min(MARGINS_MOST) as f64
 }
 
-/// True if positions `x` meet all constraints of a pair; only then can one more help. The constraints come in the order of
-/// their impacts. Those for which `moves` is false do not count.
+/// True if positions `x` meet all constraints of a pair; only then can one more help. The constraints come in the order
+/// of their impacts. Those for which `moves` is false do not count.
 pub(super) fn all_met<'a>(
     of_pair: impl IntoIterator<Item = &'a Constraint>,
     x: [DVec3; 4],

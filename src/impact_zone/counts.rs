@@ -1,4 +1,5 @@
-//! What impact zones did in a step, as `report.json` has it. The counts are the same on every rank, iterations excepted.
+//! What impact zones did in a step, as `report.json` has it. The counts are the same on every rank, iterations
+//! excepted.
 
 use serde::{Deserialize, Serialize};
 

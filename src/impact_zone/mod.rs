@@ -7,8 +7,9 @@
 //! [`ImpactZones::solve`] for its own; all results together go to [`apply`] on every rank; the pairs of moved vertices are
 //! tested again. Rounds end when no impact is left. Nothing here communicates or depends on the number of ranks.
 //!
-//! The rounds always end: a zone that keeps failing falls back in stages to standing still at the start positions, which are
-//! free of penetration. Only imposed vertices (pins, obstacles) that move into it can then still hit: [`Impossible`].
+//! The rounds always end: a zone that keeps failing falls back in stages to standing still at the start positions,
+//! which are free of penetration. Only imposed vertices (pins, obstacles) that move into it can then still hit:
+//! [`Impossible`].
 
 mod constraint;
 mod counts;

@@ -19,8 +19,8 @@ pub struct Row {
     pub weights: [f64; 4],
     /// Vertices of the batch; [`IMMOVABLE`] for those that cannot move.
     pub vertices: [u32; 4],
-    /// Change of the row's own gap per unit of its multiplier, 1/(unit of mass). It is set larger for rows whose vertices have
-    /// hardly any weight, so that one update does not throw them far.
+    /// Change of the row's own gap per unit of its multiplier, 1/(unit of mass). It is set larger for rows whose
+    /// vertices have hardly any weight, so that one update does not throw them far.
     pub yielding: f64,
     /// Initial multiplier, 0 or more.
     pub start: f64,
@@ -147,8 +147,8 @@ impl ZoneBatch {
     }
 }
 
-/// The smallest color, row by row, that none of the row's vertices has yet: rows by color, each color ascending, and the
-/// ends of the colors.
+/// The smallest color, row by row, that none of the row's vertices has yet: rows by color, each color ascending, and
+/// the ends of the colors.
 fn by_color(vertices: usize, rows: &[Row]) -> (Vec<u32>, Vec<u32>) {
     // Colors of every vertex, 64 to a word.
     let mut taken: Vec<Vec<u64>> = vec![Vec::new(); vertices];
@@ -257,7 +257,8 @@ mod tests {
     #[test]
     fn rows_of_a_color_share_no_vertex() {
         let mut batch = ZoneBatch::new();
-        // Two that could go together, one that touches both, and so many of one vertex that a word of colors is too small.
+        // Two that could go together, one that touches both, and so many of one vertex that a word of colors is too
+        // small.
         let mut rows = vec![row([0, 1, NO, NO]), row([1, 2, NO, NO]), row([2, 3, NO, NO])];
         rows.extend(std::iter::repeat_n(row([4, NO, NO, NO]), 70));
         batch.push(&[1.0; 5], rows, 1e-6);

@@ -1,5 +1,5 @@
-//! Rigid motions that fit given displacements. Vertices that share one rigid motion never meet on the way, because at every
-//! time their straight paths are an affine map of the start positions, which is invertible below half a turn.
+//! Rigid motions that fit given displacements. Vertices that share one rigid motion never meet on the way, because at
+//! every time their straight paths are an affine map of the start positions, which is invertible below half a turn.
 
 use crate::math::{DMat3, DVec3};
 

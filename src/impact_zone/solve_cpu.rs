@@ -78,8 +78,8 @@ impl<'a> Descent<'a> {
         }
     }
 
-    /// Each row of `which` in turn takes the multiplier that closes its gap with the others as they are. Rows lie by color,
-    /// so this is what the shader does a color at a time.
+    /// Each row of `which` in turn takes the multiplier that closes its gap with the others as they are. Rows lie by
+    /// color, so this is what the shader does a color at a time.
     fn sweep(&mut self, which: &[u32]) -> Changes {
         let mut changes = Changes::default();
         let fixed = self.inverse_masses.len() - 1;

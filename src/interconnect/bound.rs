@@ -1,6 +1,6 @@
-//! Lower bounds on the time of an exchange. Every GPU must receive what it lacks over its own links, and every cut of the
-//! machine must carry what one side has and the other side needs. Maximum flows find the worst cut, so the bound is the best
-//! of its kind. It allows for forwarding, chunking and splitting over links.
+//! Lower bounds on the time of an exchange. Every GPU must receive what it lacks over its own links, and every cut of
+//! the machine must carry what one side has and the other side needs. Maximum flows find the worst cut, so the bound is
+//! the best of its kind. It allows for forwarding, chunking and splitting over links.
 
 use super::flow::FlowGraph;
 use super::network::Channels;

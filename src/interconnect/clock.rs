@@ -3,8 +3,9 @@
 //!
 //! A transfer waits for what it depends on, occupies every link of its path until its bytes are through ("released"; links
 //! are shared max-min fairly, `network.rs`), and has arrived one latency of the path later ("done"). A latency therefore
-//! delays the tasks that wait for the bytes, but does not keep a link busy: the next transfer of a queue follows at once.
-//! The caller states how long a kernel lasts. Dependencies alone state which kernels and transfers exclude one another.
+//! delays the tasks that wait for the bytes, but does not keep a link busy: the next transfer of a queue follows at
+//! once. The caller states how long a kernel lasts. Dependencies alone state which kernels and transfers exclude one
+//! another.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -1,5 +1,5 @@
-//! Modeled time of a schedule on a topology, by the clock (`clock.rs`). A model, not a measurement: no protocol overhead
-//! and no compute.
+//! Modeled time of a schedule on a topology, by the clock (`clock.rs`). A model, not a measurement: no protocol
+//! overhead and no compute.
 //!
 //! Every rank receives in the order of its queue: a transfer starts when the one before it in the queue has arrived and its
 //! source holds the sub-vector, like copies in one stream. Stages are not separated by a barrier. With pieces
@@ -55,8 +55,8 @@ pub fn pieces_cost(pieces: &Pieces, topology: &Topology, sub_vector_bytes: f64) 
 /// Bytes that a rank contributes to a reduction: at most 54 numbers (`solver/reduction.rs`).
 pub(super) const REDUCTION_BYTES: f64 = 54.0 * 8.0;
 
-/// Modeled time of an all-reduce from the moment at which the last rank has reached it: the longest path's latency, and the
-/// numbers of all ranks over the narrowest link. Nothing for a single rank.
+/// Modeled time of an all-reduce from the moment at which the last rank has reached it: the longest path's latency, and
+/// the numbers of all ranks over the narrowest link. Nothing for a single rank.
 pub fn all_reduce_s(topology: &Topology) -> f64 {
     all_reduce_on(&Channels::of(topology), topology.gpus())
 }

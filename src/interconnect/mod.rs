@@ -2,8 +2,8 @@
 //!
 //! Rank r of a run sits on GPU r of the topology. Every time computed here is modeled from the topology file; nothing
 //! in this folder measures anything. Each concept has one file:
-//! - [`Topology`]: switches, GPUs and links (`topology.rs`, what it is made of in `parts.rs`, its file in `topology_file.rs`,
-//!   rules in `validate.rs`, paths in `routing.rs`);
+//! - [`Topology`]: switches, GPUs and links (`topology.rs`, what it is made of in `parts.rs`, its file in
+//!   `topology_file.rs`, rules in `validate.rs`, paths in `routing.rs`);
 //! - [`fat_tree`], [`ring`], [`direct`], [`plan`]: work queues (`queues.rs`);
 //! - [`check_schedule`], [`root_crossings`]: what every schedule must hold (`check.rs`);
 //! - [`Program`]: the clock, transfers and kernels in virtual time (`clock.rs`; shared links in `network.rs`);

@@ -1,5 +1,5 @@
-//! Modeled time of one matrix-vector product on n ranks: the timelines of [Li et al. 2020, Fig. 3], and the same for halo
-//! rows. Kernels of a rank follow one another on its device; transfers run beside them.
+//! Modeled time of one matrix-vector product on n ranks: the timelines of [Li et al. 2020, Fig. 3], and the same for
+//! halo rows. Kernels of a rank follow one another on its device; transfers run beside them.
 //!
 //! With T_j the time of the j-th receipt and C_j that of its block, all-gather first gives Eq. 6, S = sum T + sum C, and
 //! the pipelined product Eq. 7, S_j = max(S_{j-1}, sum T) + C_j, of which Eqs. 8 and 9 are the limits of free transfers and

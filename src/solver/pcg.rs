@@ -18,8 +18,8 @@ use crate::transport::TransportError;
 const ROUNDING: f64 = 1e-4;
 /// Down to this fraction of its start the recursive residual follows the true one; below it is rounding error.
 const FOLLOWED: f64 = 1e-5;
-/// A descent that breaks off is restarted with the same preconditioner only if it reduced the residual to this fraction of its
-/// start.
+/// A descent that breaks off is restarted with the same preconditioner only if it reduced the residual to this fraction
+/// of its start.
 const PROGRESS: f64 = 0.1;
 
 /// Start and stopping rule of a solve; the same on all ranks.

@@ -40,7 +40,8 @@ pub(super) struct Sweeps {
     product_sums: Vec<[f64; 4]>,
 }
 
-/// A block between chunks: its address in the matrix, its address here, its row, its column and the group of the column.
+/// A block between chunks: its address in the matrix, its address here, its row, its column and the group of the
+/// column.
 #[derive(Clone, Copy)]
 struct OuterBlock {
     source: u32,

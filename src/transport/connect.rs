@@ -25,8 +25,8 @@ pub struct Connection {
 
 /// Connects a worker to the transport of its run.
 pub trait Connect {
-    /// Connects this rank with all others; returns after every rank has connected. The transport of an earlier connection
-    /// must have been dropped.
+    /// Connects this rank with all others; returns after every rank has connected. The transport of an earlier
+    /// connection must have been dropped.
     fn connect(&mut self, connection: Connection) -> Result<Box<dyn Transport>, TransportError>;
 }
 

@@ -201,7 +201,8 @@ impl Counts {
 
 /// A message that the own rank has to receive.
 pub(super) struct Due {
-    /// Number of its exchange, counting from 0: the same on all ranks, because all start the same exchanges in the same order.
+    /// Number of its exchange, counting from 0: the same on all ranks, because all start the same exchanges in the same
+    /// order.
     pub number: u64,
     pattern: Pattern,
     width: usize,

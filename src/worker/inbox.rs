@@ -1,5 +1,5 @@
-//! The worker's end of the control channel as its work uses it: messages in order, also those that came while a transport
-//! waited, and what failures say.
+//! The worker's end of the control channel as its work uses it: messages in order, also those that came while a
+//! transport waited, and what failures say.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;

@@ -1,6 +1,6 @@
-//! Continuous collision against the exact referee in `support::exact`, from fixed seeds: a million random queries, a hundred
-//! thousand nearly degenerate ones in families. `LOOMTREE_CCD_QUERIES` sets another number of random queries, and a tenth of
-//! it for each family.
+//! Continuous collision against the exact referee in `support::exact`, from fixed seeds: a million random queries, a
+//! hundred thousand nearly degenerate ones in families. `LOOMTREE_CCD_QUERIES` sets another number of random queries,
+//! and a tenth of it for each family.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -1,5 +1,5 @@
-//! A step depends on the scene, the state and its number only: a state that is set, after every step, late, or once more
-//! after other steps, leads to the bits of the run that went through it. Ranks as threads, native executor.
+//! A step depends on the scene, the state and its number only: a state that is set, after every step, late, or once
+//! more after other steps, leads to the bits of the run that went through it. Ranks as threads, native executor.
 
 use loomtree::gpu::Executor;
 use loomtree::math::{DVec3, Vec3};

@@ -1,7 +1,7 @@
 //! Every reader of files from outside on mutated files: a value or one sentence, never a panic, never a hang.
 //!
-//! Seeds are small valid files of every format. An input is made from a number alone, so that a failure names the number and
-//! can be had again; [`KEPT`] holds the ones that once broke a reader. `.ci/campaign` runs millions of them.
+//! Seeds are small valid files of every format. An input is made from a number alone, so that a failure names the
+//! number and can be had again; [`KEPT`] holds the ones that once broke a reader. `.ci/campaign` runs millions of them.
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};

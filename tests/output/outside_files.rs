@@ -1,5 +1,5 @@
-//! Files as other programs write them, and what users ask of them: every one is read as it is meant, or named in a sentence
-//! that says what would be right.
+//! Files as other programs write them, and what users ask of them: every one is read as it is meant, or named in a
+//! sentence that says what would be right.
 
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,5 @@
-//! One suite for the control channel and the launcher of every mechanism: workers as threads of this process, and workers as
-//! processes of their own, for which this test binary starts itself again.
+//! One suite for the control channel and the launcher of every mechanism: workers as threads of this process, and
+//! workers as processes of their own, for which this test binary starts itself again.
 
 use std::process::{Command, Stdio};
 use std::sync::mpsc;

@@ -1,5 +1,5 @@
-//! Groups of ranks for tests of transports: threads of one process, emulated links on top of them, iceoryx2 (each rank on
-//! its own thread here; `transport_processes.rs` uses real processes).
+//! Groups of ranks for tests of transports: threads of one process, emulated links on top of them, iceoryx2 (each rank
+//! on its own thread here; `transport_processes.rs` uses real processes).
 
 use std::sync::mpsc;
 use std::time::Duration;

@@ -1,5 +1,5 @@
-//! Sessions: workers that are loaded, set and stepped in any order have the bits of a run that went through, on threads of
-//! this process and over iceoryx2; sessions side by side have those of one alone; nothing is left behind.
+//! Sessions: workers that are loaded, set and stepped in any order have the bits of a run that went through, on threads
+//! of this process and over iceoryx2; sessions side by side have those of one alone; nothing is left behind.
 
 use std::ops::ControlFlow;
 use std::path::Path;

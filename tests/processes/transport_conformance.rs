@@ -1,5 +1,5 @@
-//! One suite that every [`Transport`] must pass, run for threads of one process, for emulated links on top of them and for
-//! iceoryx2. `transport_patterns.rs` is its part on who reads what.
+//! One suite that every [`Transport`] must pass, run for threads of one process, for emulated links on top of them and
+//! for iceoryx2. `transport_patterns.rs` is its part on who reads what.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, mpsc};

@@ -1,5 +1,5 @@
-//! What only the control channel between processes has: bounded shared memory, places that are taken once, a start without
-//! a coordinator. What every mechanism has is in `control_conformance.rs`.
+//! What only the control channel between processes has: bounded shared memory, places that are taken once, a start
+//! without a coordinator. What every mechanism has is in `control_conformance.rs`.
 
 use std::process::Child;
 use std::time::{Duration, Instant};

@@ -1,5 +1,6 @@
-//! The part of the conformance suite on who reads what: patterns without readers, with one, with all, one-sided ones, ones that
-//! change from exchange to exchange; readers that are slow, rare or gone. Same groups as `transport_conformance.rs`.
+//! The part of the conformance suite on who reads what: patterns without readers, with one, with all, one-sided ones,
+//! ones that change from exchange to exchange; readers that are slow, rare or gone. Same groups as
+//! `transport_conformance.rs`.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

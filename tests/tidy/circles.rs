@@ -1,5 +1,5 @@
-//! The rule that the files of one folder use each other in one direction. It looks at `use` declarations and at paths in
-//! code; it does not see what macros paste together, and not what a method call leads to.
+//! The rule that the files of one folder use each other in one direction. It looks at `use` declarations and at paths
+//! in code; it does not see what macros paste together, and not what a method call leads to.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -21,9 +21,10 @@ struct Module<'a> {
 /// Two files or folders side by side, of which one uses the other.
 type Edge = (String, String);
 
-/// Files of `src` that use each other in a circle, one finding per circle. A folder is judged by itself: its nodes are its
-/// files and its sub-folders, and the file that declares them (`mod.rs` or its namesake beside the folder). What a file
-/// re-exports (`pub use`) belongs to the file that it comes from. A native twin `x_cpu.rs` may use its wrapper `x.rs`.
+/// Files of `src` that use each other in a circle, one finding per circle. A folder is judged by itself: its nodes are
+/// its files and its sub-folders, and the file that declares them (`mod.rs` or its namesake beside the folder). What a
+/// file re-exports (`pub use`) belongs to the file that it comes from. A native twin `x_cpu.rs` may use its wrapper
+/// `x.rs`.
 pub(crate) fn circles(files: &[Source]) -> Vec<String> {
     let modules = modules(files);
     let mut graphs: BTreeMap<Path, BTreeMap<Edge, String>> = BTreeMap::new();

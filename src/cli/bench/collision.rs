@@ -72,7 +72,8 @@ fn collision_table(bench: &SceneBench, size: Size, all: &[Runs]) -> FigureTable 
     table
 }
 
-/// Number of steps per number of rounds. The counts are the same for every number of workers; those of the first are shown.
+/// Number of steps per number of rounds. The counts are the same for every number of workers; those of the first are
+/// shown.
 fn zone_table(bench: &SceneBench, all: &[Runs]) -> FigureTable {
     let columns = vec!["rounds", "steps", "zones", "largest_zone", "impacts", "iterations", "fail_safes", "halvings"];
     let title = format!("Rounds of continuous detection and impact zones: {}", bench.scene.display());

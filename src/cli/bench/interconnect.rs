@@ -90,8 +90,8 @@ pub(super) fn run(bench: &InterconnectBench) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Rank r holds rows / n rows. A square sheet is cut into strips, so that neighboring ranks read sqrt(rows) rows of each
-/// other; a halo row is in three blocks of the reader.
+/// Rank r holds rows / n rows. A square sheet is cut into strips, so that neighboring ranks read sqrt(rows) rows of
+/// each other; a halo row is in three blocks of the reader.
 fn speedups(topology: &Topology, bench: &InterconnectBench, efficiency: f64) -> Result<Speedups, CliError> {
     let ranks = topology.gpus();
     let rows = f64::from(bench.rows);

@@ -1,7 +1,7 @@
 //! `loomtree bench matrix-free`: the same integrator with and without a stored matrix, P-Cloth's Fig. 18 [Li et al. 2020]. One
 //! rank on the cpu executor, block Jacobi both times, from the same state with its contacts. The product without a matrix is
-//! computed from the element records of the step (`solver::comparison`), which is less work than the paper's, where every
-//! product evaluates the elements anew.
+//! computed from the element records of the step (`solver::comparison`), which is less work than the paper's, where
+//! every product evaluates the elements anew.
 
 use std::path::PathBuf;
 

@@ -39,8 +39,8 @@ enum Bench {
     Step(runs::ScenesBench),
     /// Assembly of scenes' matrices on several numbers of worker processes: element records, index fill, value fill
     Assembly(runs::ScenesBench),
-    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine and modeled
-    /// on a topology file's
+    /// Strong and weak scaling of whole steps (weak: --resolution triangles per worker), measured on this machine and
+    /// modeled on a topology file's
     Scaling(scaling::ScalingBench),
     /// The same integrator with and without a stored matrix (cpu executor, one rank): product, memory, whole step
     MatrixFree(matrix_free::MatrixFreeBench),

@@ -16,8 +16,8 @@ use crate::interconnect::Topology;
 pub(super) struct ScalingBench {
     #[command(flatten)]
     scenes: ScenesBench,
-    /// Machine of the modeled columns, with schedule best [default: Titan Xp on a balanced tree of PCIe 3 x16 links]; more
-    /// workers than it has GPUs are not modeled
+    /// Machine of the modeled columns, with schedule best [default: Titan Xp on a balanced tree of PCIe 3 x16 links];
+    /// more workers than it has GPUs are not modeled
     #[arg(long, value_name = "FILE")]
     topology: Option<PathBuf>,
 }

@@ -1,7 +1,7 @@
 //! `loomtree bench spmv`: the matrix-vector product of the matrices of scenes in contact on 1 to 16 ranks, P-Cloth's Fig. 5
-//! [Li et al. 2020]: all-gather first [Cevahir et al. 2009], the pipelined product with every schedule, and halo rows. Modeled
-//! on the machine of a topology file from the bytes and flops of these very matrices, and measured with ranks that are threads
-//! of this machine; the two never share a table.
+//! [Li et al. 2020]: all-gather first [Cevahir et al. 2009], the pipelined product with every schedule, and halo rows.
+//! Modeled on the machine of a topology file from the bytes and flops of these very matrices, and measured with ranks
+//! that are threads of this machine; the two never share a table.
 
 use std::path::{Path, PathBuf};
 
@@ -279,7 +279,8 @@ impl SceneProducts<'_> {
         Ok(table)
     }
 
-    /// The way of exchanging behind each of the columns [`MEASURED`]; none where the number of ranks has no such schedule.
+    /// The way of exchanging behind each of the columns [`MEASURED`]; none where the number of ranks has no such
+    /// schedule.
     fn ways(&self, ranks: usize) -> Result<Vec<Option<Way>>, CliError> {
         let topology = Topology::default_for(ranks).map_err(CliError::bad_input)?;
         let order = direct(ranks).queues;

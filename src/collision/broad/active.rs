@@ -1,5 +1,5 @@
-//! Which patches take part in a query: those near touched vertices, those that culling cannot leave out, or all. Promises the
-//! same to every rank.
+//! Which patches take part in a query: those near touched vertices, those that culling cannot leave out, or all.
+//! Promises the same to every rank.
 
 use bytemuck::Zeroable;
 
@@ -28,8 +28,8 @@ impl ActivePatches {
         ActivePatches { patches: Patches::new(mesh), culling: None }
     }
 
-    /// Computes the boxes of patches and chooses the active ones. `large(box)` is true for a triangle that may not reside in
-    /// the finest grid. Moves 48 bytes per patch between ranks, and at most 4 for the result of culling.
+    /// Computes the boxes of patches and chooses the active ones. `large(box)` is true for a triangle that may not
+    /// reside in the finest grid. Moves 48 bytes per patch between ranks, and at most 4 for the result of culling.
     ///
     /// # Errors
     /// Another rank is not heard.

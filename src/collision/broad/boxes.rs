@@ -39,8 +39,9 @@ impl Aabb {
         (self.lo.cmple(other.hi) & other.lo.cmple(self.hi)).all()
     }
 
-    /// Widens the box by `pad` and for rounding. Every operation is monotone in its argument also after rounding; therefore
-    /// bounds whose gap is at most the radius meet, and the box of a triangle holds the boxes of its features.
+    /// Widens the box by `pad` and for rounding. Every operation is monotone in its argument also after rounding;
+    /// therefore bounds whose gap is at most the radius meet, and the box of a triangle holds the boxes of its
+    /// features.
     #[inline(always)]
     pub(super) fn inflated(self, pad: Vec3A) -> Aabb {
         let (lo, hi) = (self.lo - pad, self.hi + pad);

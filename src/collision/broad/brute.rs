@@ -1,5 +1,5 @@
-//! Oracle of the tests: every vertex against every face and every edge against every edge, in quadratic time. Shares only the
-//! boxes with the hashed search.
+//! Oracle of the tests: every vertex against every face and every edge against every edge, in quadratic time. Shares
+//! only the boxes with the hashed search.
 
 use super::boxes::Trajectories;
 use super::mesh::CollisionMesh;

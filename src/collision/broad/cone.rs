@@ -1,5 +1,5 @@
-//! Cones of normals [Volino and Magnenat-Thalmann 1994; Tang et al. 2009]: where the triangles of a patch face during a step.
-//! See `cull` for what that proves.
+//! Cones of normals [Volino and Magnenat-Thalmann 1994; Tang et al. 2009]: where the triangles of a patch face during a
+//! step. See `cull` for what that proves.
 
 use std::ops::Range;
 
@@ -12,8 +12,8 @@ use super::input::Input;
 const LEAST_COSINE: f32 = 0.15;
 /// Least area over squared longest edge, seen along the axis: keeps the rounding of normals below [`ROUNDING`].
 const LEAST_AREA: f32 = 1e-3;
-/// Exceeds the error of normals of such triangles in angle (radians) and relative length; their rounding is 16 units in the
-/// last place of the squared edge.
+/// Exceeds the error of normals of such triangles in angle (radians) and relative length; their rounding is 16 units in
+/// the last place of the squared edge.
 pub(super) const ROUNDING: f32 = 4e-3;
 
 /// A cone that holds all normals of a patch during the step.

@@ -94,7 +94,8 @@ impl Culling {
         culling
     }
 
-    /// Chooses unions greedily: on a grid of patches every other one in every other row, and more where that leaves gaps.
+    /// Chooses unions greedily: on a grid of patches every other one in every other row, and more where that leaves
+    /// gaps.
     fn choose(&self, count: usize) -> Vec<u32> {
         let mut chosen = vec![0u32; count];
         for patch in 0..count {
@@ -117,8 +118,8 @@ impl Culling {
         &self.contours[self.contour_firsts[patch] as usize..self.contour_firsts[patch + 1] as usize]
     }
 
-    /// True if features of the union around a patch that share no vertex stay farther apart than the query's radius for the
-    /// whole step.
+    /// True if features of the union around a patch that share no vertex stay farther apart than the query's radius for
+    /// the whole step.
     fn is_free(&self, input: &Input, patches: &Patches, patch: usize, contour: &mut Contour) -> bool {
         let vertices = self.contour(patch);
         if vertices.is_empty() {

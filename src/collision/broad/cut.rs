@@ -4,11 +4,12 @@ use std::ops::Range;
 
 use crate::mesh::middle;
 
-/// Most vertices whose triangles make a patch. In the locality order of vertices ([`crate::mesh::vertex_order`]) that many
-/// consecutive ones, from one of its own cuts to the next, are neighbors.
+/// Most vertices whose triangles make a patch. In the locality order of vertices ([`crate::mesh::vertex_order`]) that
+/// many consecutive ones, from one of its own cuts to the next, are neighbors.
 const VERTICES: usize = 32;
-/// Orders triangles, which are sorted by their smallest vertices, such that each patch is consecutive: the triangles of one
-/// piece whose smallest vertex is in one of the parts into which `vertices` are cut as in their order. Adds the end of each to `ends`.
+/// Orders triangles, which are sorted by their smallest vertices, such that each patch is consecutive: the triangles of
+/// one piece whose smallest vertex is in one of the parts into which `vertices` are cut as in their order. Adds the end
+/// of each to `ends`.
 pub(super) fn cut(
     triangles: &mut [[u32; 3]],
     pieces: &[u32],

@@ -80,8 +80,8 @@ impl BucketEntries {
         }
     }
 
-    /// Sorts the entries of every bucket into the order in which one thread writes them, so that the tests of a bucket have
-    /// the same numbers on every rank.
+    /// Sorts the entries of every bucket into the order in which one thread writes them, so that the tests of a bucket
+    /// have the same numbers on every rank.
     fn order(&mut self, cpu: &CpuExecutor, table: &HashTable, batch: &BucketBatch) {
         let slots = Slots(self.entries.as_mut_ptr(), self.entries.len());
         let slots = &slots;

@@ -1,6 +1,7 @@
 //! Cells and buckets. A hierarchy of uniform grids, each four times coarser than the one before: a triangle *resides* in
 //! the finest grid whose cells are at least as large as its box, so it covers at most 2 x 2 x 2 cells, and *visits* all
-//! coarser grids that have residents. A floor of two triangles therefore takes a few entries, not one per cell below it.
+//! coarser grids that have residents. A floor of two triangles therefore takes a few entries, not one per cell below
+//! it.
 //!
 //! Cells are hashed into buckets by blocks of 2 x 2 x 2: the block is hashed, the place in the block is kept. The (up to
 //! eight) cells of one triangle therefore never share a bucket, and a block is one cache line of counters.
@@ -186,8 +187,8 @@ impl Cells {
 /// Bit of a tag: pairs of this triangle are wanted whatever the other is.
 pub(super) const WANTED: u32 = 0x40;
 
-/// True if two boxes *that overlap* and met in a bucket met in the cell of the lower corner of their intersection, which
-/// is the one place where the pair is reported.
+/// True if two boxes *that overlap* and met in a bucket met in the cell of the lower corner of their intersection,
+/// which is the one place where the pair is reported.
 ///
 /// Per axis that cell is the higher of the two lowest cells, so one of the boxes must have its lowest cell here. That
 /// holds if both are here for the same cell. If they are here for two cells of one bucket, these are equal in the lowest

@@ -1,6 +1,6 @@
 //! Layers: the finest grid cut across its longest axis, one layer per block of cells, with buckets of its own. A range of
-//! buckets is therefore a slab of space, and a rank that works on it need not look at triangles elsewhere. Holds estimates of
-//! the number of triangles, not the triangles.
+//! buckets is therefore a slab of space, and a rank that works on it need not look at triangles elsewhere. Holds
+//! estimates of the number of triangles, not the triangles.
 
 use std::ops::Range;
 

@@ -62,8 +62,8 @@ pub struct CollisionMesh {
     pub vertices: usize,
     /// Vertices from this one on belong to obstacles.
     pub cloth_vertices: usize,
-    /// Triangles: cloth first, then obstacles, each patch by patch, a patch sorted by smallest vertex, so that neighbors in
-    /// the list are neighbors in memory. Corners in the order they were given.
+    /// Triangles: cloth first, then obstacles, each patch by patch, a patch sorted by smallest vertex, so that
+    /// neighbors in the list are neighbors in memory. Corners in the order they were given.
     pub triangles: Vec<[u32; 3]>,
     /// Number of cloth triangles; they come first.
     pub cloth_triangles: usize,
@@ -136,8 +136,8 @@ impl CollisionMesh {
         Ok(mesh)
     }
 
-    /// Gives every feature to the one of its triangles that owns the fewest so far (to the first of several), so that the
-    /// work per pair of triangles stays even.
+    /// Gives every feature to the one of its triangles that owns the fewest so far (to the first of several), so that
+    /// the work per pair of triangles stays even.
     fn assign_features(&mut self) {
         let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * self.triangles.len());
         for (t, &corners) in self.triangles.iter().enumerate() {

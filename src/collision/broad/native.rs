@@ -67,9 +67,9 @@ impl Broad {
         self.mesh.bytes() + self.active.mesh_bytes()
     }
 
-    /// Hands the candidates of this rank's share of the tests to `emit`, at most a few thousand at a time, in no promised
-    /// order. All ranks must pass the same mesh and the same positions, bit for bit; then all ranks together report
-    /// exactly [`super::brute_force`]'s pairs, each once.
+    /// Hands the candidates of this rank's share of the tests to `emit`, at most a few thousand at a time, in no
+    /// promised order. All ranks must pass the same mesh and the same positions, bit for bit; then all ranks together
+    /// report exactly [`super::brute_force`]'s pairs, each once.
     ///
     /// A memory limit fails only if the replicated counters and the fullest cell do not fit.
     ///
@@ -90,9 +90,9 @@ impl Broad {
         self.search(cpu, &search, &mut Split::alone(rank, ranks), &start, &mut |_| ())
     }
 
-    /// As [`Broad::candidates`], less what the search leaves out, with the work on candidates done by the threads that find
-    /// them: `start` makes a sink for a part of the tests, `finish` gets it back, one at a time. Which candidates a sink
-    /// gets, and how many sinks there are, depends on the number of threads.
+    /// As [`Broad::candidates`], less what the search leaves out, with the work on candidates done by the threads that
+    /// find them: `start` makes a sink for a part of the tests, `finish` gets it back, one at a time. Which candidates
+    /// a sink gets, and how many sinks there are, depends on the number of threads.
     ///
     /// # Errors
     /// As [`Broad::candidates`]; another rank that is not heard.
@@ -204,8 +204,8 @@ fn plan(
     }
     let room = memory_limit_bytes.map_or(u64::MAX / 4, |limit| limit.saturating_sub(fixed));
     let (most_entries, most_buckets) = BucketEntries::fit(room);
-    // An even share of the tests may need more entries than an even share of the entries, where cells are emptier. The bound
-    // makes memory shrink with the number of ranks.
+    // An even share of the tests may need more entries than an even share of the entries, where cells are emptier. The
+    // bound makes memory shrink with the number of ranks.
     let even = workload.entries.div_ceil(ranks as u64);
     let together = (even + even / 8).max(ENTRIES_TOGETHER) as usize;
     let batches = workload.batches(table, share, most_entries.min(together), most_buckets);

@@ -1,5 +1,5 @@
-//! Patches: a few dozen neighboring triangles each, which passes over triangles look at first. Which triangles make a patch
-//! depends on the mesh alone; `active` fills in their state in a query.
+//! Patches: a few dozen neighboring triangles each, which passes over triangles look at first. Which triangles make a
+//! patch depends on the mesh alone; `active` fills in their state in a query.
 
 use std::ops::Range;
 

@@ -27,8 +27,8 @@ pub struct Choice<'a> {
     pub touched: Option<&'a [bool]>,
     /// Distance beyond which pairs within one piece may be left out, meters. None stands for the query's radius.
     pub piece_radius_m: Option<f32>,
-    /// True if pairs within one piece that are proven farther apart than that distance on the whole way may be left out, by
-    /// self-collision culling. Not looked at in a search among touched vertices.
+    /// True if pairs within one piece that are proven farther apart than that distance on the whole way may be left
+    /// out, by self-collision culling. Not looked at in a search among touched vertices.
     pub cull: bool,
 }
 
@@ -61,8 +61,8 @@ pub struct Search<'a> {
     pub choice: Choice<'a>,
     /// What a device may drop besides. The native search ignores it.
     pub filter: Filter<'a>,
-    /// Bound of this rank's tables, bytes; None: no bound. What does not fit is searched in batches of cells, at the price of
-    /// one pass over all triangles each.
+    /// Bound of this rank's tables, bytes; None: no bound. What does not fit is searched in batches of cells, at the
+    /// price of one pass over all triangles each.
     pub memory_limit_bytes: Option<u64>,
 }
 
@@ -94,7 +94,8 @@ pub struct BroadStats {
     pub candidates: u64,
     /// Patches of triangles that took part, and those of the mesh, over all ranks.
     pub patches: [u64; 2],
-    /// Largest number of bytes held at once: patches, counters, sums, entries, buffers. Not the mesh, not the positions.
+    /// Largest number of bytes held at once: patches, counters, sums, entries, buffers. Not the mesh, not the
+    /// positions.
     pub bytes: u64,
     /// Passes of fill and test.
     pub batches: u64,

@@ -1,5 +1,5 @@
-//! How ranks share a query. Alone, a rank computes everything that its share of the tests needs. Together, each rank computes
-//! a part of it and sends that to the others. Both find the same pairs.
+//! How ranks share a query. Alone, a rank computes everything that its share of the tests needs. Together, each rank
+//! computes a part of it and sends that to the others. Both find the same pairs.
 
 use std::ops::Range;
 

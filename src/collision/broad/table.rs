@@ -89,8 +89,8 @@ impl Load {
 /// Buckets of the finest grid where wanted triangles reside.
 struct Marked {
     bits: Vec<u64>,
-    /// True if a wanted triangle resides in a coarser grid, where any triangle may visit it. If false, only wanted triangles
-    /// need to visit coarser grids.
+    /// True if a wanted triangle resides in a coarser grid, where any triangle may visit it. If false, only wanted
+    /// triangles need to visit coarser grids.
     coarse: bool,
 }
 

@@ -51,8 +51,8 @@ pub enum Filtered {
 
 /// First contact of a pair whose vertices move on straight lines from `x_t0` to `x_t1` while time goes from 0 to 1.
 ///
-/// Vertex order as in [`crate::collision::Candidate`]. Contact means a distance of at most `separation_m`; 0 asks for touching.
-/// NaN or infinite coordinates and a negative separation give a hit at 0.
+/// Vertex order as in [`crate::collision::Candidate`]. Contact means a distance of at most `separation_m`; 0 asks for
+/// touching. NaN or infinite coordinates and a negative separation give a hit at 0.
 pub fn ccd(kind: CandidateKind, x_t0: [Vec3; 4], x_t1: [Vec3; 4], separation_m: f32) -> Ccd {
     match ccd_filter(kind, x_t0, x_t1, separation_m) {
         Filtered::Apart(decided_by) => Ccd { toi: None, decided_by },

@@ -34,8 +34,8 @@ fn cross(a: &Lanes, b: &Lanes) -> Lanes {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Bit i is set if pair i may come within `separation_m[i]` while its vertices move from `x_t0` to `x_t1`; the others are
-/// proven apart. Vertices as in [`crate::collision::Candidate`]; coordinates must be finite.
+/// Bit i is set if pair i may come within `separation_m[i]` while its vertices move from `x_t0` to `x_t1`; the others
+/// are proven apart. Vertices as in [`crate::collision::Candidate`]; coordinates must be finite.
 #[inline]
 pub fn undecided(kind: CandidateKind, x_t0: &[Lanes; 4], x_t1: &[Lanes; 4], separation_m: Vec4) -> u32 {
     match kind {

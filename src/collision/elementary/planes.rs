@@ -19,7 +19,8 @@ use crate::math::Vec3;
 
 /// Advances below this many roundoffs of the step's length count as short.
 const SHORT_STEP: f32 = 512.0;
-/// This many short advances in a row are a contact: a true contact ends in them, because rounding leaves no better plane.
+/// This many short advances in a row are a contact: a true contact ends in them, because rounding leaves no better
+/// plane.
 const SHORT_STEPS: u32 = 2;
 
 /// The differences of a pair at both ends of the step.

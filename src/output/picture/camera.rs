@@ -33,8 +33,8 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    /// Right, down and depth of a point. Within the picture right and down are at most the depth, in meters, which is their
-    /// unit too.
+    /// Right, down and depth of a point. Within the picture right and down are at most the depth, in meters, which is
+    /// their unit too.
     pub(super) fn see(&self, point: Vec3) -> Vec3 {
         let p = point - self.eye;
         Vec3::new(p.dot(self.right) / self.half.x, -p.dot(self.up) / self.half.y, p.dot(self.forward))

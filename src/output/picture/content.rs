@@ -1,4 +1,5 @@
-//! The contents of a picture: cloth and obstacles of a frame as one set of triangles, with normals and colors per vertex.
+//! The contents of a picture: cloth and obstacles of a frame as one set of triangles, with normals and colors per
+//! vertex.
 
 use crate::gpu::SWATCHES;
 use crate::math::Vec3;

@@ -25,8 +25,8 @@ pub struct MatrixFree {
 }
 
 impl MatrixFree {
-    /// y = A x for all own rows. `x`: xyz of all local rows, the first of the own ones being `own_start` of `local_rows`; `y`:
-    /// xyz per own row.
+    /// y = A x for all own rows. `x`: xyz of all local rows, the first of the own ones being `own_start` of
+    /// `local_rows`; `y`: xyz per own row.
     pub fn apply(
         &mut self,
         executor: &Executor,

@@ -1,5 +1,5 @@
-//! [`Transport`] between processes: one publisher per rank whose messages all others can read in place, and one blackboard
-//! per rank.
+//! [`Transport`] between processes: one publisher per rank whose messages all others can read in place, and one
+//! blackboard per rank.
 //!
 //! A message lies once in the publisher's memory. Every other rank has it in its list, but only the readers that its
 //! pattern names receive it. Messages carry the number of their exchange. A reader discards older ones, and newer

@@ -1,4 +1,5 @@
-//! Devices for tests, and what a test does on a machine without one. The unit tests of the library include this file too.
+//! Devices for tests, and what a test does on a machine without one. The unit tests of the library include this file
+//! too.
 
 use loomtree::gpu::{Executor, adapters};
 
@@ -19,8 +20,8 @@ pub fn executor() -> Option<Executor> {
     }
 }
 
-/// As [`executor`], on a device that pretends to bind at most `bytes` bytes of an array, so that small arrays are split as
-/// large ones are.
+/// As [`executor`], on a device that pretends to bind at most `bytes` bytes of an array, so that small arrays are split
+/// as large ones are.
 pub fn executor_binding(bytes: u64) -> Option<Executor> {
     executor()?;
     match Executor::gpu_binding(None, 0, bytes) {

@@ -65,7 +65,8 @@ pub fn flag(triangles: u32, steps_per_frame: u32, frames: u32) -> String {
     )
 }
 
-/// Path of one of the package's programs. Cargo builds them for every test binary, into the folder above the binary's own.
+/// Path of one of the package's programs. Cargo builds them for every test binary, into the folder above the binary's
+/// own.
 pub fn program(name: &str) -> String {
     let own = std::env::current_exe().expect("the path of this test");
     let folder = own.parent().and_then(Path::parent).expect("target/PROFILE/deps/NAME");
@@ -126,7 +127,8 @@ impl Place {
     }
 
     fn command_of(&self, program: &str, words: &str) -> Command {
-        // A test that runs in the background of a shell inherits an ignored SIGINT; the programs of the tests must hear it.
+        // A test that runs in the background of a shell inherits an ignored SIGINT; the programs of the tests must hear
+        // it.
         let mut command = Command::new("env");
         command.args(["--default-signal=INT,TERM,HUP", program]);
         command.args(words.split_whitespace()).current_dir(self.folder.path()).stdin(Stdio::null());

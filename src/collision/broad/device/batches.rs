@@ -80,8 +80,8 @@ impl Room {
         let binds = |bytes: usize| executor.window_items(bytes).unwrap_or(u32::MAX as usize);
         let (item, candidate) = (size_of::<[u32; 2]>(), size_of::<Candidate>());
         let fullest = wanted.chunks.iter().map(|chunk| chunk.entries).max().unwrap_or(0);
-        // An even share of the tests may need more entries than an even share of the entries, where cells are emptier. The
-        // bound makes memory shrink with the number of ranks.
+        // An even share of the tests may need more entries than an even share of the entries, where cells are emptier.
+        // The bound makes memory shrink with the number of ranks.
         let together = (wanted.entries + wanted.entries / 8).max(ENTRIES_TOGETHER);
         let pairs = |per_triangle: usize| (per_triangle * wanted.triangles).max(ROOM_LEAST).min(binds(item));
         let candidates = |pairs: usize, part: usize| (pairs / part).max(ROOM_LEAST).min(binds(candidate));

@@ -1,5 +1,5 @@
-//! Counts the layers that a rank's share of the tests lies in. The ranks then split the tests evenly, as in a native search.
-//! Host code around the passes of `hash`.
+//! Counts the layers that a rank's share of the tests lies in. The ranks then split the tests evenly, as in a native
+//! search. Host code around the passes of `hash`.
 
 use std::ops::Range;
 use std::sync::Arc;

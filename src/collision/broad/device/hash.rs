@@ -52,8 +52,9 @@ gpu_struct! {
     }
 }
 
-/// Input of passes over triangles: positions of all vertices at both ends of the step, and corners, owned features and piece
-/// per triangle that takes part. Kernels number triangles by their places in that list, which is in the order of the mesh.
+/// Input of passes over triangles: positions of all vertices at both ends of the step, and corners, owned features and
+/// piece per triangle that takes part. Kernels number triangles by their places in that list, which is in the order of
+/// the mesh.
 pub(super) struct Shapes {
     pub x_t0: DeviceVec<f32>,
     /// None: nothing moves, the end is the start.

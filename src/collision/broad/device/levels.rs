@@ -1,4 +1,5 @@
-//! Nested grids as the shader has them: cells are numbered in the finest grid, and those of a coarser one are shifts of these.
+//! Nested grids as the shader has them: cells are numbered in the finest grid, and those of a coarser one are shifts of
+//! these.
 
 use glam::UVec3;
 

@@ -1,5 +1,5 @@
-//! The tests on the device: pairs of triangles whose boxes overlap, then candidates. The kernels count results even where the
-//! buffer is full, so that the host can repeat the pass with a larger buffer.
+//! The tests on the device: pairs of triangles whose boxes overlap, then candidates. The kernels count results even
+//! where the buffer is full, so that the host can repeat the pass with a larger buffer.
 //!
 //! The set of pairs does not depend on the device's timing; their order does.
 

@@ -1,5 +1,5 @@
-//! The search on a device, from positions to candidates: batches, tests in bounded buffers that grow, and the order of the
-//! buckets that ranks share.
+//! The search on a device, from positions to candidates: batches, tests in bounded buffers that grow, and the order of
+//! the buckets that ranks share.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -36,8 +36,8 @@ pub struct DeviceBroad {
 }
 
 impl DeviceBroad {
-    /// True if a mesh fits the bindings that every adapter offers. This adapter's own limits do not count, because all ranks
-    /// must have the same answer.
+    /// True if a mesh fits the bindings that every adapter offers. This adapter's own limits do not count, because all
+    /// ranks must have the same answer.
     pub fn fits(mesh: &CollisionMesh) -> bool {
         let binds = |items: usize, bytes: usize| items <= BINDING_BYTES / bytes;
         binds(mesh.triangles.len(), 32) && binds(mesh.vertices, 12) && mesh.vertices < 1 << PIECE_BITS
@@ -60,12 +60,12 @@ impl DeviceBroad {
         self.active.mesh_bytes() + self.counter.mesh_bytes() + self.reach_m.held_bytes()
     }
 
-    /// Hands the candidates of this rank's share of the tests to `emit`, in no promised order. All ranks must pass the same
-    /// mesh and search, on executors of one kind; then all ranks together report each candidate once, less what the search
-    /// leaves out. Its touched vertices are not looked at. `host` looks at patches.
+    /// Hands the candidates of this rank's share of the tests to `emit`, in no promised order. All ranks must pass the
+    /// same mesh and search, on executors of one kind; then all ranks together report each candidate once, less what
+    /// the search leaves out. Its touched vertices are not looked at. `host` looks at patches.
     ///
-    /// None if some cells have too many entries or tests for one dispatch: no rank has reported anything then, and all have
-    /// the same answer.
+    /// None if some cells have too many entries or tests for one dispatch: no rank has reported anything then, and all
+    /// have the same answer.
     ///
     /// # Errors
     /// As [`super::Broad::search`]; a fault of the device.

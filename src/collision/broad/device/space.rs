@@ -200,8 +200,8 @@ impl Space {
         })
     }
 
-    /// True if a cell of a coarser grid that holds some of the cells `fine` along the axis belongs to the layers `window`: to
-    /// the layer of its lowest cell.
+    /// True if a cell of a coarser grid that holds some of the cells `fine` along the axis belongs to the layers
+    /// `window`: to the layer of its lowest cell.
     fn has_cell(&self, level: usize, fine: Range<u32>, window: &Range<usize>) -> bool {
         let bits = 2 * level as u32;
         let from = if window.start == 0 { 0 } else { 2 * (self.layers.first() + window.start as u32) };
