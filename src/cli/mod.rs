@@ -20,6 +20,7 @@ pub mod worker;
 pub(crate) use crate::coordinator::options::count;
 use crate::os::console::{self, note};
 use crate::os::{limits, signals};
+use crate::transport::MachineError;
 
 /// A command that failed: message for stderr and exit code.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,6 +63,15 @@ fn printed(result: std::io::Result<()>) -> Result<(), CliError> {
 impl std::fmt::Display for CliError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&self.message)
+    }
+}
+
+impl From<MachineError> for CliError {
+    fn from(error: MachineError) -> CliError {
+        match error {
+            MachineError::TooSmall(text) => CliError::bad_input(text),
+            MachineError::Unreadable(text) => CliError::failed(text),
+        }
     }
 }
 

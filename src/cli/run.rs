@@ -8,7 +8,7 @@ use crate::coordinator::{GivenOptions, Launch, PlanError, RunError, RunOptions, 
 use crate::os::console::note;
 use crate::os::signals;
 use crate::output::{Existing, RunDirectory, RunManifest};
-use crate::transport::{RANKS_MAX, check_descriptors, remove_dead_runs};
+use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
 #[derive(Clone, Debug, clap::Args)]
@@ -37,7 +37,7 @@ pub struct RunArgs {
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     let Resolved { places, options, recorded_scene } = resolve(&args)?;
     // Checked before the plan is made, which can take a while. Too many workers are refused there.
-    check_descriptors(options.workers.min(RANKS_MAX)).map_err(CliError::bad_input)?;
+    launch.machine().prepare(options.workers.min(RANKS_MAX))?;
     let plan = match &recorded_scene {
         Some(text) => RunPlan::of_text(text, &places.scene, &options),
         None => RunPlan::new(&places.scene, &options),
@@ -55,7 +55,6 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     for line in &plan.scene.left_out {
         note(format_args!("left out: {line}"));
     }
-    remove_dead_runs();
     let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
     note(format_args!(
         "{}: {triangles} triangles, {vertices} vertices, {} workers, schedule {}",

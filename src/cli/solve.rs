@@ -17,7 +17,6 @@ use crate::protocol::{BindCores, ExecutorChoice};
 use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
 use crate::step::Failure;
-use crate::transport::{check_descriptors, remove_dead_runs};
 
 /// Arguments of `loomtree solve`.
 #[derive(Clone, Debug, clap::Args)]
@@ -99,8 +98,7 @@ pub fn run(args: SolveArgs) -> Result<(), CliError> {
     let trace = args.trace.as_deref().map(TraceFolder::new).transpose()?;
     let facts = facts(&args, &plan, trace);
     let session = args.session();
-    check_descriptors(args.workers).map_err(CliError::bad_input)?;
-    remove_dead_runs();
+    LAUNCH.machine().prepare(args.workers)?;
     let (results, executor) = solve(plan, &session, &LAUNCH).map_err(|error| match error {
         SessionError::Crew(CrewError::Failed { failure: Failure::BadInput(text), .. }) => CliError::bad_input(text),
         SessionError::Crew(CrewError::Failed { failure: Failure::Other(text), .. }) => {

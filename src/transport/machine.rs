@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::{SharedMemoryError, check_shared_memory, shared_memory_space};
+use super::{SharedMemoryError, check_descriptors, check_shared_memory, remove_dead_runs, shared_memory_space};
 use crate::interconnect::MAX_GPUS;
 
 /// Maximum number of ranks of a run: one per GPU of the largest topology.
@@ -34,6 +34,12 @@ pub trait Machine {
     fn threads_per_worker(&self, workers: usize) -> usize {
         (self.cores() / workers.max(1)).max(1)
     }
+    /// Prepares for `workers` workers: checks what each needs besides room for its transfers, and removes what dead runs
+    /// left. Cheap, so that a run is refused before its plan is made.
+    ///
+    /// # Errors
+    /// The machine has too little of it.
+    fn prepare(&self, workers: usize) -> Result<(), MachineError>;
     /// Checks that there is room for the transfers of `ranks` ranks whose longest message has `max_len` values.
     fn check_transfers(&self, ranks: usize, max_len: usize) -> Result<(), MachineError>;
 }
@@ -43,6 +49,12 @@ pub trait Machine {
 pub struct SharedMemoryMachine;
 
 impl Machine for SharedMemoryMachine {
+    fn prepare(&self, workers: usize) -> Result<(), MachineError> {
+        check_descriptors(workers).map_err(|error| MachineError::TooSmall(error.to_string()))?;
+        remove_dead_runs();
+        Ok(())
+    }
+
     fn check_transfers(&self, ranks: usize, max_len: usize) -> Result<(), MachineError> {
         let (_, free) = shared_memory_space().map_err(|error| MachineError::Unreadable(error.to_string()))?;
         check_shared_memory(ranks, max_len, free)
@@ -55,6 +67,10 @@ impl Machine for SharedMemoryMachine {
 pub struct OneProcess;
 
 impl Machine for OneProcess {
+    fn prepare(&self, _workers: usize) -> Result<(), MachineError> {
+        Ok(())
+    }
+
     fn check_transfers(&self, _ranks: usize, _max_len: usize) -> Result<(), MachineError> {
         Ok(())
     }
