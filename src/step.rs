@@ -9,6 +9,7 @@ mod error;
 mod inspect;
 mod own_state;
 mod products;
+mod span;
 mod stats;
 mod system;
 
@@ -22,26 +23,45 @@ use crate::integrator::pins::{PinTargets, Pins};
 use crate::math::DIM;
 use crate::model::{RankModel, RankState};
 use crate::scene::{Motion, Settings};
-use crate::solver::{LinearSolver, PcgParams, Schwarz, TrafficCounter};
+use crate::solver::{LinearSolver, PcgError, PcgParams, Schwarz, TrafficCounter};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
-use collisions::{Collisions, Resolved, Span};
+use collisions::{Collisions, Resolved};
 use elements::Elements;
 pub use error::{Failure, Imposed, SetupError};
 use own_state::StateVectors;
+use span::Span;
 pub use stats::{QueryStats, StageSeconds, StepStats};
 use stats::{StageClock, peak_resident_bytes};
 pub use system::ExchangePlan;
 use system::{Assembled, ColumnOrder, StepMatrix, System};
 
-/// Maximum number of halvings of a step whose end cannot be freed of penetrations.
+/// Maximum number of halvings of a step that cannot be solved, or whose end cannot be freed of penetrations.
 const HALVINGS_MAX: u32 = 4;
 /// Maximum number of halvings of a step whose impacts take many rounds. Shorter steps let contact forces act before
 /// impact zones are needed.
 const HALVINGS_FOR_SPEED: u32 = 2;
 /// Rounds of impact zones after which a step is halved.
 const ROUNDS_MOST: u32 = 5;
+
+/// How an attempt to advance over a span ended. It is the same on every rank.
+enum Attempt {
+    /// The state is that of the end of the span.
+    Done,
+    /// The span is taken again, in two halves, from the state at its start.
+    Again(Again),
+}
+
+/// Why a span is taken again. After [`HALVINGS_MAX`] halvings the reason becomes the failure of the run.
+enum Again {
+    /// Impacts took more rounds than allowed.
+    Slow,
+    /// The end of the span is not free of penetrations.
+    Squeezed(Vec<Imposed>),
+    /// The linear system could not be solved. Neither positions nor velocities have been changed.
+    Unsolved(Failure),
+}
 
 /// One rank's simulation.
 pub struct Simulation {
@@ -153,7 +173,9 @@ impl RankCloth {
         Ok((cloth, padding_ratio))
     }
 
-    /// Advances over `span`, in two halves if its end cannot be freed of penetrations in one.
+    /// Advances over `span`; if one attempt does not get there, from its start in two halves, and so on down to
+    /// 2^[`HALVINGS_MAX`] parts. Any stage of [`RankCloth::solve_over`] may ask for shorter steps by returning
+    /// [`Attempt::Again`], on all ranks alike.
     fn advance_over(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -161,17 +183,23 @@ impl RankCloth {
         halvings: u32,
         stats: &mut StepStats,
     ) -> Result<(), Failure> {
-        let before = self.collisions.is_some().then(|| (self.state.recorded(rank), self.pins.clone()));
+        let state = self.collisions.is_some().then(|| self.state.recorded(rank));
+        let pins = self.pins.clone();
         let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
-        let imposed = match self.solve_over(rank, span, rounds_most, stats)? {
-            Resolved::Free(_) => return Ok(()),
-            Resolved::Slow => Vec::new(),
-            Resolved::Squeezed(imposed) => imposed,
+        let again = match self.solve_over(rank, span, rounds_most, stats)? {
+            Attempt::Done => return Ok(()),
+            Attempt::Again(again) => again,
         };
-        let (Some((state, pins)), true) = (before, halvings < HALVINGS_MAX) else {
-            return Err(Failure::Squeezed { step: stats.step, imposed });
-        };
-        self.state.set(rank.executor, state);
+        if halvings == HALVINGS_MAX {
+            return Err(match again {
+                Again::Slow => Failure::Squeezed { step: stats.step, imposed: Vec::new() },
+                Again::Squeezed(imposed) => Failure::Squeezed { step: stats.step, imposed },
+                Again::Unsolved(failure) => failure,
+            });
+        }
+        if let (Some(state), Again::Slow | Again::Squeezed(_)) = (state, &again) {
+            self.state.set(rank.executor, state);
+        }
         self.pins = pins;
         stats.zones.halvings += 1;
         for half in span.halves() {
@@ -187,7 +215,7 @@ impl RankCloth {
         span: Span,
         rounds_most: u32,
         stats: &mut StepStats,
-    ) -> Result<Resolved, Failure> {
+    ) -> Result<Attempt, Failure> {
         let clock = StageClock::start();
 
         // 1. Pins and obstacles at t1.
@@ -212,7 +240,9 @@ impl RankCloth {
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.state.prescribe(rank.executor, &targets, &mut self.solver.vectors.x);
-        self.solve(rank, prescribed, stats)?;
+        if let Some(failure) = self.solve(rank, prescribed, stats)? {
+            return Ok(Attempt::Again(Again::Unsolved(failure)));
+        }
         clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
 
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
@@ -288,19 +318,32 @@ impl RankCloth {
         self.matrix.fill(rank, &params, &self.elements, &mut self.system);
     }
 
-    fn solve(&mut self, rank: &mut RankContext<'_>, prescribed: bool, stats: &mut StepStats) -> Result<(), Failure> {
+    /// Solves the linear system. The value is the cause if the matrix is not positive definite, which shorter steps
+    /// can mend: mass outweighs stiffness there.
+    fn solve(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        prescribed: bool,
+        stats: &mut StepStats,
+    ) -> Result<Option<Failure>, Failure> {
         let params = PcgParams {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,
             nonzero_start: prescribed,
         };
         let solved = self.matrix.solve(rank, &self.elements, &self.system, &mut self.solver, &params);
-        let info = solved.map_err(|error| self.explain(rank.executor, stats.step, error))?;
+        let info = match solved {
+            Ok(info) => info,
+            Err(error @ PcgError::NotPositiveDefinite { .. }) => {
+                return Ok(Some(self.explain(rank.executor, stats.step, error)));
+            }
+            Err(error) => return Err(self.explain(rank.executor, stats.step, error)),
+        };
         stats.iterations += info.iterations;
         stats.products += info.products;
         stats.converged &= info.converged;
         stats.residual = stats.residual.max(info.relative_residual);
-        Ok(())
+        Ok(None)
     }
 
     /// Frees the state at t1 of penetrations. Moved vertices get the velocity of their motion over the step.
@@ -310,8 +353,8 @@ impl RankCloth {
         span: Span,
         rounds_most: u32,
         stats: &mut StepStats,
-    ) -> Result<Resolved, Failure> {
-        let Some(collisions) = &mut self.collisions else { return Ok(Resolved::Free(Vec::new())) };
+    ) -> Result<Attempt, Failure> {
+        let Some(collisions) = &mut self.collisions else { return Ok(Attempt::Done) };
         let own = self.state.recorded(rank);
         if let Some(at) = own.positions.iter().position(|x| !x.is_finite()) {
             return Err(Failure::NotFinite {
@@ -322,12 +365,14 @@ impl RankCloth {
                 suspect: "simulation.step_s or a velocity".into(),
             });
         }
-        let resolved = collisions.resolve(rank, &own.positions, rounds_most, stats)?;
-        if let Resolved::Free(moved) = &resolved
-            && !moved.is_empty()
-        {
+        let moved = match collisions.resolve(rank, &own.positions, rounds_most, stats)? {
+            Resolved::Free(moved) => moved,
+            Resolved::Slow => return Ok(Attempt::Again(Again::Slow)),
+            Resolved::Squeezed(imposed) => return Ok(Attempt::Again(Again::Squeezed(imposed))),
+        };
+        if !moved.is_empty() {
             let (mut positions, mut velocities) = (own.positions.clone(), own.velocities.clone());
-            for &(row, x) in moved {
+            for (row, x) in moved {
                 let at = row as usize * 3;
                 for axis in 0..3 {
                     velocities[at + axis] += (x[axis] - positions[at + axis]) / span.length_s as f32;
@@ -336,7 +381,7 @@ impl RankCloth {
             }
             self.state.set(rank.executor, Rc::new(RankState { positions, velocities }));
         }
-        Ok(resolved)
+        Ok(Attempt::Done)
     }
 }
 

@@ -232,7 +232,8 @@ mod avx2 {
                     let block = values.as_ptr().add(k * 9);
                     for (row, sum) in sums.iter_mut().enumerate() {
                         // The fourth value is multiplied by zero.
-                        let values = _mm256_broadcast_ps(&*block.add(row * 3).cast());
+                        let values = _mm_loadu_ps(block.add(row * 3));
+                        let values = _mm256_set_m128(values, values);
                         *sum = _mm256_add_ps(*sum, _mm256_mul_ps(values, known));
                     }
                 }

@@ -1,7 +1,7 @@
 //! Elastic elements of a rank and their records of a step. Matrix and right-hand side read the records only.
 
-use super::collisions::Span;
 use super::own_state::StateVectors;
+use super::span::Span;
 use crate::forces::bend::Bend;
 use crate::forces::stretch::Stretch;
 use crate::forces::{

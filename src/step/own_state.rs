@@ -6,7 +6,7 @@ use std::cell::RefCell;
 use std::ops::Range;
 use std::rc::Rc;
 
-use super::collisions::Span;
+use super::span::Span;
 use crate::context::RankContext;
 use crate::gpu::{DeviceVec, Executor, ReadBatch};
 use crate::integrator::advance::Advance;

@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::time::Instant;
 
-use super::collisions::Span;
+use super::span::Span;
 use super::stats::StepStats;
 use super::{Failure, RankCloth, Simulation};
 use crate::context::RankContext;
