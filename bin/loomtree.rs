@@ -28,6 +28,8 @@ enum Command {
     Check(cli::check::CheckArgs),
     /// Solve a symmetric positive definite system on N workers
     Solve(cli::solve::SolveArgs),
+    /// Compare two runs of one mesh frame by frame
+    Compare(cli::compare::CompareArgs),
     /// Draw the frames of a run as PNG
     Render(cli::render::RenderArgs),
     /// Show adapters, cores, shared memory and what dead runs have left
@@ -53,6 +55,7 @@ fn main() -> ExitCode {
         Command::Topology(args) => cli::topology::run(args),
         Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
         Command::Solve(args) => cli::solve::run(args),
+        Command::Compare(args) => cli::compare::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),

@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod check;
+pub mod compare;
 pub mod ccd;
 mod ccd_csv;
 mod ccd_frames;

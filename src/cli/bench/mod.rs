@@ -13,6 +13,7 @@ mod scaling;
 mod spmv;
 mod step;
 mod table;
+mod time;
 
 use clap::Subcommand;
 
@@ -48,6 +49,8 @@ enum Bench {
     Memory(runs::ScenesBench),
     /// Modeled, not measured: products on the machines of topology files, every exchange and schedule
     Interconnect(interconnect::InterconnectBench),
+    /// Modeled from measured steps: a shot split in time over 2 to 512 processes, played on a virtual clock
+    Time(time::TimeBench),
 }
 
 /// Runs a benchmark and prints its tables.
@@ -65,6 +68,7 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
         Bench::MatrixFree(bench) => matrix_free::run(&bench),
         Bench::Memory(bench) => bench.each()?.iter().try_for_each(step::memory),
         Bench::Interconnect(bench) => interconnect::run(&bench),
+        Bench::Time(bench) => time::run(&bench),
     }
 }
 

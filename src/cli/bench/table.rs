@@ -39,6 +39,16 @@ impl FigureTable {
         FigureTable { y_label, ..self }
     }
 
+    /// The table under another name of its files.
+    pub(super) fn named(self, name: impl Into<String>) -> FigureTable {
+        FigureTable { name: name.into(), ..self }
+    }
+
+    /// Head of the first column.
+    pub(super) fn first_column(&self) -> &'static str {
+        self.columns.first().copied().unwrap_or("")
+    }
+
     /// Adds a row, one number per column.
     pub(super) fn push(&mut self, row: Vec<f64>) {
         assert_eq!(row.len(), self.columns.len());

@@ -1,0 +1,430 @@
+//! `loomtree bench time`: what splitting a shot in time would gain [Liang and Lin 2018], played on a virtual clock with
+//! the seconds of every step of a fine and a coarse run, which were measured. The played times are modeled: the
+//! processes of the model do not share a machine.
+
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use serde_json::json;
+
+use super::common::{machine, positive};
+use super::table::FigureTable;
+use crate::cli::{CliError, count, print};
+use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
+use crate::interconnect::Topology;
+use crate::output::{Existing, Report, RunDirectory};
+use crate::time_parallel::partition::{speedup_balanced, speedup_with_extra_steps};
+use crate::time_parallel::{Costs, Method, Partition, Played};
+
+/// Arguments of `loomtree bench time`.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct TimeBench {
+    /// Run directory of the shot on its fine mesh [default: a run of --scene]
+    #[arg(long, value_name = "RUN", requires = "coarse")]
+    fine: Option<PathBuf>,
+    /// Run directory of the same shot on a coarse mesh; its steps may be longer by a whole number
+    #[arg(long, value_name = "RUN", requires = "fine")]
+    coarse: Option<PathBuf>,
+    /// Run directory of the same shot on a still coarser mesh: a third level, by which the coarse run is split in time
+    #[arg(long, value_name = "RUN", requires = "coarse")]
+    coarsest: Option<PathBuf>,
+    /// Scene that is run where no runs are given
+    #[arg(long, value_name = "FILE", default_value = "scenes/sphere.toml")]
+    scene: PathBuf,
+    /// Triangles of the fine mesh of --scene
+    #[arg(long, value_name = "N", default_value_t = 32_768, value_parser = count)]
+    resolution: u64,
+    /// Fine edge lengths in a coarse one, of the meshes of --scene
+    #[arg(long, value_name = "RATIO", default_value_t = 4, value_parser = clap::value_parser!(u64).range(2..=16))]
+    coarse_ratio: u64,
+    /// Fine steps in a coarse step, of the runs of --scene
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=64))]
+    step_ratio: u32,
+    /// Fine steps that the runs of --scene make
+    #[arg(long, value_name = "N", default_value_t = 240, value_parser = clap::value_parser!(u32).range(8..))]
+    measured_steps: u32,
+    /// Fine steps of the shot that is played; the recorded costs are repeated to its end
+    #[arg(long, value_name = "N", default_value_t = 10_000,
+        value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
+    steps: u32,
+    /// Numbers of processes
+    #[arg(long, value_delimiter = ',', default_value = "2,4,8,16,32,64,128,256,512", value_parser = processes)]
+    processes: Vec<usize>,
+    /// Rule for the cuts
+    #[arg(long, value_enum, default_value = "profile")]
+    partition: Rule,
+    /// Steps that recover detail at the start of every segment
+    #[arg(long, value_name = "R", default_value_t = 5)]
+    recovery_steps: u32,
+    /// Steps at the start of every segment that are made again from the end of the one before
+    #[arg(long, value_name = "B", default_value_t = 5)]
+    handover_steps: u32,
+    /// Machine whose links move the states [default: a balanced tree of PCIe 3 x16 links]
+    #[arg(long, value_name = "FILE")]
+    topology: Option<PathBuf>,
+    /// Let a figure vary in place of the number of processes, for the largest number of them
+    #[arg(long, value_enum)]
+    sweep: Option<Sweep>,
+    /// Also play constant costs with the ratio K of the paper, in a table of its own
+    #[arg(long, value_name = "K", num_args = 0..=1, default_missing_value = "368", value_parser = positive)]
+    paper: Option<f64>,
+    /// Print JSON in place of the table
+    #[arg(long)]
+    json: bool,
+    /// Also write the table as JSON and SVG into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+/// Rules for cuts, by their names on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Rule {
+    /// Equal lengths (Eq. 3)
+    Uniform,
+    /// Eq. 5 with the mean ratio
+    Static,
+    /// Algorithm 1 with the seconds of the steps
+    Clock,
+    /// All segments end together if fine steps cost what the finished coarse run says
+    Profile,
+    /// All segments end together, from fine costs that nobody knows beforehand: the bound
+    Known,
+}
+
+impl Rule {
+    fn partition(self) -> Partition {
+        match self {
+            Rule::Uniform => Partition::Uniform,
+            Rule::Static => Partition::Static,
+            Rule::Clock => Partition::Adaptive,
+            Rule::Profile => Partition::Profile,
+            Rule::Known => Partition::Known,
+        }
+    }
+}
+
+/// What varies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Sweep {
+    /// Length of the shot: 1/8 to 8 times --steps
+    Seconds,
+    /// Length of a coarse step: 1/2 to 8 times the recorded one, if its cost did not change with it
+    StepRatio,
+    /// The rules for the cuts
+    Partition,
+}
+
+fn processes(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(n) if (1..=4096).contains(&n) => Ok(n),
+        _ => Err("expected numbers of processes from 1 to 4096, separated by commas".to_string()),
+    }
+}
+
+/// The recorded steps of a level.
+struct Level {
+    report: Report,
+    place: String,
+}
+
+impl Level {
+    fn read(run: &Path) -> Result<Level, CliError> {
+        let directory = RunDirectory::open(run).map_err(CliError::bad_input)?;
+        let report = Report::load(&directory.report()).map_err(CliError::bad_input)?;
+        let level = Level { report, place: run.display().to_string() };
+        if level.report.steps.is_empty() || level.report.steps.iter().any(|step| !(step.stage_seconds.total > 0.0)) {
+            return Err(CliError::bad_input(format!("{}/report.json holds no steps with times", level.place)));
+        }
+        Ok(level)
+    }
+
+    /// Seconds of every step.
+    fn seconds(&self) -> impl Iterator<Item = f64> {
+        self.report.steps.iter().map(|step| step.stage_seconds.total)
+    }
+
+    /// Fine steps in a step of this level.
+    fn stride(&self, fine: &Level) -> Result<usize, CliError> {
+        let (ours, theirs) = (self.report.header.step_s, fine.report.header.step_s);
+        let ratio = ours / theirs;
+        if !(ratio >= 0.999 && (ratio - ratio.round()).abs() < 1e-6 * ratio) {
+            let text =
+                format!("{}: a step of {ours} s is no whole multiple of the {theirs} s of {}", self.place, fine.place);
+            return Err(CliError::bad_input(text));
+        }
+        let (have, need) = (self.report.steps.len() * ratio.round() as usize, fine.report.steps.len());
+        if have != need {
+            let text = format!("{} ends after {have} fine steps and {} after {need}", self.place, fine.place);
+            return Err(CliError::bad_input(text));
+        }
+        Ok(ratio.round() as usize)
+    }
+
+    fn state_bytes(&self) -> f64 {
+        24.0 * self.report.header.vertices as f64
+    }
+}
+
+/// Costs as recorded, and the seconds for moving a coarse and a fine state.
+struct Recorded {
+    costs: Costs,
+    coarse_state_s: f64,
+    fine_state_s: f64,
+    title: String,
+}
+
+impl Recorded {
+    fn of(levels: &[Level], machine: &Topology) -> Result<Recorded, CliError> {
+        let (fine, coarser) = levels.split_first().expect("a fine run");
+        let mut costs = Costs { fine: fine.seconds().collect(), ..Costs::default() };
+        for level in coarser {
+            let stride = level.stride(fine)?;
+            costs.stride = costs.stride.max(stride as u64);
+            let spread = level.seconds().flat_map(|seconds| vec![seconds / stride as f64; stride]);
+            costs.coarse.push(spread.collect());
+        }
+        let sizes: Vec<String> = levels.iter().map(|level| level.report.header.triangles.to_string()).collect();
+        let title = format!(
+            "{}: {} triangles, {} recorded steps on {}",
+            fine.report.header.scene,
+            sizes.join(" / "),
+            costs.fine.len(),
+            fine.report.header.machine.cpu,
+        );
+        let [fine_state_s, coarse_state_s] =
+            [fine.state_bytes(), coarser[0].state_bytes()].map(|bytes| farthest_s(machine, bytes));
+        Ok(Recorded { costs, coarse_state_s, fine_state_s, title })
+    }
+
+    /// The costs repeated to `steps` fine steps; a coarse step is as long as `stretch` recorded ones, at the cost of
+    /// one.
+    fn shot(&self, steps: u64, stretch: f64) -> Costs {
+        let repeated = |costs: &[f64], scale: f64| -> Vec<f64> {
+            costs.iter().cycle().take(steps as usize).map(|cost| cost * scale).collect()
+        };
+        Costs {
+            fine: repeated(&self.costs.fine, 1.0),
+            coarse: self.costs.coarse.iter().map(|costs| repeated(costs, 1.0 / stretch)).collect(),
+            stride: ((self.costs.stride as f64 * stretch) as u64).max(1),
+        }
+    }
+}
+
+/// Seconds for the way between the two ranks of `machine` that are farthest apart.
+fn farthest_s(machine: &Topology, bytes: f64) -> f64 {
+    let ranks = machine.gpus();
+    let way = |from: usize, to: usize| -> f64 {
+        let links = machine.path(from, to).iter().map(|hop| &machine.links()[hop.link]);
+        let (latency_us, narrowest) = links.fold((0.0, f64::INFINITY), |(latency, narrowest), link| {
+            (latency + link.latency_us, f64::min(narrowest, link.bandwidth_gb_s))
+        });
+        latency_us * 1e-6 + bytes / (narrowest * 1e9)
+    };
+    (0..ranks)
+        .flat_map(|from| (0..ranks).map(move |to| (from, to)))
+        .fold(0.0, |most, (from, to)| if from == to { most } else { f64::max(most, way(from, to)) })
+}
+
+pub(super) fn run(bench: &TimeBench) -> Result<(), CliError> {
+    let machine = machine(bench.topology.as_deref(), 8)?;
+    let levels = match (&bench.fine, &bench.coarse) {
+        (Some(fine), Some(coarse)) => {
+            let runs = [Some(fine), Some(coarse), bench.coarsest.as_ref()];
+            runs.into_iter().flatten().map(|run| Level::read(run)).collect::<Result<Vec<_>, _>>()?
+        }
+        _ => measure(bench)?,
+    };
+    let recorded = Recorded::of(&levels, &machine)?;
+    if bench.json {
+        return print_json(bench, &recorded);
+    }
+    let table = match bench.sweep {
+        None => by_processes(bench, &recorded),
+        Some(sweep) => swept(bench, &recorded, sweep),
+    };
+    table.finish_curves(bench.out.as_deref(), Some((table.first_column(), &CURVES)))?;
+    if let Some(ratio) = bench.paper {
+        let steps = u64::from(bench.steps);
+        let constant = Recorded {
+            costs: Costs { fine: vec![1.0], coarse: vec![vec![1.0 / ratio]], stride: 1 },
+            coarse_state_s: 0.0,
+            fine_state_s: 0.0,
+            title: format!("constant costs with the paper's K = {ratio}, states move in no time, {steps} steps"),
+        };
+        let table = by_processes(bench, &constant).named("time_paper");
+        table.finish_curves(bench.out.as_deref(), Some(("processes", &CURVES)))?;
+    }
+    Ok(())
+}
+
+/// Columns that the picture shows as curves.
+const CURVES: [&str; 3] = ["speedup", "eq6", "eq16"];
+const COLUMNS: [&str; 10] = [
+    "processes",
+    "segments",
+    "workers",
+    "levels",
+    "speedup",
+    "eq6",
+    "eq16",
+    "idle_share",
+    "recovery_steps",
+    "handover_steps",
+];
+
+impl TimeBench {
+    fn method(&self, recorded: &Recorded, rule: Rule) -> Method {
+        Method {
+            partition: rule.partition(),
+            recovery_steps: u64::from(self.recovery_steps),
+            handover_steps: u64::from(self.handover_steps),
+            coarse_state_s: recorded.coarse_state_s,
+            fine_state_s: recorded.fine_state_s,
+            coarse_to_end: true,
+        }
+    }
+
+    /// The figures of [`COLUMNS`] for a shot.
+    fn row(&self, costs: &Costs, processes: usize, method: &Method) -> (Played, Vec<f64>) {
+        let played = costs.play(processes, method);
+        let balanced = speedup_balanced(costs.ratio(), processes);
+        let extra = method.recovery_steps + method.handover_steps;
+        let eq16 = speedup_with_extra_steps(costs.fine.len() as u64, extra, balanced);
+        let row = vec![
+            processes as f64,
+            played.starts.len() as f64,
+            1.0,
+            1.0 + costs.coarse.len() as f64,
+            played.speedup,
+            balanced,
+            eq16,
+            played.idle_share,
+            method.recovery_steps as f64,
+            method.handover_steps as f64,
+        ];
+        (played, row)
+    }
+}
+
+fn by_processes(bench: &TimeBench, recorded: &Recorded) -> FigureTable {
+    let costs = recorded.shot(u64::from(bench.steps), 1.0);
+    let method = bench.method(recorded, bench.partition);
+    let mut table = FigureTable::modeled("time", title(bench, recorded, &costs), COLUMNS.to_vec());
+    for &processes in &bench.processes {
+        for levels in 1..=costs.coarse.len() {
+            let costs = Costs { coarse: costs.coarse[..levels].to_vec(), ..costs.clone() };
+            table.push(bench.row(&costs, processes, &method).1);
+        }
+    }
+    table
+}
+
+fn title(bench: &TimeBench, recorded: &Recorded, costs: &Costs) -> String {
+    format!(
+        "modelled, not measured: a shot of {} steps split in time, from measured steps of {}; K = {:.1}, cuts: {:?}",
+        costs.fine.len(),
+        recorded.title,
+        costs.ratio(),
+        bench.partition,
+    )
+}
+
+fn swept(bench: &TimeBench, recorded: &Recorded, sweep: Sweep) -> FigureTable {
+    let processes = bench.processes.iter().copied().max().unwrap_or(2);
+    let steps = u64::from(bench.steps);
+    let costs = recorded.shot(steps, 1.0);
+    let (head, name) = match sweep {
+        Sweep::Seconds => ("steps", "time_seconds"),
+        Sweep::StepRatio => ("step_ratio", "time_step_ratio"),
+        Sweep::Partition => ("rule", "time_partition"),
+    };
+    let columns = [&[head][..], &COLUMNS].concat();
+    let rules = Rule::value_variants();
+    let note = if sweep == Sweep::Partition {
+        let names = rules.iter().enumerate().map(|(i, rule)| format!("{i} = {rule:?}").to_lowercase());
+        format!("; rules: {}", names.collect::<Vec<_>>().join(", "))
+    } else {
+        String::new()
+    };
+    let mut table = FigureTable::modeled(name, title(bench, recorded, &costs) + &note, columns);
+    let mut push = |value: f64, costs: &Costs, rule: Rule| {
+        let (_, row) = bench.row(costs, processes, &bench.method(recorded, rule));
+        table.push([vec![value], row].concat());
+    };
+    match sweep {
+        Sweep::Seconds => {
+            for power in -3..=3 {
+                let steps = ((steps as f64 * 2f64.powi(power)).round() as u64).max(2);
+                push(steps as f64, &recorded.shot(steps, 1.0), bench.partition);
+            }
+        }
+        Sweep::StepRatio => {
+            for power in -1..=3 {
+                let stretch = 2f64.powi(power);
+                push(recorded.costs.stride as f64 * stretch, &recorded.shot(steps, stretch), bench.partition);
+            }
+        }
+        Sweep::Partition => rules.iter().enumerate().for_each(|(i, &rule)| push(i as f64, &costs, rule)),
+    }
+    table
+}
+
+fn print_json(bench: &TimeBench, recorded: &Recorded) -> Result<(), CliError> {
+    let costs = recorded.shot(u64::from(bench.steps), 1.0);
+    let method = bench.method(recorded, bench.partition);
+    let mut rows = Vec::new();
+    for &processes in &bench.processes {
+        for levels in 1..=costs.coarse.len() {
+            let costs = Costs { coarse: costs.coarse[..levels].to_vec(), ..costs.clone() };
+            let (played, row) = bench.row(&costs, processes, &method);
+            let named = COLUMNS.iter().zip(row).map(|(name, value)| {
+                let whole = !matches!(*name, "speedup" | "eq6" | "eq16" | "idle_share");
+                (name.to_string(), if whole { json!(value as u64) } else { json!(value) })
+            });
+            let mut named: serde_json::Map<_, _> = named.collect();
+            named.insert("coarse_processes".to_string(), json!(played.coarse_processes));
+            rows.push(serde_json::Value::Object(named));
+        }
+    }
+    let document = json!({
+        "kind": "modelled", "title": title(bench, recorded, &costs), "steps": costs.fine.len(), "k": costs.ratio(),
+        "rows": rows,
+    });
+    let text = serde_json::to_string_pretty(&document).map_err(CliError::failed)?;
+    print(&(text + "\n"))
+}
+
+/// Runs the scene on its levels, one after the other, with one worker of one thread.
+fn measure(bench: &TimeBench) -> Result<Vec<Level>, CliError> {
+    let folder =
+        tempfile::tempdir().map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
+    let area = bench.coarse_ratio * bench.coarse_ratio;
+    let coarse = (bench.resolution / area).max(32);
+    [(bench.resolution, 1), (coarse, bench.step_ratio)]
+        .into_iter()
+        .map(|(triangles, stretch)| {
+            let options = RunOptions {
+                resolution: Some(triangles),
+                threads: Some(1),
+                frames: Some(1),
+                checkpoint_every: 0,
+                heartbeat_s: 600.0,
+                ..RunOptions::default()
+            };
+            let mut plan = RunPlan::new(&bench.scene, &options).map_err(CliError::bad_input)?;
+            plan.scene.settings.step_s *= f64::from(stretch);
+            // One frame at the end, so that writing frames is not measured.
+            plan.scene.settings.steps_per_frame =
+                (bench.measured_steps / bench.step_ratio * bench.step_ratio) / stretch;
+            let places = RunPlaces {
+                scene: bench.scene.clone(),
+                out: folder.path().join(triangles.to_string()),
+                existing: Existing::Refuse,
+            };
+            crate::coordinator::run(plan, &options, &places, &Launch::Spawn)
+                .map_err(|error| CliError::failed(error.to_string()))?;
+            let level = Level::read(&places.out)?;
+            Ok(Level { place: format!("{} ({triangles} triangles)", bench.scene.display()), ..level })
+        })
+        .collect()
+}
