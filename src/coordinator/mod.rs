@@ -7,8 +7,8 @@
 //! With `loomtree run` the coordinator is part of that process and only the workers are children;
 //! `loomtree-coordinator` runs the same code by itself. A third process would add no protection: workers watch the
 //! coordinator's process, leave when it ends, and the last worker removes the files of the run from the machine.
-//! Two cases are not covered. A coordinator that is killed before it has started a worker leaves a few files, which the
-//! next run removes. A worker that hangs during setup is detected only after five minutes.
+//! One case is not covered: a coordinator that is killed before it has started a worker leaves a few files, which the
+//! next run removes.
 
 pub mod crew;
 pub mod options;
@@ -31,6 +31,7 @@ pub use session::{Session, SessionError, SessionPlace};
 use shot::{Ended, News, Segment, ShotError, Told};
 
 use crate::model::State;
+use crate::os::console::note;
 use crate::output::{Checkpoint, Status};
 use crate::step::StepStats;
 use crate::transport::MachineError;
@@ -97,6 +98,12 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
     };
     let settings = &plan.scene.settings;
     let last_step = settings.frames * settings.steps_per_frame;
+    if let Some(from) = resumed.as_ref().filter(|_| first_step >= last_step) {
+        note(format_args!(
+            "nothing is left to do: the newest checkpoint is of frame {}, and the run has {} frames (--frames)",
+            from.frame, settings.frames
+        ));
+    }
     let wants_state = |step: u32| {
         let keep = options.keep_states.is_some_and(|keep| keep.wants(step, settings.steps_per_frame));
         step.is_multiple_of(settings.steps_per_frame) || keep

@@ -93,6 +93,11 @@ impl Recorder {
                 )));
             }
             resumed = Some(found);
+            // The next --resume continues with these options. A program without a command line may have no recipe.
+            if let Ok(mut recipe) = RunManifest::load(&directory) {
+                recipe.set_flags(options).map_err(write_error)?;
+                manifest = Some(recipe);
+            }
         } else {
             let text = std::fs::read_to_string(&places.scene).map_err(write_error)?;
             manifest = Some(RunManifest::new(&places.scene, &text, options).map_err(write_error)?);
@@ -154,8 +159,8 @@ impl Recorder {
         self.report = Some(report.map_err(write_error)?);
         let first_frame = self.first.as_ref().map_or(0, |from| from.frame + 1);
         if first_frame > 0 {
-            let sentences =
-                take_up_formats(&self.directory, &self.options.formats.0, first_frame).map_err(write_error)?;
+            let sentences = take_up_formats(&self.directory, &self.options.formats.0, &scene.mesh, first_frame)
+                .map_err(write_error)?;
             sentences.iter().for_each(note);
         }
         self.frames = Some(

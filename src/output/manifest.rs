@@ -94,6 +94,15 @@ impl RunManifest {
         })
     }
 
+    /// Replaces the flags, when a run continues with others.
+    ///
+    /// # Errors
+    /// A value that TOML cannot represent.
+    pub fn set_flags<F: Serialize>(&mut self, flags: &F) -> Result<(), ManifestError> {
+        self.flags = toml::Table::try_from(flags).map_err(|e| ManifestError::Flags(e.to_string()))?;
+        Ok(())
+    }
+
     /// Records a file that the run reads, with its hash.
     pub fn add_input(&mut self, path: &Path) -> Result<(), ManifestError> {
         let path = absolute(path);

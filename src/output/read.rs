@@ -36,6 +36,15 @@ pub enum FramesError {
     /// The point cache is damaged.
     #[error(transparent)]
     PointCache(#[from] pc2::Pc2Error),
+    /// A frame that a point cache should take over belongs to another mesh.
+    #[error("frame {frame} in {} is of another mesh than the run, so cloth.pc2 cannot take it over; leave out pc2",
+        folder.display())]
+    OtherMesh {
+        /// The folder of the frames.
+        folder: PathBuf,
+        /// Number of the frame.
+        frame: u32,
+    },
     /// The point cache belongs to another mesh.
     #[error("{} has {cached} points, but rest.obj has {vertices} vertices", path.display())]
     RestDiffers {

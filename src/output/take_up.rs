@@ -1,24 +1,27 @@
 //! Prepares a resumed run for frame formats that it has not written before. A point cache is filled from the existing
 //! frames; other formats start at the first new frame.
 
+use super::atomic::WriteError;
 use super::frames::FrameFormat;
 use super::pc2::{self, Pc2Error, Pc2Writer};
 use super::{FrameSource, FramesError, RunDirectory};
+use crate::mesh::TriangleMesh;
 
-/// Prepares `directory` for frames from `first_frame` on in `formats`. Returns one sentence for each format that will
-/// lack earlier frames.
+/// Prepares `directory` for frames of `mesh` from `first_frame` on in `formats`. Returns one sentence for each format
+/// that will lack earlier frames.
 ///
 /// # Errors
-/// A point cache cannot be filled, because earlier frames are missing or damaged.
+/// A point cache cannot be filled, because earlier frames are missing, damaged or of another mesh.
 pub fn take_up_formats(
     directory: &RunDirectory,
     formats: &[FrameFormat],
+    mesh: &TriangleMesh,
     first_frame: u32,
 ) -> Result<Vec<String>, FramesError> {
     let mut sentences = Vec::new();
     let mut cached = pc2::samples(&directory.point_cache()).unwrap_or(0);
     if formats.contains(&FrameFormat::Pc2) && cached < first_frame {
-        fill_point_cache(directory, first_frame)?;
+        fill_point_cache(directory, mesh, first_frame)?;
         cached = first_frame;
         sentences.push(format!("cloth.pc2: frames 0 to {} converted from those in frames/", first_frame - 1));
     }
@@ -39,8 +42,8 @@ pub fn take_up_formats(
     Ok(sentences)
 }
 
-/// Writes frames 0 to `frames - 1` into the point cache.
-fn fill_point_cache(directory: &RunDirectory, frames: u32) -> Result<(), FramesError> {
+/// Writes frames 0 to `frames - 1` into the point cache, which replaces an existing one only when it is complete.
+fn fill_point_cache(directory: &RunDirectory, mesh: &TriangleMesh, frames: u32) -> Result<(), FramesError> {
     let source = FrameSource::open(directory)?;
     let numbers = source.numbers();
     let path = directory.point_cache();
@@ -48,9 +51,17 @@ fn fill_point_cache(directory: &RunDirectory, frames: u32) -> Result<(), FramesE
     if whole < frames {
         return Err(Pc2Error::Gap { path, frame: frames, samples: whole }.into());
     }
-    let mut cache = Pc2Writer::open(&path, source.read(0)?.positions.len(), 0)?;
-    for frame in 0..frames {
-        cache.write(frame, &source.read(frame)?.positions)?;
-    }
-    Ok(())
+    let new = path.with_extension("pc2.new");
+    let fill = || -> Result<(), FramesError> {
+        let mut cache = Pc2Writer::open(&new, mesh.positions.len(), 0)?;
+        for frame in 0..frames {
+            let there = source.read(frame)?;
+            if there.positions.len() != mesh.positions.len() || there.triangles != mesh.triangles {
+                return Err(FramesError::OtherMesh { folder: directory.frames(), frame });
+            }
+            cache.write(frame, &there.positions)?;
+        }
+        std::fs::rename(&new, &path).map_err(|error| Pc2Error::from(WriteError::at(&path)(error)).into())
+    };
+    fill().inspect_err(|_| drop(std::fs::remove_file(&new)))
 }

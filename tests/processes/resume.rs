@@ -127,13 +127,27 @@ fn a_resumed_run_takes_up_other_formats() {
         .run("run --resume --out out --frames 5 --format pc2,obj")
         .expect(0)
         .says(&["cloth.pc2: frames 0 to 3 converted", "obj files begin with frame 4; earlier frames are there as ply"]);
-    place.run("run flag.toml --executor cpu --out straight --frames 5 --format pc2,obj").expect(0);
+    place.run("run flag.toml --executor cpu --out straight --frames 6 --format pc2,obj").expect(0);
     let read = |path: &str| fs::read(place.path(path)).expect(path);
+    // What was changed is recorded: the next start goes on with it.
+    place.run("run --resume --out out").expect(0).says(&["nothing is left to do", "checkpoint is of frame 5"]);
+    place.run("run --resume --out out --frames 6").expect(0);
     assert!(read("out/cloth.pc2") == read("straight/cloth.pc2"), "the same point cache");
+    assert!(read("out/frames/frame_000006.obj") == read("straight/frames/frame_000006.obj"));
+    assert!(!place.path("out/frames/frame_000006.ply").exists());
     assert!(read("out/frames/frame_000005.obj") == read("straight/frames/frame_000005.obj"));
     // Frames that are not there cannot be converted.
     place.run("run flag.toml --executor cpu --out holes").expect(0);
     fs::remove_file(place.path("holes/frames/frame_000001.ply")).expect("removes");
     let ended = place.run("run --resume --out holes --frames 5 --format pc2").expect(1);
     assert!(ended.error().contains("frame 4 does not follow the 1 frames"), "{}", ended.story);
+    // Nor those of another mesh, here with one triangle wound the other way.
+    place.run("run flag.toml --executor cpu --out turned").expect(0);
+    let mut frame = read("turned/frames/frame_000002.ply");
+    let indices = frame.len() - 8;
+    frame[indices..].rotate_left(4);
+    place.write("turned/frames/frame_000002.ply", frame);
+    let ended = place.run("run --resume --out turned --frames 5 --format pc2").expect(1);
+    assert!(ended.error().contains("frame 2 in turned/frames is of another mesh than the run"), "{}", ended.story);
+    assert!(!place.path("turned/cloth.pc2").exists() && !place.path("turned/cloth.pc2.new").exists());
 }
