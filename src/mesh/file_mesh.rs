@@ -190,18 +190,24 @@ impl FileMesh {
         lines
     }
 
+    /// Areas of the texture coordinates and of the mesh in space as half a sentence, if the coordinates do not keep the
+    /// lengths of the mesh. `scale` = meters per unit of the file.
+    pub fn texture_areas(&self, scale: f64) -> Option<String> {
+        let fit = self.fit.filter(|fit| !fit.is_isometric())?;
+        let [texture, space] = [fit.texture_m2, fit.space_m2].map(|area| shown(area * scale * scale));
+        let kept = (100.0 * fit.isometric).floor();
+        Some(format!(
+            "its texture coordinates, taken as metres, cover {texture} m^2 where the mesh has {space} m^2 in space \
+             ({kept} % of it keeps its lengths within 20 %)"
+        ))
+    }
+
     /// The sentences of [`FileMesh::repairs`] and further ones about probable mistakes. `scale` = meters per unit of
     /// the file.
     pub fn warnings(&self, path: &Path, scale: f64) -> Vec<String> {
         let mut lines = self.repairs(path);
         let mut say = |what: String| lines.push(format!("{}: {what}", path.display()));
-        if let Some(fit) = self.fit.filter(|fit| !fit.is_isometric()) {
-            let [texture, space] = [fit.texture_m2, fit.space_m2].map(|area| shown(area * scale * scale));
-            let kept = (100.0 * fit.isometric).floor();
-            let areas = format!(
-                "its texture coordinates, taken as metres, cover {texture} m^2 where the mesh has {space} m^2 in space ({kept} % of \
-                 it keeps its lengths within 20 %)"
-            );
+        if let Some(areas) = self.texture_areas(scale) {
             match self.material {
                 MaterialSource::Auto => say(format!(
                     "{areas}, so its shape in space is the rest shape; `material = \"uv\"` takes the texture coordinates all the same"

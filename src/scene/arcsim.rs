@@ -43,9 +43,9 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     if entries.is_empty() {
         return Err(list.error("a scene needs at least one cloth"));
     }
-    let (mut cloths, mut of_files) = (Vec::with_capacity(entries.len()), Vec::new());
+    let (mut cloths, mut of_files, mut warnings) = (Vec::with_capacity(entries.len()), Vec::new(), Vec::new());
     for entry in &entries {
-        let (source, line) = cloth(entry, &mut left_out)?;
+        let (source, line) = cloth(entry, &mut left_out, &mut warnings)?;
         cloths.push(source);
         of_files.extend(line);
     }
@@ -67,16 +67,20 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         motions: scene_motions,
         obstacles,
         settings,
-        warnings: Vec::new(),
+        warnings,
         left_out: left_out.lines,
         cloths_at: list.place(),
         pins_at: root.get("handles").unwrap_or(root).place(),
     };
-    Ok(scene.warn_of_sizes())
+    Ok(scene.warn_of_sizes(|_| true))
 }
 
 /// Reads a cloth. The second value is a sentence about parts of its file that are left out.
-fn cloth(cloth: &Json, left_out: &mut LeftOut) -> Result<(ClothSource, Option<String>), SceneError> {
+fn cloth(
+    cloth: &Json,
+    left_out: &mut LeftOut,
+    warnings: &mut Vec<String>,
+) -> Result<(ClothSource, Option<String>), SceneError> {
     let file = cloth.required("mesh")?;
     let placement = cloth.or("transform", UNMOVED, placement)?;
     if placement.scale <= 0.0 {
@@ -109,6 +113,13 @@ fn cloth(cloth: &Json, left_out: &mut LeftOut) -> Result<(ClothSource, Option<St
         }
     };
     let velocity = |p: &crate::math::Vec3| (linear + angular.cross(p.as_dvec3() - origin)).as_vec3();
+    if let Some(areas) = placed.texture_areas(placement.scale) {
+        warnings.push(format!(
+            "{}: {areas}: the cloth will spring to that size, as in ARCSim; a scene in TOML may take its shape in space \
+             (`material = \"shape\"`)",
+            path.display()
+        ));
+    }
     placed.repairs(&path).into_iter().for_each(|line| left_out.say(line));
     let line = placed.left_out(&path);
     let source = ClothSource {

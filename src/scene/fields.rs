@@ -12,13 +12,20 @@ use crate::math::{DQuat, DVec3};
 
 use super::error::{Place, SceneError};
 
-/// Text of the document, for line numbers.
+/// The document, for places in errors.
 pub(super) struct Source<'a> {
-    pub path: &'a Path,
-    pub text: &'a str,
+    path: &'a Path,
+    /// Byte offsets of the line breaks, ascending. Every table has a place, so a search from the start of the text would
+    /// take time in the square of its length.
+    line_breaks: Vec<usize>,
 }
 
-impl Source<'_> {
+impl<'a> Source<'a> {
+    pub(super) fn new(path: &'a Path, text: &str) -> Source<'a> {
+        let line_breaks = text.bytes().zip(0..).filter(|&(byte, _)| byte == b'\n').map(|(_, at)| at).collect();
+        Source { path, line_breaks }
+    }
+
     /// An error at byte `offset` of the text.
     pub(super) fn error(&self, offset: Option<usize>, field: &str, what: impl Into<String>) -> SceneError {
         self.place(offset, field).error(what)
@@ -29,7 +36,7 @@ impl Source<'_> {
     }
 
     fn line(&self, offset: Option<usize>) -> Option<usize> {
-        offset.map(|at| 1 + self.text.as_bytes().iter().take(at).filter(|&&c| c == b'\n').count())
+        offset.map(|at| 1 + self.line_breaks.partition_point(|&line_break| line_break < at))
     }
 }
 

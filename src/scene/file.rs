@@ -18,7 +18,7 @@ const DEFAULT_RESOLUTION: u64 = 10_000;
 
 /// Reads a TOML scene. Relative file names start at the folder of `path`, and messages name `path`.
 pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> {
-    let source = Source { path, text };
+    let source = Source::new(path, text);
     let document = DeTable::parse(text).map_err(|error| {
         let line =
             error.span().map(|span| 1 + text.as_bytes().iter().take(span.start).filter(|&&c| c == b'\n').count());
@@ -49,7 +49,9 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     }
     let settings = settings(&root, &mut warnings)?;
     let mut obstacles = Vec::new();
+    let mut from_file = Vec::new();
     for (i, fields) in root.tables("obstacle", &OBSTACLE_FIELDS)?.iter().enumerate() {
+        from_file.push(fields.get("mesh").or(fields.get("sequence")).is_some());
         obstacles.push(obstacle(fields, i, settings.friction, path, &mut left_out)?);
     }
     let (mut pins, mut motions) = (Vec::new(), Vec::new());
@@ -69,5 +71,5 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         cloths_at: root.place_at("cloth"),
         pins_at: root.place_at("pin"),
     };
-    Ok(scene.warn_of_sizes())
+    Ok(scene.warn_of_sizes(|obstacle| from_file[obstacle]))
 }

@@ -5,12 +5,14 @@
 
 use std::path::PathBuf;
 
+use crate::mesh::extent;
+
 use super::cloth_source::{ClothSource, Shape};
 use super::error::Place;
-use super::pieces::{Piece, merge, size_warning};
+use super::pieces::{Piece, merge, obstacle_warning, size_warning};
 use super::pins::{self, PinSource};
 use super::start::{Start, StartState};
-use super::{Motion, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling};
+use super::{Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling};
 
 /// A scene file that was read and checked, before a resolution is chosen.
 ///
@@ -95,13 +97,26 @@ impl ParsedScene {
         })
     }
 
-    /// Adds a warning for every mesh whose size is implausible for the thickness of the cloth.
-    pub(super) fn warn_of_sizes(mut self) -> ParsedScene {
+    /// Adds a warning for every mesh whose size is implausible: that of a cloth for its thickness, that of an obstacle
+    /// for the cloth. `from_file` = whether an obstacle is a mesh from a file; others state their size in meters.
+    pub(super) fn warn_of_sizes(mut self, from_file: impl Fn(usize) -> bool) -> ParsedScene {
         let thickness_m = self.settings.thickness_m;
+        let mut cloth_m: f64 = 0.0;
         for cloth in &self.cloths {
-            if let Shape::Mesh(mesh) = &cloth.shape {
-                self.warnings.extend(size_warning(&format!("`{}`", cloth.name), mesh.extent(), thickness_m));
-            }
+            cloth_m = cloth_m.max(match &cloth.shape {
+                Shape::Mesh(mesh) => {
+                    self.warnings.extend(size_warning(&format!("`{}`", cloth.name), mesh.extent(), thickness_m));
+                    mesh.extent()
+                }
+                Shape::Sheet(sheet) => sheet.size_m[0].max(sheet.size_m[1]),
+            });
+        }
+        for (_, obstacle) in self.obstacles.iter().enumerate().filter(|(i, _)| from_file(*i)) {
+            let scale = match &obstacle.movement {
+                Movement::Keyframes(motion) => motion.keyframes.first().map_or(1.0, |key| key.scale),
+                _ => 1.0,
+            };
+            self.warnings.extend(obstacle_warning(&obstacle.name, extent(&obstacle.positions) * scale, cloth_m));
         }
         self
     }

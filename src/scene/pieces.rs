@@ -61,6 +61,24 @@ pub fn size_warning(name: &str, extent_m: f64, thickness_m: f64) -> Option<Strin
     Some(format!("{name} is {extent_m:.4} m large, {ratio:.0} times thickness_m = {thickness_m}: {what}"))
 }
 
+/// Above this ratio of their extents a cloth and an obstacle from a file are probably in different units.
+const UNEQUAL: f64 = 50.0;
+
+/// A warning about an obstacle from a file that is far larger or smaller than the largest cloth (`cloth_m`), most likely
+/// because its unit is not the meter. `extent_m`, `cloth_m` = longest sides of their bounding boxes.
+pub(super) fn obstacle_warning(name: &str, extent_m: f64, cloth_m: f64) -> Option<String> {
+    let what = if extent_m > UNEQUAL * cloth_m {
+        let (unit, scale) =
+            if extent_m < 10.0 * UNEQUAL * cloth_m { ("centimetres", 0.01) } else { ("millimetres", 0.001) };
+        format!("if its file is in {unit}, `scale = {scale}` of the obstacle makes metres of them")
+    } else if extent_m > 0.0 && cloth_m > UNEQUAL * extent_m {
+        "`scale` of the obstacle enlarges it, `scale` of the cloth makes metres of a mesh in other units".to_owned()
+    } else {
+        return None;
+    };
+    Some(format!("obstacle `{name}` is {extent_m:.4} m large, the largest cloth {cloth_m:.4} m: {what}"))
+}
+
 /// The pieces as one mesh, with the data of each vertex and triangle.
 pub(super) struct Merged {
     pub mesh: TriangleMesh,

@@ -384,3 +384,28 @@ fn cases_from_outside() {
     let (system, _) = read_system(&cases.join("fortranD.mtx")).unwrap();
     assert_eq!(system.scalar_rows, 30);
 }
+
+#[test]
+fn an_obstacle_in_another_unit_is_named_beside_the_cloth() {
+    let body = |height: f64| format!("v 0 0 0\nv {0} 0 0\nv 0 {height} 0\nv 0 0 {0}\nf 1 2 3\nf 1 3 4\n", height / 5.0);
+    let folder = Folder::new(&[("m.obj", &body(1.7)), ("cm.obj", &body(170.0)), ("mm.obj", &body(1700.0))]);
+    let warnings = |file: &str, more: &str| {
+        let cloth = "[[cloth]]\nsheet = { size_m = [1.0, 0.5] }\norigin_m = [0.0, 0.0, 5000.0]\n";
+        folder.scene(&format!("{cloth}[[obstacle]]\nname = \"body\"\nmesh = \"{file}\"\n{more}")).unwrap().warnings
+    };
+    assert_eq!(
+        warnings("cm.obj", ""),
+        ["obstacle `body` is 170.0000 m large, the largest cloth 1.0000 m: if its file is in centimetres, \
+          `scale = 0.01` of the obstacle makes metres of them"]
+    );
+    let [millimetres] = &warnings("mm.obj", "")[..] else { panic!("one warning") };
+    assert!(millimetres.contains("is in millimetres, `scale = 0.001`"), "{millimetres}");
+    let [small] = &warnings("m.obj", "scale = 0.01")[..] else { panic!("one warning") };
+    assert!(small.contains("is 0.0170 m large") && small.contains("`scale` of the obstacle enlarges it"), "{small}");
+    assert_eq!(warnings("m.obj", ""), [""; 0]);
+    assert_eq!(warnings("cm.obj", "scale = 0.01"), [""; 0]);
+    // A large plane says its size in meters.
+    let plane = "[[cloth]]\nsheet = { size_m = [1.0, 1.0] }\norigin_m = [0.0, 0.0, 1.0]\n[[obstacle]]\n\
+                 plane = { point_m = [0.0, -9.0, 0.0], normal = [0.0, 1.0, 0.0], size_m = [500.0, 500.0] }\n";
+    assert_eq!(folder.scene(plane).unwrap().warnings, [""; 0]);
+}

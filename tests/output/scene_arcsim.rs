@@ -7,13 +7,17 @@ use loomtree::math::Vec3;
 use loomtree::scene::{Obstacles, Overrides, Scene, load, load_fabric};
 
 const OBJ: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n";
+const HALF_UV: &str =
+    "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt .5 0\nvt .5 .5\nvt 0 .5\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n";
 const FABRIC: &str = "// measured\n{\"density\": 0.2, \"stretching\": [[10,1,20,5],[10,1,20,5],[10,1,20,5],[10,1,20,5],[10,1,20,5],[10,1,20,5]],
     \"bending\": [[1e-6,2e-6,3e-6,4e-6,5e-6],[1e-6,2e-6,3e-6,4e-6,5e-6],[1e-6,2e-6,3e-6,4e-6,5e-6]]}";
 
 /// Writes ARCSim's folders with a scene of this text and loads it.
 fn import(scene: &str) -> Result<Scene, String> {
     let folder = tempfile::tempdir().unwrap();
-    for (name, text) in [("conf/s.json", scene), ("meshes/m.obj", OBJ), ("materials/f.json", FABRIC)] {
+    for (name, text) in
+        [("conf/s.json", scene), ("meshes/m.obj", OBJ), ("meshes/half_uv.obj", HALF_UV), ("materials/f.json", FABRIC)]
+    {
         let path = folder.path().join(name);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(path, text).unwrap();
@@ -88,6 +92,20 @@ fn every_field_arrives() {
             "collision_stiffness: left out, a number of ARCSim's own methods (magic)",
         ]
     );
+}
+
+#[test]
+fn texture_coordinates_of_another_size_are_named() {
+    let scene = |mesh: &str, scale: f64| {
+        let cloth = format!(
+            "{{mesh: 'meshes/{mesh}', transform: {{scale: {scale}}}, materials: [{{data: 'materials/f.json'}}]}}"
+        );
+        import(&format!("{{frame_time: 1, duration: 1, cloths: [{cloth}]}}")).unwrap().warnings
+    };
+    assert_eq!(scene("m.obj", 2.0), [""; 0]);
+    let [warning] = &scene("half_uv.obj", 2.0)[..] else { panic!("one warning") };
+    assert!(warning.contains("cover 1 m^2 where the mesh has 4 m^2 in space"), "{warning}");
+    assert!(warning.contains("as in ARCSim") && warning.contains("`material = \"shape\"`"), "{warning}");
 }
 
 #[test]
