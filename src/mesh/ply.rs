@@ -136,7 +136,14 @@ fn read_header(bytes: &[u8]) -> Result<Header, ParseFault> {
     Parser::<Record>::new().read_header(&mut Reader::new(&kept[..])).map_err(|error| {
         // The crate's message has several lines. The first names the line that it did not understand.
         let text = error.to_string();
-        ParseFault::whole(format!("the header is not understood: {}", text.lines().next().unwrap_or_default()))
+        let number = text.strip_prefix("Line ").and_then(|rest| rest.split(':').next()?.parse::<usize>().ok());
+        let line = number.and_then(|number| kept.split(|&c| c == b'\n').nth(number.checked_sub(1)?));
+        match line.map(|line| String::from_utf8_lossy(line).trim().chars().take(60).collect::<String>()) {
+            Some(line) => ParseFault::whole(format!("the header is not understood at its line `{line}`")),
+            None => {
+                ParseFault::whole(format!("the header is not understood: {}", text.lines().next().unwrap_or_default()))
+            }
+        }
     })
 }
 

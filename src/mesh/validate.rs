@@ -10,6 +10,11 @@ use super::{Surface, TriangleMesh, material};
 /// inverse rest matrix has no correct digit in f32.
 const SMALLEST_SHAPE: f64 = 1e-6;
 
+/// Largest coordinate of a mesh. Beyond it the solver leaves the range of f32 (seen from 1e12 m on).
+const LARGEST_COORDINATE: f32 = 1e9;
+/// Smallest longest edge of a rest triangle. Below it the solver leaves the range of f32 (seen at 1e-9 m).
+const SMALLEST_EDGE: f64 = 1e-7;
+
 /// Why a mesh cannot be simulated.
 #[allow(missing_docs, reason = "the sentence of a variant says what its fields are")]
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -20,6 +25,11 @@ pub enum MeshFault {
     TooManyVertices(usize),
     #[error("vertex {0} has a coordinate that is not a finite number")]
     NonFinitePosition(usize),
+    #[error(
+        "vertex {vertex} has the coordinate {value:e}; beyond {LARGEST_COORDINATE:e} nothing can be computed \
+         in single precision"
+    )]
+    TooFar { vertex: usize, value: f32 },
     #[error("triangle {triangle} names vertex {vertex}, but there are only {vertices}")]
     IndexOutOfRange { triangle: usize, vertex: u64, vertices: usize },
     #[error("triangle {triangle} names vertex {vertex} twice; its corners must differ")]
@@ -45,6 +55,11 @@ pub enum MeshFault {
     ZeroArea(usize),
     #[error("triangle {0} has no area in material space: its texture coordinates lie on one line")]
     ZeroMaterialArea(usize),
+    #[error(
+        "triangle {triangle} is too small at rest: its longest edge is {edge:.3e}, and at least {SMALLEST_EDGE:e} \
+         is needed to compute"
+    )]
+    TooSmall { triangle: usize, edge: f64 },
 }
 
 /// Checks everything that [`MeshFault`] lists and reports the first fault.
@@ -77,6 +92,11 @@ pub(super) fn check_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Res
     }
     if let Some(vertex) = positions.iter().position(|p| !p.is_finite()) {
         return Err(MeshFault::NonFinitePosition(vertex + 1));
+    }
+    if let Some(vertex) = positions.iter().position(|p| p.abs().max_element() > LARGEST_COORDINATE) {
+        let p = positions[vertex].to_array();
+        let value = p.into_iter().fold(0.0, |most: f32, x| if x.abs() > most.abs() { x } else { most });
+        return Err(MeshFault::TooFar { vertex: vertex + 1, value });
     }
     let mut used = vec![false; positions.len()];
     for (t, corners) in triangles.iter().enumerate() {
@@ -154,6 +174,9 @@ pub(super) fn check_material(mesh: &TriangleMesh) -> Result<(), MeshFault> {
         if material::doubled_area(uv).abs() <= SMALLEST_SHAPE * longest {
             return Err(MeshFault::ZeroMaterialArea(t + 1));
         }
+        if longest < SMALLEST_EDGE * SMALLEST_EDGE {
+            return Err(MeshFault::TooSmall { triangle: t + 1, edge: longest.sqrt() });
+        }
     }
     Ok(())
 }
@@ -188,6 +211,14 @@ mod tests {
         assert_eq!(
             fault(|m| m.positions[2].y = f32::INFINITY),
             "vertex 3 has a coordinate that is not a finite number"
+        );
+        assert_eq!(
+            fault(|m| m.positions[2].y = -3e38),
+            "vertex 3 has the coordinate -3e38; beyond 1e9 nothing can be computed in single precision"
+        );
+        assert_eq!(
+            fault(|m| m.material_uv.iter_mut().flatten().for_each(|uv| *uv *= 1e-9)),
+            "triangle 1 is too small at rest: its longest edge is 1.414e-9, and at least 1e-7 is needed to compute"
         );
         assert_eq!(fault(|m| m.triangles[1][1] = 9), "triangle 2 names vertex 10, but there are only 4");
         assert_eq!(fault(|m| m.triangles[1][1] = 3), "triangle 2 names vertex 4 twice; its corners must differ");

@@ -76,7 +76,7 @@ fn parser_of(path: &Path) -> Result<Parser, SceneError> {
         "json" => Ok(arcsim::parse),
         _ => Err(SceneError::File {
             path: path.into(),
-            what: "a scene file ends in .toml (or .json for ARCSim's)".into(),
+            what: "its name says no format: a scene ends in .toml (ARCSim's in .json), a mesh in .obj or .ply".into(),
         }),
     }
 }

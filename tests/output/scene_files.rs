@@ -264,8 +264,14 @@ fn cloths_that_cross_at_the_start_are_refused() {
 fn files_that_are_no_scene() {
     let refused = |path: &str| load(Path::new(path), &Overrides::default()).unwrap_err().to_string();
     assert_eq!(refused("no/such.toml"), "no/such.toml: cannot be read: No such file or directory (os error 2)");
-    assert_eq!(refused("src"), "src: a scene file ends in .toml (or .json for ARCSim's)");
-    assert_eq!(refused("Cargo.lock"), "Cargo.lock: a scene file ends in .toml (or .json for ARCSim's)");
+    assert_eq!(
+        refused("src"),
+        "src: its name says no format: a scene ends in .toml (ARCSim's in .json), a mesh in .obj or .ply"
+    );
+    assert_eq!(
+        refused("Cargo.lock"),
+        "Cargo.lock: its name says no format: a scene ends in .toml (ARCSim's in .json), a mesh in .obj or .ply"
+    );
     let overrides = Overrides { resolution: Some(1), frames: None };
     let error = parse(SHEET, Path::new("x.toml"), &overrides).unwrap_err().to_string();
     assert_eq!(error, "x.toml: the resolution must be from 2 to 20000000 triangles, not 1");
