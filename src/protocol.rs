@@ -62,6 +62,8 @@ pub struct WorkerSetup {
 
 /// Step in the heartbeat of a worker that solves a linear system.
 pub const SOLVING: u64 = u64::MAX;
+/// Step in the heartbeat of a worker that connects to the others, and until its first step.
+pub const CONNECTING: u64 = u64::MAX - 1;
 
 /// Coordinator -> worker.
 #[allow(missing_docs, reason = "the line of a variant says what it carries")]

@@ -207,6 +207,7 @@ impl Worker {
         if self.ports.as_ref().is_some_and(|ports| ports.epoch == setup.epoch) {
             return Ok(());
         }
+        self.inbox.connecting();
         // The shared memory of the old ports becomes free for the new ones.
         self.ports = None;
         let transport = connect(self.data.as_mut(), self.rank, &self.inbox, setup)?;

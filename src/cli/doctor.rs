@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::{CliError, print};
 use crate::transport::{
     FoundRun, RANKS_MAX, RunState, SHARED_MEMORY_FOLDER, check_descriptors, check_shared_memory, cores, list_runs,
-    required_descriptors, required_shared_memory_bytes, shared_memory_space,
+    required_descriptors, required_shared_memory_bytes, shared_memory_is_read_only, shared_memory_space,
 };
 
 /// Memory of a run over all workers, bytes per vertex. This is the target that the product is measured against.
@@ -56,6 +56,8 @@ struct Report {
     memory_bytes: Option<(u64, u64)>,
     /// Total and free shared memory.
     shared_memory_bytes: (u64, u64),
+    /// True if no run can start because the folder of the shared memory is mounted read-only.
+    shared_memory_read_only: bool,
     adapters: Vec<String>,
     needs: Vec<Need>,
     runs: Vec<Run>,
@@ -118,6 +120,7 @@ pub fn run(
         cores: cores(),
         memory_bytes: memory(),
         shared_memory_bytes: space,
+        shared_memory_read_only: shared_memory_is_read_only(),
         adapters: adapters.to_vec(),
         needs,
         runs,
@@ -230,7 +233,8 @@ impl Report {
             line("memory", format!("{}, {} available", size(total), size(available)));
         }
         let (total, free) = self.shared_memory_bytes;
-        line("shared memory", format!("{SHARED_MEMORY_FOLDER}: {}, {} free", size(total), size(free)));
+        let read_only = if self.shared_memory_read_only { "; it is read-only, so no run can start" } else { "" };
+        line("shared memory", format!("{SHARED_MEMORY_FOLDER}: {}, {} free{read_only}", size(total), size(free)));
         line("gpu adapters", if self.adapters.is_empty() { "none".to_string() } else { self.adapters.join("; ") });
         for need in &self.needs {
             let verdict = if need.fits { "fits" } else { "too little is free" };
@@ -334,14 +338,19 @@ mod tests {
             cores: 2,
             memory_bytes: Some((1 << 34, 1 << 33)),
             shared_memory_bytes: (64 << 20, 32 << 20),
+            shared_memory_read_only: true,
             adapters: vec!["a GPU".into()],
             needs: vec![need_of("flag".into(), 1000, 2, 32 << 20)],
             runs,
         };
         let text = report.text();
-        for part in
-            ["16.0 GiB, 8.0 GiB available", "/dev/shm: 64.0 MiB, 32.0 MiB free", "a GPU", "flag: 2 workers", "running"]
-        {
+        for part in [
+            "16.0 GiB, 8.0 GiB available",
+            "/dev/shm: 64.0 MiB, 32.0 MiB free; it is read-only",
+            "a GPU",
+            "flag: 2 workers",
+            "running",
+        ] {
             assert!(text.contains(part), "'{part}' is missing in:\n{text}");
         }
         drop(member);

@@ -10,7 +10,7 @@ use thiserror::Error;
 
 use crate::os::clock::AwakeClock;
 use crate::os::signals::{self, StopSignal};
-use crate::protocol::{SOLVING, ToCoordinator, ToWorker};
+use crate::protocol::{CONNECTING, SOLVING, ToCoordinator, ToWorker};
 use crate::step::Failure;
 use crate::transport::{
     ControlCoordinator, ControlError, Heartbeat, IceoryxCoordinator, Launcher, Life, Machine, MessageError, OneProcess,
@@ -26,8 +26,15 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Time that the other workers get, after the first report of a failure, to report a better explanation.
 const ECHO: Duration = Duration::from_millis(500);
 
-/// Longest wait for an answer of workers that have not begun their first step, because they may wait for each other
-/// without end.
+/// Longest silence of a worker that is started by the program and reads its part or sets it up, and longest time until
+/// it appears. A worker that computes may be silent for longer ([`COMPUTING_MOST`]).
+const SETUP_LIMIT: Duration = Duration::from_secs(60);
+/// The same for workers that somebody starts by hand, and for threads, whose work cannot be told apart.
+const AWAIT_LIMIT: Duration = Duration::from_secs(300);
+/// Longest time for which all workers wait for each other to connect, and an addition for every worker: they open ports
+/// to each other. It passes if files of the run are removed from the machine.
+const CONNECT_LIMIT: (Duration, Duration) = (Duration::from_secs(60), Duration::from_secs(2));
+/// Longest wait for an answer of workers that have not begun their first step, whatever they do.
 const SETUP_MOST: Duration = Duration::from_secs(600);
 /// A computing worker may be silent for this multiple of the limit. After that it counts as hung.
 const COMPUTING_MOST: u32 = 30;
@@ -69,6 +76,12 @@ pub enum CrewError {
     /// A worker never connected.
     #[error("worker {rank} was not set up within {waited_s:.0} s")]
     Missing { rank: usize, waited_s: f64 },
+    /// All workers are set up, but they do not reach each other.
+    #[error(
+        "worker {rank} did not connect to the others within {waited_s:.0} s; files of the run may have been removed \
+         from /dev/shm or from the temp folder"
+    )]
+    Unconnected { rank: usize, waited_s: f64 },
     /// A worker reported that it cannot go on.
     #[error("worker {rank}: {failure}")]
     Failed { rank: usize, failure: Failure },
@@ -111,6 +124,11 @@ pub struct Crew {
     launcher: Box<dyn Launcher>,
     machine: Box<dyn Machine>,
     heartbeat_limit: Duration,
+    /// Longest silence of a worker during its setup.
+    setup_limit: Duration,
+    /// Longest time for which all workers connect, and the time since they began to.
+    connect_limit: Duration,
+    connecting: Option<AwakeClock>,
     /// By rank: time since the last sign of life, and time since it was last seen to compute.
     silences: Vec<[Silence; 2]>,
     /// Held until all workers have begun their first step.
@@ -146,7 +164,11 @@ impl Crew {
             // If no one reads this line, no one starts workers, and their absence is detected soon.
             drop(writeln!(std::io::stdout(), "{}", launcher.run()));
         }
-        Crew::start(Box::new(control), Box::new(launcher), launch.machine(), heartbeat_limit)
+        let mut crew = Crew::start(Box::new(control), Box::new(launcher), launch.machine(), heartbeat_limit)?;
+        if *launch == Launch::Spawn {
+            crew.setup_limit = SETUP_LIMIT;
+        }
+        Ok(crew)
     }
 
     /// Starts the workers of `launcher`, which connect through `control` and run on `machine`.
@@ -159,7 +181,19 @@ impl Crew {
         let ranks = control.ranks();
         let (silences, gave_up) = (vec![Default::default(); ranks], vec![false; ranks]);
         let (turn, reported) = (None, None);
-        let mut crew = Crew { control, launcher, machine, heartbeat_limit, silences, turn, gave_up, reported };
+        let mut crew = Crew {
+            control,
+            launcher,
+            machine,
+            heartbeat_limit,
+            setup_limit: AWAIT_LIMIT,
+            connect_limit: CONNECT_LIMIT.0 + CONNECT_LIMIT.1 * ranks as u32,
+            connecting: None,
+            silences,
+            turn,
+            gave_up,
+            reported,
+        };
         for rank in 0..ranks {
             crew.launcher.start(rank).map_err(|source| CrewError::Spawn { rank, source })?;
         }
@@ -174,6 +208,16 @@ impl Crew {
     /// Holds the lock for the setup until all workers have begun their first step.
     pub fn keep(&mut self, turn: SetupTurn) {
         self.turn = Some(turn);
+    }
+
+    /// Sets the longest time for which all workers may wait for each other to connect.
+    pub fn limit_connecting(&mut self, limit: Duration) {
+        self.connect_limit = limit;
+    }
+
+    /// Longest silence of a worker during its setup.
+    pub fn setup_limit(&self) -> Duration {
+        self.setup_limit
     }
 
     /// Number of workers.
@@ -269,7 +313,9 @@ impl Crew {
     /// Detects ended, hung and missing workers among `ranks`, for which the caller has `waited`, and workers that
     /// reported a failure.
     fn look_after(&mut self, ranks: &[usize], waited: Duration, limit: Duration) -> Result<(), CrewError> {
-        if (0..self.ranks()).all(|rank| self.control.heartbeat(rank).step > 0) {
+        let steps: Vec<u64> = (0..self.ranks()).map(|rank| self.control.heartbeat(rank).step).collect();
+        self.check_connecting(&steps, ranks)?;
+        if steps.iter().all(|&step| step > 0 && step != CONNECTING) {
             self.turn = None;
         } else if let Some(signal) = signals::stop_requested() {
             return Err(CrewError::Stopped(signal));
@@ -281,6 +327,7 @@ impl Crew {
             let heartbeat = self.control.heartbeat(rank);
             let place = match heartbeat.step {
                 0 => "while setting up".to_string(),
+                CONNECTING => "while connecting to the others".to_string(),
                 SOLVING => "while solving".to_string(),
                 step => format!("in step {step}"),
             };
@@ -311,6 +358,20 @@ impl Crew {
             }
         }
         self.verdict()
+    }
+
+    /// Error if all workers have been connecting for too long; `steps` by rank, `missing` = those without an answer.
+    fn check_connecting(&mut self, steps: &[u64], missing: &[usize]) -> Result<(), CrewError> {
+        let waiting = missing.first().filter(|_| steps.iter().all(|&step| step == CONNECTING));
+        let Some(&rank) = waiting else {
+            self.connecting = None;
+            return Ok(());
+        };
+        let waited = self.connecting.get_or_insert_with(AwakeClock::start).elapsed();
+        if waited <= self.connect_limit {
+            return Ok(());
+        }
+        Err(CrewError::Unconnected { rank, waited_s: waited.as_secs_f64() })
     }
 
     /// Time for which a worker has been silent; none before it has connected. It is zero while the worker computes, up

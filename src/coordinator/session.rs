@@ -5,7 +5,7 @@
 //! Several sessions may run side by side in one program, each on its own thread and with its own run name.
 
 use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use thiserror::Error;
 
@@ -22,8 +22,6 @@ use crate::step::{ExchangePlan, Failure, Imposed, StepStats};
 use crate::telemetry::Event;
 use crate::transport::{MachineError, RunName, SetupTurn};
 
-/// Longest silence of a worker that reads its part or sets it up. This takes much longer than any later silence.
-const SETUP_LIMIT: Duration = Duration::from_secs(300);
 /// Longest wait of a worker for another one, seconds. Heartbeats detect ended or hung workers long before.
 const PATIENCE_S: f64 = 3600.0;
 
@@ -163,6 +161,7 @@ impl Session {
         let model = level.model();
         let links = level.links(&model);
         let setup = self.setup(level.message_values(), links.is_some())?;
+        let setup_limit = self.crew.setup_limit();
         RankModel::split(&model, &level.partition, |rank, mut part| {
             let exchange = ExchangePlan { mode: level.exchange, queue: level.transfers.schedule.queues[rank].clone() };
             if let Some(collision) = &mut part.collision {
@@ -174,10 +173,10 @@ impl Session {
             let ToWorker::Load { model, .. } = &message else { unreachable!("made above") };
             self.crew.send(rank, &message, &model.to_bytes())?;
             // Only one part at a time is in transit, so that the coordinator's memory stays at one part.
-            self.crew.flush(rank, SETUP_LIMIT)
+            self.crew.flush(rank, setup_limit)
         })?;
         let mut ready: Vec<Option<WorkerReady>> = vec![None; level.partition.ranks()];
-        self.crew.collect(SETUP_LIMIT, |rank, message, _| match message {
+        self.crew.collect(setup_limit, |rank, message, _| match message {
             ToCoordinator::Ready(worker) => {
                 ready[rank] = Some(worker);
                 true
@@ -198,10 +197,11 @@ impl Session {
         if state.vertices() != Some(vertices) {
             return Err(SessionError::Unfit { positions: state.positions.len(), vertices });
         }
+        let setup_limit = self.crew.setup_limit();
         for rank in 0..loaded.partition.ranks() {
             let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)]);
             self.crew.send(rank, &ToWorker::SetState { step }, &part.to_bytes())?;
-            self.crew.flush(rank, SETUP_LIMIT)?;
+            self.crew.flush(rank, setup_limit)?;
         }
         loaded.step = step;
         Ok(())
@@ -286,12 +286,13 @@ impl Session {
         self.loaded = None;
         // The exchange of a solution in double precision carries two f32 per value.
         let setup = self.setup(partition.sub_vector_rows() * 2 * DIM, false)?;
+        let setup_limit = self.crew.setup_limit();
         system.split(rhs, partition, |rank, mut part| {
             let arrays = std::mem::take(&mut part.arrays);
             let (setup, exchange) = (setup.clone(), exchange[rank].clone());
             let message = ToWorker::Solve { setup, exchange, params, system: Box::new(part) };
             self.crew.send(rank, &message, &arrays.to_bytes())?;
-            self.crew.flush(rank, SETUP_LIMIT)
+            self.crew.flush(rank, setup_limit)
         })?;
         let mut results: Vec<Option<SolveResult>> = vec![None; partition.ranks()];
         let mut name = String::new();

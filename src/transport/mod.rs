@@ -62,7 +62,8 @@ pub use run_name::{
     FoundRun, Member, RunError, RunMember, RunName, RunState, SHARED_MEMORY_FOLDER, list_runs, remove_dead_runs,
 };
 pub use shared_memory::{
-    SetupTurn, SharedMemoryError, check_shared_memory, required_shared_memory_bytes, shared_memory_space,
+    SetupTurn, SharedMemoryError, check_shared_memory, required_shared_memory_bytes, shared_memory_is_read_only,
+    shared_memory_space,
 };
 pub use solo::SoloTransport;
 pub use threads::{

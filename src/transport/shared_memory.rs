@@ -4,7 +4,7 @@
 use std::fs::{File, OpenOptions, TryLockError};
 use std::time::Duration;
 
-use rustix::fs::{FallocateFlags, fallocate, statvfs};
+use rustix::fs::{FallocateFlags, StatVfsMountFlags, fallocate, statvfs};
 use thiserror::Error;
 
 use super::RunName;
@@ -123,6 +123,11 @@ pub fn shared_memory_space() -> Result<(u64, u64), SharedMemoryError> {
     let space = statvfs(SHARED_MEMORY_FOLDER);
     let space = space.map_err(|error| SharedMemoryError::Unreadable { source: error.into() })?;
     Ok((space.f_blocks * space.f_frsize, space.f_bavail * space.f_frsize))
+}
+
+/// Whether the folder of the shared memory is mounted read-only, so that no run can start.
+pub fn shared_memory_is_read_only() -> bool {
+    statvfs(SHARED_MEMORY_FOLDER).is_ok_and(|space| space.f_flag.contains(StatVfsMountFlags::RDONLY))
 }
 
 /// Allocates memory for all shared-memory files of the run, so that a lack of it is an error here and not a SIGBUS

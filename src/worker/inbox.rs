@@ -8,7 +8,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use super::error::WorkerError;
-use crate::protocol::{SOLVING, ToCoordinator, ToWorker};
+use crate::protocol::{CONNECTING, SOLVING, ToCoordinator, ToWorker};
 use crate::step::Failure;
 use crate::transport::{ControlWorker, decode, encode};
 
@@ -62,6 +62,11 @@ impl Inbox {
     /// A sign of life that says which step this rank is in.
     pub(super) fn progress(&self, step: u32) {
         self.control.borrow().progress(u64::from(step));
+    }
+
+    /// A sign of life that says that this rank connects to the others.
+    pub(super) fn connecting(&self) {
+        self.control.borrow().progress(CONNECTING);
     }
 
     /// A sign of life that says that this rank solves a linear system.

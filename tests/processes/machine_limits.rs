@@ -101,6 +101,34 @@ fn runs_that_do_not_fit_together_are_refused_and_leave_nothing() {
     }
 }
 
+/// What the machine lacks is in the sentence, whatever name iceoryx2 has for it.
+#[test]
+fn a_folder_that_takes_no_more_files_is_named() {
+    let may = Command::new("unshare").args(["-m", "true"]).status();
+    if !may.is_ok_and(|status| status.success()) {
+        println!("skipped: this test needs the right to mount (root)");
+        return;
+    }
+    let place = Place::new();
+    place.write("flag.toml", flag(500, 2, 2));
+    let binary = program("loomtree");
+    let run = format!("{binary} run flag.toml --executor cpu --workers 2 --out out");
+    place.write(
+        "few.sh",
+        format!(
+            "mount -t tmpfs -o size=64m,nr_inodes=12 tmpfs /dev/shm || exit 9\n\
+             {run}; echo $?; ls /dev/shm | wc -l\n\
+             mount -o remount,ro,nr_inodes=0 /dev/shm || mount -o remount,ro /dev/shm || exit 9\n\
+             {run}; echo $?; {binary} doctor | grep 'shared memory  '\n"
+        ),
+    );
+    let ended = place.start_program("unshare", "-m bash few.sh", &[]).wait().expect(0);
+    let lines: Vec<&str> = ended.stdout.lines().collect();
+    assert_eq!(lines[..3], ["1", "0", "1"], "{}", ended.story);
+    assert!(lines[3].ends_with("it is read-only, so no run can start"), "{}", ended.story);
+    ended.says(&["more files only (df -i /dev/shm)", "Read-only file system"]);
+}
+
 #[test]
 fn a_temp_folder_that_is_not_there_is_a_sentence() {
     let place = Place::new();

@@ -7,12 +7,13 @@ use std::time::Duration;
 
 use loomtree::coordinator::session::{Next, StepDone, Watch};
 use loomtree::coordinator::shot::{Ended, News, Segment, play};
+use loomtree::coordinator::{Crew, CrewError};
 use loomtree::coordinator::{Launch, RunOptions, RunPlan, Session, SessionError, SessionOptions, SessionPlace};
 use loomtree::model::State;
 use loomtree::output::Checkpoint;
-use loomtree::protocol::ExecutorChoice;
+use loomtree::protocol::{CONNECTING, ExecutorChoice};
 use loomtree::scene::PreconditionerKind;
-use loomtree::transport::RunName;
+use loomtree::transport::{ControlWorker, OneProcess, RunName, ThreadJob, ThreadLauncher, thread_channel};
 use support::process::{Place, Running, flag};
 
 const STEPS: u32 = 12;
@@ -265,4 +266,26 @@ fn a_run_keeps_the_states_that_were_asked_for() {
         let ended = place.run(&format!("{run} --keep-states={bad} --out bad")).expect(2);
         assert!(ended.stderr.contains("neither 'frames' nor a number of steps"), "{}", ended.story);
     }
+}
+
+/// Files of a run that were removed while it set up: all workers are alive, and each waits for a port that never comes.
+#[test]
+fn workers_that_do_not_reach_each_other_are_given_up() {
+    let (control, seats) = thread_channel(3);
+    let launcher = ThreadLauncher::new(seats, |_| -> ThreadJob {
+        Box::new(|seat| {
+            let worker = seat.connect();
+            worker.progress(CONNECTING);
+            while !worker.coordinator_has_ended() {
+                worker.beat();
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        })
+    });
+    let patient = Duration::from_secs(60);
+    let mut crew = Crew::start(Box::new(control), Box::new(launcher), Box::new(OneProcess), patient).expect("a crew");
+    crew.limit_connecting(Duration::from_millis(200));
+    let error = crew.collect(patient, |_, _, _| true).expect_err("nobody answers");
+    assert!(matches!(error, CrewError::Unconnected { rank: 0, .. }), "{error}");
+    assert!(error.to_string().contains("worker 0 did not connect to the others within 0 s"), "{error}");
 }

@@ -8,8 +8,10 @@ use std::time::Duration;
 
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::event::PortFactory;
+use rustix::fs::{Access, StatVfsMountFlags, access, statvfs};
 
 use crate::transport::RunName;
+use crate::transport::run_name::SHARED_MEMORY_FOLDER;
 use crate::transport::wait::{Patience, Stopped};
 
 /// The iceoryx2 service variant: shared memory between processes, ports bound to one thread.
@@ -17,6 +19,10 @@ pub(super) type Ipc = ipc::Service;
 
 /// Pause between two attempts to open a resource that another process is about to create.
 const OPEN_PAUSE: Duration = Duration::from_millis(1);
+
+/// A folder with less room than this counts as full after an error.
+const FEW_FILES: u64 = 16;
+const FEW_BYTES: u64 = 64 << 10;
 
 /// A node of `run`. It avoids `Config::global_config()`, because that reads files from the working directory, the home
 /// directory and /etc.
@@ -72,11 +78,40 @@ fn is_open_to_others(path: &std::path::Path) -> bool {
 pub(super) fn text<E: Debug>(what: &'static str) -> impl Fn(E) -> String {
     move |error| {
         let name = format!("{error:?}");
-        match meaning(&name) {
+        match lack_of_machine().or_else(|| meaning(&name).map(str::to_owned)) {
             Some(meaning) => format!("{what}: {meaning} ({name})"),
             None => format!("{what}: {name}"),
         }
     }
+}
+
+/// What the machine lacks right now, if it can be seen. One lack appears under many names of iceoryx2.
+fn lack_of_machine() -> Option<String> {
+    if let Some(shortage) = descriptor_shortage() {
+        return Some(format!("{shortage}: raise the limit (ulimit -n) or use fewer workers"));
+    }
+    lack_of_folder(std::path::Path::new(SHARED_MEMORY_FOLDER)).or_else(|| lack_of_folder(&std::env::temp_dir()))
+}
+
+/// Why no file can be made in a folder.
+fn lack_of_folder(folder: &std::path::Path) -> Option<String> {
+    let name = folder.display();
+    let space = match statvfs(folder) {
+        Ok(space) => space,
+        Err(error) => return Some(format!("{name}: {}", std::io::Error::from(error))),
+    };
+    if space.f_flag.contains(StatVfsMountFlags::RDONLY) {
+        return Some(format!("{name} is read-only"));
+    }
+    // What failed has often given back what it took, so a few files or bytes that are free now do not count.
+    if space.f_files > 0 && space.f_favail < FEW_FILES {
+        return Some(format!("{name} has room for {} more files only (df -i {name})", space.f_favail));
+    }
+    if space.f_bavail * space.f_frsize < FEW_BYTES {
+        return Some(format!("{name} is full (df {name})"));
+    }
+    let may_write = access(folder, Access::WRITE_OK | Access::EXEC_OK).is_ok();
+    (!may_write).then(|| format!("no right to write to {name}"))
 }
 
 /// Usual cause on the machine of an error of iceoryx2, for errors that users meet.
@@ -91,6 +126,13 @@ fn meaning(name: &str) -> Option<&'static str> {
         _ if has(&["NoSpaceLeft", "ResourceCreationFailed"]) => {
             Some("a file in /dev/shm or in the temp folder cannot be made (full, read-only, or too long a path)")
         }
+        _ if has(&["InternalFailure", "InternalError"]) => {
+            Some("the system refuses something, and iceoryx2 does not say what; strace names the call")
+        }
+        _ if has(&["CorruptedState", "ServiceInCorruptedState", "DoesNotExist", "Corrupted"]) => {
+            Some("files of the run in /dev/shm or in the temp folder were removed or changed while it ran")
+        }
+        _ if has(&["Exceeds"]) => Some("more processes of the run than it was made for"),
         _ => None,
     }
 }
@@ -151,5 +193,36 @@ pub(super) fn open_when_created<T, E: Debug>(
         if let Some(limit) = patience.back_off(&mut wait).map_err(OpenError::Stopped)? {
             std::thread::sleep(limit.min(OPEN_PAUSE));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_errors_become_sentences() {
+        let refused = |name: &'static str| meaning(name).is_some();
+        // As they were seen with a full, read-only or inaccessible /dev/shm, without descriptors, with removed files.
+        for name in [
+            "UnableToCreateDataSegment",
+            "InsufficientPermissions",
+            "InternalFailure",
+            "ServiceInCorruptedState",
+            "UnableToOpenFileDescriptor",
+            "ExceedsMaxSupportedNodes",
+            "FailedToMap(Memory)",
+        ] {
+            assert!(refused(name), "{name}");
+        }
+        assert_eq!(meaning("SomethingElse"), None);
+    }
+
+    #[test]
+    fn the_lack_of_a_folder_is_named() {
+        let none = std::path::Path::new("/nowhere/at/all");
+        assert_eq!(lack_of_folder(none).unwrap(), "/nowhere/at/all: No such file or directory (os error 2)");
+        assert_eq!(lack_of_folder(&std::env::temp_dir()), None);
+        assert_eq!(lack_of_machine(), None);
     }
 }
