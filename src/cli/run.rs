@@ -7,7 +7,7 @@ use super::start_state::{Places, untangled_line};
 use crate::coordinator::{GivenOptions, Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan};
 use crate::os::console::note;
 use crate::os::signals;
-use crate::output::{Existing, RunDirectory, RunManifest};
+use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest};
 use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
@@ -54,6 +54,9 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     }
     for line in &plan.scene.left_out {
         note(format_args!("left out: {line}"));
+    }
+    if !plan.scene.parts.is_empty() && options.formats.0 == [FrameFormat::Ply] {
+        note("PLY frames do not hold the objects and groups of the meshes; `--format obj` keeps them");
     }
     let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
     note(format_args!(

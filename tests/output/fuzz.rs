@@ -10,12 +10,16 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use loomtree::cli::ccd::{parse_queries, parse_truth};
+use loomtree::coordinator::RunOptions;
 use loomtree::input::Input;
 use loomtree::interconnect::Topology;
 use loomtree::linear_system::{parse_block_csr, parse_matrix_market, parse_right_hand_side};
+use loomtree::math::Vec3;
 use loomtree::mesh::{MaterialSource, MeshOptions, first_intersection, parse_obj, parse_ply, validate};
-use loomtree::output::{Checkpoint, obj, ply};
-use loomtree::scene::{Overrides, parse, parse_fabric};
+use loomtree::model::State;
+use loomtree::output::pc2::{self, Pc2Writer};
+use loomtree::output::{Checkpoint, Report, RunDirectory, RunManifest, checkpoint, obj, ply, read_trace};
+use loomtree::scene::{self, Overrides, parse, parse_fabric};
 use support::seeded::Seeded;
 
 /// Far above what any of these inputs needs (milliseconds), far below a hang.
@@ -51,6 +55,111 @@ fn scene(bytes: &[u8], name: &str) -> Result<(), String> {
     let text = String::from_utf8_lossy(bytes);
     let overrides = Overrides { resolution: None, frames: Some(1) };
     parse(&text, Path::new(name), &overrides).map(|_| ()).map_err(|error| error.to_string())
+}
+
+/// Reads an input that its reader takes from a path.
+fn from_file(name: &str, bytes: &[u8], read: impl Fn(&Path) -> Result<(), String>) -> Result<(), String> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join(name);
+    std::fs::write(&path, bytes).expect("the input");
+    // Refusals name the path, which differs from call to call.
+    read(&path).map_err(|sentence| sentence.replace(&folder.path().display().to_string(), "."))
+}
+
+/// A checkpoint, read as it is and with the checksum of its content, which a reader verifies last.
+fn checkpoint(bytes: &[u8]) -> Result<(), String> {
+    let read = |bytes: &[u8]| Checkpoint::from_bytes(bytes).map(|_| ()).map_err(|error| error.to_string());
+    let mut mended = bytes[..bytes.len().saturating_sub(8)].to_vec();
+    mended.extend(xxhash_rust::xxh3::xxh3_64(&mended).to_le_bytes());
+    read(&mended).and(read(bytes))
+}
+
+fn checkpoint_seed() -> Vec<u8> {
+    let positions = vec![Vec3::ZERO, Vec3::X, Vec3::new(0.5, -1.0, 2.0)];
+    let state = State { velocities: vec![Vec3::Y; positions.len()], positions };
+    let whole = Checkpoint { frame: 2, step: 20, time_s: 0.08, fingerprint: 0x1234_5678_9abc_def0, state };
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::read(checkpoint::keep(folder.path(), &whole).expect("a checkpoint")).expect("its bytes")
+}
+
+/// ARCSim's `.mot` file as a scene reads it.
+fn motion_file(bytes: &[u8]) -> Result<(), String> {
+    const SCENE: &str = "{frame_time: 0.04, duration: 1, cloths: [{mesh: 'a.obj', materials: [{data: 'f.json'}]}],
+        obstacles: [{mesh: 'a.obj', motion: 0}], motions: {motfile: 'a.mot', fps: 30}}";
+    from_file("a.mot", bytes, |path| {
+        let beside = |name: &str| path.with_file_name(name);
+        std::fs::write(beside("a.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("a mesh");
+        std::fs::write(beside("f.json"), FABRIC).expect("a fabric");
+        scene::read_str(SCENE, &beside("a.json")).map(|_| ()).map_err(|error| error.to_string())
+    })
+}
+
+/// A point cache of one triangle, as a run reads it again.
+fn point_cache(bytes: &[u8]) -> Result<(), String> {
+    from_file("cloth.pc2", bytes, |path| {
+        let samples = pc2::samples(path).map_err(|error| error.to_string())?;
+        pc2::read(path, samples.saturating_sub(1)).map_err(|error| error.to_string())?;
+        Pc2Writer::open(path, 3, samples.clamp(1, 2)).map(|_| ()).map_err(|error| error.to_string())
+    })
+}
+
+fn recipe(bytes: &[u8]) -> Result<(), String> {
+    from_file("run.toml", bytes, |path| {
+        let folder = path.parent().expect("its folder");
+        std::fs::write(folder.join("run_scene.toml"), "").expect("a scene");
+        let directory = RunDirectory::open(folder).map_err(|error| error.to_string())?;
+        let recipe = RunManifest::load(&directory).map_err(|error| error.to_string())?;
+        recipe.flags::<RunOptions>().map(|_| ()).map_err(|error| error.to_string())
+    })
+}
+
+const FABRIC: &str = "{\"density\": 0.2, \"stretching\": [[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1],\
+    [1,0,1,1]],\n\"bending\": [[1,1,1,1,1],[1,1,1,1,1],[1,1,1,1,1]]}";
+const RECIPE: &str = "version = \"0.1.0\"\nscene_path = \"/a/s.toml\"\nscene_file = \"run_scene.toml\"\ninputs = []\n\n\
+    [flags]\ncheckpoint_every = 10\nexchange = \"halo\"\nformats = \"ply,pc2\"\nheartbeat_s = 10.0\n\
+    keep_states = \"frames\"\nworkers = 2\n";
+const REPORT: &str = r#"{
+  "scene": "s", "version": "0.1.0", "workers": 1, "executor": "cpu", "devices": ["cpu, 1 thread"], "exchange": "halo",
+  "schedule": "direct", "preconditioner": "schwarz", "topology": "t", "triangles": 60, "vertices": 42, "step_s": 0.004,
+  "steps_per_frame": 10, "frames_wanted": 2, "gravity_m_s2": [0.0, -9.8, 0.0], "up_axis": "y",
+  "machine": {"cores": 2, "cpu": "a", "memory_bytes": 25276502016, "system": "linux x86_64"},
+  "started_unix_s": 1795991449, "ended_unix_s": 1795991450, "status": "done", "resumed": [],
+  "frames": [
+    {"frame":0,"time_s":0.0,"state_hash":"bab1c4bd27aeeb7d"}
+  ],
+  "steps": [
+    {"step":1,"frame":1,"time_s":0.004,"iterations":5,"residual":0.0036,"converged":true,"stage_seconds":{"total":0.01},
+     "bytes_moved":2616,"bytes_per_spmv":264,"contacts":0,"zones":0,"impacts":0,"smallest_gap_m":null}
+  ]
+}
+"#;
+const TRACE: &str = r#"[
+{"ph":"M","name":"process_name","pid":0,"tid":0,"args":{"name":"rank 0 (cpu, 1 thread)"}},
+{"ph":"X","name":"read state","cat":"transfer","pid":0,"tid":8,"ts":73.7,"dur":3,"args":{"step":1,"bytes":5,"flops":0}},
+{"ph":"X","name":"all-reduce","cat":"wait","pid":1,"ts":7.5,"dur":2,"args":{"step":1,"asked_ts":7,"bytes":8,"flops":0}}
+]
+"#;
+
+/// Readers of the files that a run leaves and takes up again.
+fn run_seeds() -> Vec<Seed> {
+    let mut seeds = Vec::new();
+    let mut add = |name, bytes: &[u8], read| seeds.push(Seed { name, bytes: bytes.to_vec(), read });
+    add("checkpoint", &checkpoint_seed(), checkpoint);
+    add("motion file", b"NumFrames: 2\na position\n0 1 2\n3 4 5\n\na\n1 0 0 0\n0 0 0 2\n\n", motion_file);
+    add("run.toml", RECIPE.as_bytes(), recipe);
+    add("report", REPORT.as_bytes(), |bytes| {
+        from_file("report.json", bytes, |path| Report::load(path).map(|_| ()).map_err(|error| error.to_string()))
+    });
+    add("trace", TRACE.as_bytes(), |bytes| {
+        from_file("trace.json", bytes, |path| read_trace(path).map(|_| ()).map_err(|error| error.to_string()))
+    });
+    let mut cache = b"POINTCACHE2\0".to_vec();
+    [1i32, 3].iter().for_each(|x| cache.extend(x.to_le_bytes()));
+    [0f32, 1.0].iter().for_each(|x| cache.extend(x.to_le_bytes()));
+    cache.extend(2i32.to_le_bytes());
+    (0..18).for_each(|i| cache.extend((i as f32).to_le_bytes()));
+    add("point cache", &cache, point_cache);
+    seeds
 }
 
 fn seeds() -> Vec<Seed> {
@@ -93,9 +202,7 @@ fn seeds() -> Vec<Seed> {
         materials: [{data: 'none.json', thicken: 2}]}],\n handles: [{nodes: [0, 1], motion: 0}],\n motions: [[{time: 0}, {time: 1, transform: {rotate: [90, 0, 0, 1]}}]],\n\
         obstacles: 'body%04d.obj', gravity: [0, 0, -9.8], wind: {density: 1}, magic: {repulsion_thickness: 0.005}, disable: ['remeshing'] }";
     add("arcsim", json.as_bytes(), |bytes| scene(bytes, "a.json"));
-    let fabric = "{\"density\": 0.2, \"stretching\": [[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1],[1,0,1,1]],\n\
-        \"bending\": [[1,1,1,1,1],[1,1,1,1,1],[1,1,1,1,1]]}";
-    add("fabric", fabric.as_bytes(), |bytes| {
+    add("fabric", FABRIC.as_bytes(), |bytes| {
         parse_fabric(&String::from_utf8_lossy(bytes), Path::new("f.json"))
             .map(|_| ())
             .map_err(|error| error.to_string())
@@ -124,9 +231,7 @@ fn seeds() -> Vec<Seed> {
     });
     let topology = include_bytes!("../../topology/pcie_8.toml");
     add("topology", topology, |bytes| Topology::parse(bytes, "t.toml").map(|_| ()).map_err(|error| error.to_string()));
-    add("checkpoint", b"LTCHECK\x00\x01\x00\x00\x00\x00\x00\x00\x00\x04\x00\x00\x00\x00\x00\x00\x00", |bytes| {
-        Checkpoint::from_bytes(bytes).map(|_| ()).map_err(|error| error.to_string())
-    });
+    seeds.extend(run_seeds());
     seeds
 }
 
@@ -236,7 +341,7 @@ fn survive(inputs: impl Iterator<Item = (usize, u64)> + Send + 'static) -> u64 {
 
 #[test]
 fn every_seed_is_a_good_file() {
-    for seed in seeds().iter().filter(|seed| !["arcsim", "checkpoint", "frame obj", "frame ply"].contains(&seed.name)) {
+    for seed in seeds().iter().filter(|seed| !["arcsim", "frame obj", "frame ply"].contains(&seed.name)) {
         assert_eq!((seed.read)(&seed.bytes), Ok(()), "{}", seed.name);
     }
 }

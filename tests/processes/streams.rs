@@ -31,7 +31,8 @@ fn end(command: &mut Command) -> (Option<i32>, String) {
 fn printing(place: &Place) -> Vec<&'static str> {
     place.write("a.mtx", MATRIX);
     place.write("flag.toml", flag(200, 2, 2));
-    place.write("queries.csv", "0,1,0,1,0,1,0,1,1,1,0,1,0,1,1,1,1,1,0,1,0,1,0,1\n");
+    place.write("queries.csv", "0,1,0,1,0,1\n1,1,0,1,0,1\n0,1,1,1,0,1\n1,1,1,1,1,1\n".repeat(2));
+    place.run("run flag.toml --executor cpu --out out").expect(0);
     let topology = support::process::repository("topology/pcie_4.toml");
     fs::copy(topology, place.path("pcie_4.toml")).expect("a topology");
     vec![
@@ -42,6 +43,9 @@ fn printing(place: &Place) -> Vec<&'static str> {
         "check flag.toml",
         "schedule pcie_4.toml",
         "schedule pcie_4.toml --format json",
+        "ccd queries.csv --kind vf",
+        "render out --executor cpu --size 64x48",
+        "predict out --topology pcie_4.toml",
     ]
 }
 
