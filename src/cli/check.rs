@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use crate::math::{DVec3, Vec3};
 use crate::mesh::{
-    Group, GroupKind, MaterialSource, MeshReadError, Part, TriangleMesh, crossings, first_at_place, hinges, read_mesh,
-    read_obstacle,
+    FileMesh, Group, GroupKind, MaterialSource, MeshReadError, Part, TriangleMesh, crossings, first_at_place, hinges,
+    read_mesh, read_obstacle,
 };
 use crate::scene::{DEFAULT_THICKNESS_M, Movement, Overrides, Scene, load, load_fabric, load_untangled, size_warning};
 
+use super::far::far_line;
 use super::start_state::{Places, untangled_line, write_mesh};
 use super::{CliError, print_to};
 
@@ -71,7 +72,7 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
                     let did = match &done {
                         Some(done) => {
                             let TriangleMesh { positions, triangles, .. } = &scene.mesh;
-                            write_mesh(file, positions, triangles).map_err(CliError::failed)?;
+                            write_mesh(file, scene.origin_m, positions, triangles).map_err(CliError::failed)?;
                             format!("{}; written to {}", untangled_line(done), file.display())
                         }
                         None => "nothing to untangle".to_owned(),
@@ -95,7 +96,7 @@ fn is_fabric(path: &Path) -> bool {
 fn mesh_summary(path: &Path, write_crossings: Option<&Path>) -> Result<String, CliError> {
     let file = read_mesh(path, MaterialSource::Auto).map_err(|error| {
         let mut sentence = error.to_string();
-        if matches!(error, MeshReadError::Mesh { .. }) && read_obstacle(path).is_ok() {
+        if matches!(error, MeshReadError::Mesh { .. }) && read_obstacle(path, 1.0).is_ok() {
             sentence += "; as an obstacle it can be used (`check --obstacle`)";
         }
         CliError::bad_input(sentence)
@@ -104,7 +105,7 @@ fn mesh_summary(path: &Path, write_crossings: Option<&Path>) -> Result<String, C
     let whole = Group { triangles: 0..triangles.len(), kind: GroupKind::Cloth };
     let pairs = crossings(positions, triangles, &[whole]);
     if let Some([a, b]) = pairs.first() {
-        return Err(CliError::bad_input(crossing_sentence(path, &file.mesh, [*a, *b], &pairs, write_crossings)));
+        return Err(CliError::bad_input(crossing_sentence(path, &file, [*a, *b], &pairs, write_crossings)));
     }
     let mut text = format!("mesh {}: valid\n{}", path.display(), mesh_lines(&file.mesh));
     text += &parts_line(&file.parts);
@@ -118,11 +119,12 @@ fn mesh_summary(path: &Path, write_crossings: Option<&Path>) -> Result<String, C
 /// Error message about a mesh that crosses itself. Writes the crossing triangles if a file is given.
 fn crossing_sentence(
     path: &Path,
-    mesh: &TriangleMesh,
+    file_mesh: &FileMesh,
     first: [u32; 2],
     pairs: &[[u32; 2]],
     write_crossings: Option<&Path>,
 ) -> String {
+    let mesh = &file_mesh.mesh;
     let [a, b] = first.map(|t| t + 1);
     let mut sentence =
         format!("{}: triangles {a} and {b} cross or touch, so no simulation can start here", path.display());
@@ -140,14 +142,14 @@ fn crossing_sentence(
     let corners: Vec<Vec3> =
         meeting.iter().flat_map(|&t| mesh.triangles[t as usize].map(|v| mesh.positions[v as usize])).collect();
     let triangles: Vec<[u32; 3]> = (0..meeting.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
-    match write_mesh(file, &corners, &triangles) {
+    match write_mesh(file, file_mesh.base, &corners, &triangles) {
         Ok(()) => sentence + &format!("; {} holds a mesh of all that do", file.display()),
         Err(fault) => format!("{sentence}; {fault}"),
     }
 }
 
 fn obstacle_summary(path: &Path) -> Result<String, CliError> {
-    let (surface, left_out) = read_obstacle(path).map_err(CliError::bad_input)?;
+    let (surface, left_out) = read_obstacle(path, 1.0).map_err(CliError::bad_input)?;
     let mut text =
         format!("obstacle {}: valid\n{}", path.display(), size_lines(&surface.positions, surface.triangles.len()));
     text += &parts_line(&surface.parts);
@@ -224,6 +226,9 @@ fn scene_summary(scene: &Scene) -> String {
         "  frames      {} of {} steps of {} s ({seconds:.3} s)\n",
         settings.frames, settings.steps_per_frame, settings.step_s
     );
+    if let Some(line) = far_line(scene) {
+        text += &format!("  far         {line}\n");
+    }
     text += &parts_line(&scene.parts);
     for line in &scene.warnings {
         text += &format!("  warning     {line}\n");

@@ -7,6 +7,7 @@ pub mod ccd;
 mod ccd_csv;
 mod ccd_frames;
 pub mod doctor;
+mod far;
 pub mod predict;
 pub mod render;
 pub mod run;

@@ -10,6 +10,7 @@ use clap::Args;
 
 use super::{CliError, print};
 use crate::gpu::{Executor, GpuError};
+use crate::math::DVec3;
 use crate::output::picture::{Coloring, PictureError, PictureOptions, UpAxis, draw_frames};
 use crate::output::{FrameSource, FramesError, Report, RunDirectory};
 use crate::protocol::ExecutorChoice;
@@ -99,6 +100,7 @@ impl FromStr for FrameRange {
 pub fn run(args: RenderArgs) -> Result<(), CliError> {
     let directory = RunDirectory::open(&args.run_dir).map_err(|e| CliError::bad_input(e.to_string()))?;
     let source = FrameSource::open(&directory).map_err(|e| CliError::bad_input(e.to_string()))?;
+    let source = source.about(recorded_origin(&directory));
     let all = source.numbers();
     let wanted = all.iter().copied().filter(|n| (args.frames.first..=args.frames.last).contains(n));
     let numbers: Vec<u32> = wanted.step_by(args.every as usize).collect();
@@ -155,6 +157,11 @@ fn open_executor(wanted: ExecutorChoice, adapter: Option<usize>, threads: usize)
         }
         Err(error) => Err(CliError::failed(PictureError::Gpu(error))),
     }
+}
+
+/// The local origin from the report; zero if there is no report.
+fn recorded_origin(directory: &RunDirectory) -> DVec3 {
+    Report::load(&directory.report()).map_or(DVec3::ZERO, |report| DVec3::from_array(report.header.local_origin_m))
 }
 
 /// The up axis from the report; z if there is no report.

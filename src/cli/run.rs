@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::CliError;
+use super::far::far_line;
 use super::start_state::{Places, untangled_line};
 use crate::coordinator::{GivenOptions, Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan};
 use crate::os::console::note;
@@ -48,6 +49,9 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     })?;
     if let Some(done) = &plan.untangled {
         note(untangled_line(done));
+    }
+    if let Some(line) = far_line(&plan.scene) {
+        note(format_args!("far: {line}"));
     }
     for line in &plan.scene.warnings {
         note(format_args!("warning: {line}"));

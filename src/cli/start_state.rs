@@ -4,7 +4,7 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use crate::math::Vec3;
+use crate::math::{DVec3, Vec3};
 use crate::output::{WriteError, write_atomically};
 use crate::scene::SceneError;
 
@@ -35,13 +35,13 @@ impl Places {
         let SceneError::Crossing { crossings, .. } = error else { return error.to_string() };
         let mut faults = Vec::new();
         if let Some(file) = &self.crossings {
-            match write_mesh(file, &crossings.positions, &crossings.triangles()) {
+            match write_mesh(file, crossings.origin_m, &crossings.positions, &crossings.triangles()) {
                 Ok(()) => crossings.written = Some(file.clone()),
                 Err(fault) => faults.push(fault.to_string()),
             }
         }
         if let (Some(file), Some(best)) = (&self.best, &mut crossings.best) {
-            match write_mesh(file, &best.positions, &best.triangles) {
+            match write_mesh(file, crossings.origin_m, &best.positions, &best.triangles) {
                 Ok(()) => best.written = Some(file.clone()),
                 Err(fault) => faults.push(fault.to_string()),
             }
@@ -51,11 +51,20 @@ impl Places {
     }
 }
 
-/// Writes an OBJ file of positions and triangles with all digits of the positions.
-pub(super) fn write_mesh(file: &Path, positions: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), WriteError> {
+/// Writes an OBJ file of positions, which are relative to `origin_m`, and triangles with all digits of the positions.
+pub(super) fn write_mesh(
+    file: &Path,
+    origin_m: DVec3,
+    positions: &[Vec3],
+    triangles: &[[u32; 3]],
+) -> Result<(), WriteError> {
     write_atomically(file, |out: &mut dyn Write| -> io::Result<()> {
         for p in positions {
-            writeln!(out, "v {} {} {}", p.x, p.y, p.z)?;
+            let far = p.as_dvec3() + origin_m;
+            match origin_m == DVec3::ZERO {
+                true => writeln!(out, "v {} {} {}", p.x, p.y, p.z)?,
+                false => writeln!(out, "v {} {} {}", far.x, far.y, far.z)?,
+            }
         }
         for t in triangles {
             writeln!(out, "f {} {} {}", t[0] + 1, t[1] + 1, t[2] + 1)?;

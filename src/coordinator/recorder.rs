@@ -147,6 +147,7 @@ impl Recorder {
             step_s: scene.settings.step_s,
             steps_per_frame: scene.settings.steps_per_frame,
             frames_wanted: scene.settings.frames,
+            local_origin_m: scene.origin_m.to_array(),
             untangled: plan.untangled,
             ..ReportHeader::now()
         };
@@ -164,8 +165,15 @@ impl Recorder {
             sentences.iter().for_each(note);
         }
         self.frames = Some(
-            FrameWriter::with_parts(&self.directory, &self.options.formats.0, &scene.mesh, &scene.parts, first_frame)
-                .map_err(write_error)?,
+            FrameWriter::with_parts(
+                &self.directory,
+                &self.options.formats.0,
+                &scene.mesh,
+                &scene.parts,
+                scene.origin_m,
+                first_frame,
+            )
+            .map_err(write_error)?,
         );
         if self.options.keep_states.is_some() {
             std::fs::create_dir_all(self.directory.states()).map_err(write_error)?;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::math::Vec3;
+use crate::math::{DVec3, Vec3};
 
 use super::{MeshFault, Part, Surface, TextureFit, TriangleMesh, flatten_triangles, material, validate, weld, winding};
 
@@ -21,17 +21,25 @@ pub enum MaterialSource {
 }
 
 /// Options for the conversion of a mesh file.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeshOptions {
     /// Source of the rest shape.
     pub material: MaterialSource,
     /// Vertices within this distance are joined, in the unit of the file; none = all vertices are kept.
     pub weld: Option<f64>,
+    /// Meters per unit of the file.
+    pub unit_m: f64,
+}
+
+impl Default for MeshOptions {
+    fn default() -> MeshOptions {
+        MeshOptions { material: MaterialSource::default(), weld: None, unit_m: 1.0 }
+    }
 }
 
 impl From<MaterialSource> for MeshOptions {
     fn from(material: MaterialSource) -> MeshOptions {
-        MeshOptions { material, weld: None }
+        MeshOptions { material, ..MeshOptions::default() }
     }
 }
 
@@ -43,7 +51,7 @@ impl Surface {
     /// flipped if that makes the winding consistent.
     pub fn into_mesh(self, options: impl Into<MeshOptions>) -> Result<FileMesh, MeshFault> {
         let options = options.into();
-        let Surface { mut positions, mut triangles, mut texture_uv, parts } = self;
+        let Surface { base, mut positions, mut triangles, mut texture_uv, parts } = self;
         let mut joined = None;
         if let Some(distance) = options.weld {
             validate::check_triangles(&positions, &triangles)?;
@@ -102,13 +110,15 @@ impl Surface {
         let mesh = TriangleMesh { positions, triangles, material_uv };
         validate::check_material(&mesh)?;
         let material = options.material;
-        Ok(FileMesh { mesh, parts, mesh_vertices, dropped, welded, turned, fit, material, from_texture })
+        Ok(FileMesh { base, mesh, parts, mesh_vertices, dropped, welded, turned, fit, material, from_texture })
     }
 }
 
 /// A mesh from a file, with a record of its repairs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileMesh {
+    /// Point that the positions of `mesh` are relative to: that of its file, zero once it is placed.
+    pub(crate) base: DVec3,
     /// The mesh. Its vertices keep the order of the file.
     pub mesh: TriangleMesh,
     /// Objects and groups of the file.
@@ -130,6 +140,7 @@ pub struct FileMesh {
 impl From<TriangleMesh> for FileMesh {
     fn from(mesh: TriangleMesh) -> FileMesh {
         FileMesh {
+            base: DVec3::ZERO,
             mesh,
             parts: Vec::new(),
             mesh_vertices: None,

@@ -22,7 +22,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crate::input::{Input, Streams};
-use crate::math::{Vec2, Vec3};
+use crate::math::{DVec3, FAR_M, Vec2, Vec3, bounds, local_origin};
 
 pub use adjacency::{Hinge, hinges, pieces, unique_edges};
 pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection};
@@ -30,8 +30,10 @@ pub use file_mesh::{FileMesh, MaterialSource, MeshOptions, extent};
 pub use intersect::edge_crosses_triangle;
 pub use material::{TextureFit, flatten_triangle, flatten_triangles};
 pub use obj::parse_obj;
+pub(crate) use obj::parse_obj_far;
 pub use order::{locality_order, middle, vertex_order};
 pub use ply::parse_ply;
+pub(crate) use ply::parse_ply_far;
 pub use untangle::{Tangle, Untangled};
 pub(crate) use validate::needles;
 pub use validate::{MeshFault, check_obstacle, validate};
@@ -96,23 +98,27 @@ impl ParseFault {
 ///
 /// Self-intersections are not searched here; [`first_intersection`] finds them once all pieces of a scene are in place.
 pub fn read_mesh(path: &Path, options: impl Into<MeshOptions>) -> Result<FileMesh, MeshReadError> {
-    read_file(path)?.into_mesh(options).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })
+    let options = options.into();
+    let surface = read_file(path, options.unit_m)?;
+    surface.into_mesh(options).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })
 }
 
 /// Reads an obstacle's surface from an OBJ or PLY file, with all vertices in the order of the file, used or not.
 ///
 /// Indices, finite coordinates and areas are checked. Unlike for cloth, edges can have any number of triangles with any
-/// winding.
+/// winding. Its base is zero, so positions far from the origin are rounded as f32 rounds them.
 pub fn read_surface(path: &Path) -> Result<Surface, MeshReadError> {
-    let surface = read_file(path)?;
+    let surface = read_file(path, 0.0)?;
     check_obstacle(&surface).map_err(|fault| MeshReadError::Mesh { path: path.into(), fault })?;
     Ok(surface)
 }
 
 /// Like [`read_surface`], but triangles without area are left out, because anything that hits them hits their neighbors
 /// too. The second value is a sentence about their number, if any.
-pub fn read_obstacle(path: &Path) -> Result<(Surface, Option<String>), MeshReadError> {
-    let mut surface = read_file(path)?;
+///
+/// `unit_m`: meters per unit of the file.
+pub fn read_obstacle(path: &Path, unit_m: f64) -> Result<(Surface, Option<String>), MeshReadError> {
+    let mut surface = read_file(path, unit_m)?;
     let needles = needles(&surface.positions, &surface.triangles);
     // If no triangle would be left, the check below reports the first one.
     let left_out = if needles.contains(&false) { surface.leave_out(&needles, path) } else { None };
@@ -120,8 +126,9 @@ pub fn read_obstacle(path: &Path) -> Result<(Surface, Option<String>), MeshReadE
     Ok((surface, left_out))
 }
 
-/// Reads the content of a file and checks its syntax only.
-pub(crate) fn read_file(path: &Path) -> Result<Surface, MeshReadError> {
+/// Reads the content of a file and checks its syntax only. `unit_m`: meters per unit of the file; 0: positions are
+/// never far.
+pub(crate) fn read_file(path: &Path, unit_m: f64) -> Result<Surface, MeshReadError> {
     let unreadable = |error: std::io::Error| MeshReadError::Unreadable { path: path.into(), reason: error.to_string() };
     let mut name = path.to_path_buf();
     if name.extension().is_some_and(|e| e.eq_ignore_ascii_case("gz")) {
@@ -132,14 +139,20 @@ pub(crate) fn read_file(path: &Path) -> Result<Surface, MeshReadError> {
         return Err(MeshReadError::UnknownFormat { path: path.into() });
     }
     let input = Input::open(path, Streams::Refused).map_err(unreadable)?;
-    let parsed = if extension == "obj" { parse_obj(input.reader) } else { parse_ply(input.reader, input.bytes) };
+    let far = FAR_M / unit_m;
+    let parsed = match extension.as_str() {
+        "obj" => parse_obj_far(input.reader, far),
+        _ => parse_ply_far(input.reader, input.bytes, far),
+    };
     parsed.map_err(|fault| MeshReadError::Syntax { path: path.into(), fault })
 }
 
 /// Content of a mesh file, with the file's own vertex numbering.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
-    /// World positions, meters.
+    /// Point that `positions` are relative to: zero, or for a file far from its origin a point in the middle of it.
+    pub base: DVec3,
+    /// Positions relative to `base`, in the unit of the file; meters once they are placed.
     pub positions: Vec<Vec3>,
     /// Triangles; larger polygons have been triangulated.
     pub triangles: Vec<[u32; 3]>,
@@ -165,6 +178,14 @@ impl Part {
     pub fn is_named(&self, name: &str) -> bool {
         self.object == name || self.group == name || self.group.split_whitespace().any(|group| group == name)
     }
+}
+
+/// Positions of a file, rounded to f32 about a base: the local origin of a file with coordinates beyond `far`, else
+/// zero.
+fn rounded(positions: &[DVec3], far: f64) -> (DVec3, Vec<Vec3>) {
+    let (low, high) = bounds(positions.iter().copied());
+    let base = if positions.is_empty() { DVec3::ZERO } else { local_origin(low, high, far) };
+    (base, positions.iter().map(|p| (p - base).as_vec3()).collect())
 }
 
 impl Surface {

@@ -5,10 +5,10 @@
 
 use std::io::BufRead;
 
-use crate::math::{Vec2, Vec3};
+use crate::math::{DVec3, Vec2};
 
 use super::polygon::Faces;
-use super::{ParseFault, Part, Surface};
+use super::{ParseFault, Part, Surface, rounded};
 
 /// Indices must fit 31 bits, see `validate`.
 const MOST_VERTICES: usize = i32::MAX as usize;
@@ -19,7 +19,12 @@ const LONGEST_NAME: usize = 200;
 ///
 /// Numbers are checked line by line, vertices of faces at the end of the file. `Surface::into_mesh` checks whether the
 /// result is valid cloth.
-pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
+pub fn parse_obj(reader: impl BufRead) -> Result<Surface, ParseFault> {
+    parse_obj_far(reader, f64::INFINITY)
+}
+
+/// Like [`parse_obj`]. The surface of a file with coordinates beyond `far` is relative to a base.
+pub(crate) fn parse_obj_far(mut reader: impl BufRead, far: f64) -> Result<Surface, ParseFault> {
     let mut obj = Obj { every_corner_has_texture: true, ..Obj::default() };
     let mut line = Vec::new();
     let mut number = 0;
@@ -50,7 +55,7 @@ pub fn parse_obj(mut reader: impl BufRead) -> Result<Surface, ParseFault> {
             obj.line(text, first).map_err(|what| ParseFault::at(first, what))?;
         }
     }
-    obj.finish()
+    obj.finish(far)
 }
 
 /// Byte position of the comment in a line.
@@ -63,7 +68,7 @@ const NONE: u32 = u32::MAX;
 
 #[derive(Default)]
 struct Obj {
-    positions: Vec<Vec3>,
+    positions: Vec<DVec3>,
     texture: Vec<Vec2>,
     faces: Faces,
     /// Texture index of every corner. Cleared at the first corner without one.
@@ -84,11 +89,11 @@ impl Obj {
                 if self.positions.len() >= MOST_VERTICES {
                     return Err(format!("more than {MOST_VERTICES} vertices"));
                 }
-                self.positions.push(Vec3::new(x, y, z));
+                self.positions.push(DVec3::new(x, y, z));
             }
             Some(b"vt") => {
                 let [u, v] = numbers(&mut words, "a texture line has two coordinates (`vt u v`)")?;
-                self.texture.push(Vec2::new(u, v));
+                self.texture.push(Vec2::new(u as f32, v as f32));
             }
             Some(b"f") => self.face(words, number)?,
             Some(kind @ (b"o" | b"g")) => self.part(kind == b"o", &line[..comment(line).unwrap_or(line.len())]),
@@ -144,11 +149,12 @@ impl Obj {
         self.parts.push((self.faces.len(), object, group));
     }
 
-    fn finish(self) -> Result<Surface, ParseFault> {
+    fn finish(self, far: f64) -> Result<Surface, ParseFault> {
         if self.faces.len() == 0 {
             return Err(ParseFault::whole("no face in it (an OBJ mesh has `v x y z` and `f a b c` lines)"));
         }
-        let cut = self.faces.cut(&self.positions)?;
+        let (base, positions) = rounded(&self.positions, far);
+        let cut = self.faces.cut(&positions)?;
         let mut texture_uv = Vec::new();
         if self.every_corner_has_texture {
             let count = self.texture.len();
@@ -169,17 +175,17 @@ impl Obj {
             }
         }
         let triangles = cut.triangles.iter().map(|t| t.map(|corner| self.faces.corners[corner as usize])).collect();
-        Ok(Surface { positions: self.positions, triangles, texture_uv, parts })
+        Ok(Surface { base, positions, triangles, texture_uv, parts })
     }
 }
 
-fn numbers<'a, const N: usize>(words: &mut impl Iterator<Item = &'a [u8]>, form: &str) -> Result<[f32; N], String> {
-    let mut values = [0.0f32; N];
+fn numbers<'a, const N: usize>(words: &mut impl Iterator<Item = &'a [u8]>, form: &str) -> Result<[f64; N], String> {
+    let mut values = [0.0f64; N];
     for (i, value) in values.iter_mut().enumerate() {
         let word = words.next().ok_or_else(|| format!("{form}, this one has {i}; is the file cut off?"))?;
         let text = shown(word);
         *value = text.parse().map_err(|_| format!("`{text}` is not a number; {form}"))?;
-        if !value.is_finite() {
+        if !(*value as f32).is_finite() {
             return Err(format!("`{text}` is not a finite number; {form}"));
         }
     }
@@ -208,6 +214,7 @@ fn shown(word: &[u8]) -> std::borrow::Cow<'_, str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::Vec3;
 
     fn fault(text: &str) -> String {
         let fault = parse_obj(text.as_bytes()).unwrap_err();

@@ -11,17 +11,22 @@ use ply_rs_bw::ply::{
     ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType,
 };
 
-use crate::math::{Vec2, Vec3};
+use crate::math::{DVec3, Vec2};
 
 use super::polygon::Faces;
-use super::{ParseFault, Surface};
+use super::{ParseFault, Surface, rounded};
 
 /// Longest header that is accepted, bytes. Real headers have some hundred bytes.
 const LONGEST_HEADER: u64 = 1 << 16;
 
 /// Reads a PLY file of `bytes` bytes. Texture coordinates come from the corners (face property `texcoord`) or from the
 /// vertices (`u`/`v`, `s`/`t` or `texture_u`/`texture_v`), if present.
-pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseFault> {
+pub fn parse_ply(reader: impl BufRead, bytes: u64) -> Result<Surface, ParseFault> {
+    parse_ply_far(reader, bytes, f64::INFINITY)
+}
+
+/// Like [`parse_ply`]. The surface of a file with coordinates beyond `far` is relative to a base.
+pub(crate) fn parse_ply_far(mut reader: impl BufRead, bytes: u64, far: f64) -> Result<Surface, ParseFault> {
     let header_bytes = read_header_bytes(&mut reader)?;
     let header = read_header(&header_bytes)?;
     check_counts(&header, bytes.saturating_sub(header_bytes.len() as u64))?;
@@ -29,6 +34,7 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
     let mut body = Body { reader, line, words: Vec::new() };
 
     let mut surface = Surface::default();
+    let mut positions = Vec::new();
     let (mut faces, mut corner_uv, mut strips) = (Faces::default(), Vec::new(), Vec::new());
     let (mut vertex_uv, mut corners_mapped) = (Vec::new(), true);
     for (name, element) in &header.elements {
@@ -45,7 +51,7 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
                 "vertex" => {
                     let position =
                         record.position().map_err(|what| ParseFault::whole(format!("vertex {} {what}", i + 1)))?;
-                    surface.positions.push(position);
+                    positions.push(position);
                     vertex_uv.extend(record.uv());
                 }
                 "face" => {
@@ -64,6 +70,7 @@ pub fn parse_ply(mut reader: impl BufRead, bytes: u64) -> Result<Surface, ParseF
             }
         }
     }
+    (surface.base, surface.positions) = rounded(&positions, far);
     if faces.len() == 0 && strips.is_empty() {
         return Err(ParseFault::whole("no face in it (a PLY mesh has the elements `vertex` and `face`)"));
     }
@@ -205,12 +212,16 @@ impl Record {
         }
     }
 
-    fn position(&self) -> Result<Vec3, String> {
+    fn position(&self) -> Result<DVec3, String> {
         let [Some(x), Some(y), Some(z)] = self.xyz else {
             return Err("has no x, y and z".into());
         };
-        let position = Vec3::new(x as f32, y as f32, z as f32);
-        if position.is_finite() { Ok(position) } else { Err("has a coordinate that is not a finite number".into()) }
+        let position = DVec3::new(x, y, z);
+        if position.as_vec3().is_finite() {
+            Ok(position)
+        } else {
+            Err("has a coordinate that is not a finite number".into())
+        }
     }
 
     fn uv(&self) -> Option<Vec2> {

@@ -13,7 +13,7 @@ use crate::scene::Scene;
 /// State of the whole cloth, in the mesh's vertex order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
-    /// Meters.
+    /// Relative to the local origin of the scene ([`Scene::origin_m`]), meters.
     pub positions: Vec<Vec3>,
     /// m/s.
     pub velocities: Vec<Vec3>,

@@ -7,7 +7,7 @@ use crate::math::Vec3;
 /// The mesh of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameMesh {
-    /// World positions, meters.
+    /// World positions or positions relative to a local origin, meters.
     pub positions: Vec<Vec3>,
     /// Vertex indices, all valid.
     pub triangles: Vec<[u32; 3]>,

@@ -1,5 +1,6 @@
 //! Writes the frames of a run in the requested formats. Vertex order and triangles are those of the mesh.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -12,7 +13,7 @@ use super::atomic::{WriteError, write_atomically};
 use super::obj::{self, TextureCoordinates};
 use super::pc2::{Pc2Error, Pc2Writer};
 use super::ply;
-use crate::math::Vec3;
+use crate::math::{DVec3, Vec3};
 use crate::mesh::{Part, TriangleMesh};
 
 /// A file format of frames.
@@ -138,6 +139,8 @@ pub struct FrameWriter {
     parts: Vec<Part>,
     point_cache: Option<Pc2Writer>,
     vertices: usize,
+    /// Positions are relative to it.
+    origin_m: DVec3,
     buffer: Vec<u8>,
 }
 
@@ -149,15 +152,17 @@ impl FrameWriter {
         mesh: &TriangleMesh,
         first_frame: u32,
     ) -> Result<FrameWriter, FrameError> {
-        FrameWriter::with_parts(directory, formats, mesh, &[], first_frame)
+        FrameWriter::with_parts(directory, formats, mesh, &[], DVec3::ZERO, first_frame)
     }
 
-    /// Like [`FrameWriter::new`], but OBJ files also name the objects and groups of the mesh.
+    /// Like [`FrameWriter::new`], but OBJ files also name the objects and groups of the mesh, and the positions of mesh,
+    /// frames and obstacles are relative to `origin_m`. Files hold world coordinates.
     pub fn with_parts(
         directory: &RunDirectory,
         formats: &[FrameFormat],
         mesh: &TriangleMesh,
         parts: &[Part],
+        origin_m: DVec3,
         first_frame: u32,
     ) -> Result<FrameWriter, FrameError> {
         let texture = formats
@@ -169,13 +174,13 @@ impl FrameWriter {
         if formats.contains(&FrameFormat::Pc2) {
             let rest = directory.rest_mesh();
             write_atomically(&rest, |out| {
-                obj::write(out, &mut Vec::new(), &mesh.positions, &mesh.triangles, texture.as_ref(), parts)
+                obj::write(out, &mut Vec::new(), origin_m, &mesh.positions, &mesh.triangles, texture.as_ref(), parts)
             })?;
             point_cache = Some(Pc2Writer::open(&directory.point_cache(), mesh.positions.len(), first_frame)?);
         }
         let vertices = mesh.positions.len();
         let (folder, parts) = (directory.frames(), parts.to_vec());
-        Ok(FrameWriter { folder, files, texture, parts, point_cache, vertices, buffer: Vec::new() })
+        Ok(FrameWriter { folder, files, texture, parts, point_cache, vertices, origin_m, buffer: Vec::new() })
     }
 
     /// Writes one frame of the cloth. `mesh` must be the mesh that the writer was created for. Only its triangles are
@@ -188,6 +193,7 @@ impl FrameWriter {
                 &path,
                 *format,
                 &mut self.buffer,
+                self.origin_m,
                 positions,
                 &mesh.triangles,
                 self.texture.as_ref(),
@@ -195,7 +201,7 @@ impl FrameWriter {
             )?;
         }
         if let Some(cache) = &mut self.point_cache {
-            cache.write(frame, positions)?;
+            cache.write(frame, &in_world(positions, self.origin_m))?;
         }
         Ok(())
     }
@@ -206,7 +212,7 @@ impl FrameWriter {
         let formats = if self.files.is_empty() { &[FrameFormat::Ply][..] } else { &self.files };
         for format in formats {
             let path = frame_path(&self.folder, "obstacle", frame, *format);
-            write_file(&path, *format, &mut self.buffer, positions, triangles, None, &[])?;
+            write_file(&path, *format, &mut self.buffer, self.origin_m, positions, triangles, None, &[])?;
         }
         Ok(())
     }
@@ -215,6 +221,14 @@ impl FrameWriter {
 /// `FOLDER/KIND_%06d.EXT`.
 pub(super) fn frame_path(folder: &Path, kind: &str, frame: u32, format: FrameFormat) -> PathBuf {
     folder.join(format!("{kind}_{frame:06}.{format}"))
+}
+
+/// World positions, rounded to f32.
+fn in_world(positions: &[Vec3], origin_m: DVec3) -> Cow<'_, [Vec3]> {
+    if origin_m == DVec3::ZERO {
+        return Cow::Borrowed(positions);
+    }
+    Cow::Owned(positions.iter().map(|p| (p.as_dvec3() + origin_m).as_vec3()).collect())
 }
 
 fn check(frame: u32, expected: usize, positions: &[Vec3]) -> Result<(), FrameError> {
@@ -231,14 +245,15 @@ fn write_file(
     path: &Path,
     format: FrameFormat,
     buffer: &mut Vec<u8>,
+    origin_m: DVec3,
     positions: &[Vec3],
     triangles: &[[u32; 3]],
     texture: Option<&TextureCoordinates>,
     parts: &[Part],
 ) -> Result<(), WriteError> {
     write_atomically(path, |out| match format {
-        FrameFormat::Obj => obj::write(out, buffer, positions, triangles, texture, parts),
-        FrameFormat::Ply => ply::write(out, buffer, positions, triangles),
+        FrameFormat::Obj => obj::write(out, buffer, origin_m, positions, triangles, texture, parts),
+        FrameFormat::Ply => ply::write(out, buffer, &in_world(positions, origin_m), triangles),
         FrameFormat::Pc2 => Ok(()),
     })
 }

@@ -4,6 +4,7 @@ use std::fmt::{self, Write};
 
 use xxhash_rust::xxh3::Xxh3;
 
+use crate::math::DVec3;
 use crate::model::hash_words;
 use crate::scene::{Obstacles, Scene};
 
@@ -30,6 +31,13 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     hash_words(&mut hasher, triangles);
     let frictions: Vec<f64> = scene.cloths.iter().map(|cloth| cloth.friction).collect();
     let _ = write!(TextSink(&mut hasher), "{:?} {frictions:?}", obstacles.header());
+    // Zero near the world's origin; left out there, so that checkpoints of earlier versions still fit.
+    if scene.origin_m != DVec3::ZERO {
+        hash_words(
+            &mut hasher,
+            &scene.origin_m.to_array().map(f64::to_bits).map(|bits| [bits as u32, (bits >> 32) as u32]),
+        );
+    }
     hasher.digest()
 }
 

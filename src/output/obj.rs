@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use super::frame_mesh::{FrameMesh, ReadError};
-use crate::math::{Vec2, Vec3};
+use crate::math::{DVec3, Vec2, Vec3};
 use crate::mesh::Part;
 
 /// Size at which the buffer is written out, bytes.
@@ -46,11 +46,13 @@ impl TextureCoordinates {
     }
 }
 
-/// Writes a mesh; `parts` ascend by their triangles. Numbers have the fewest digits that read back to the same f32.
-/// `buffer` is scratch memory that the caller reuses.
+/// Writes a mesh; `parts` ascend by their triangles. Positions are relative to `origin_m`. Numbers have the fewest
+/// digits that read back to the same f32, or to the same f64 if `origin_m` is not zero. `buffer` is scratch memory that
+/// the caller reuses.
 pub fn write(
     out: &mut dyn Write,
     buffer: &mut Vec<u8>,
+    origin_m: DVec3,
     positions: &[Vec3],
     triangles: &[[u32; 3]],
     texture: Option<&TextureCoordinates>,
@@ -59,14 +61,17 @@ pub fn write(
     buffer.clear();
     for p in positions {
         buffer.push(b'v');
-        p.to_array().into_iter().for_each(|x| push_f32(buffer, x));
+        match origin_m == DVec3::ZERO {
+            true => p.to_array().into_iter().for_each(|x| push_number(buffer, &x)),
+            false => (p.as_dvec3() + origin_m).to_array().into_iter().for_each(|x| push_number(buffer, &x)),
+        }
         buffer.push(b'\n');
         flush_full(out, buffer)?;
     }
     let texture = texture.filter(|t| t.corners.len() == triangles.len() && !t.coordinates.is_empty());
     for uv in texture.iter().flat_map(|t| &t.coordinates) {
         buffer.extend_from_slice(b"vt");
-        uv.to_array().into_iter().for_each(|x| push_f32(buffer, x));
+        uv.to_array().into_iter().for_each(|x| push_number(buffer, &x));
         buffer.push(b'\n');
         flush_full(out, buffer)?;
     }
@@ -121,10 +126,10 @@ fn flush_full(out: &mut dyn Write, buffer: &mut Vec<u8>) -> io::Result<()> {
 }
 
 /// Appends a space and the number. OBJ accepts JSON's notation of numbers, and serde_json writes it faster than std.
-fn push_f32(buffer: &mut Vec<u8>, x: f32) {
+fn push_number(buffer: &mut Vec<u8>, x: &impl serde::Serialize) {
     buffer.push(b' ');
     // Writing to a Vec cannot fail.
-    let _ = serde_json::to_writer(&mut *buffer, &x);
+    let _ = serde_json::to_writer(&mut *buffer, x);
     if buffer.ends_with(b".0") {
         buffer.truncate(buffer.len() - 2);
     }
@@ -147,8 +152,8 @@ fn push_index(buffer: &mut Vec<u8>, index: u32) {
     buffer.extend_from_slice(&digits[start..]);
 }
 
-/// Reads a triangle mesh written by [`write`]. Texture coordinates are skipped.
-pub fn read(bytes: &[u8]) -> Result<FrameMesh, ReadError> {
+/// Reads a triangle mesh written by [`write`], relative to `origin_m`. Texture coordinates are skipped.
+pub fn read(bytes: &[u8], origin_m: DVec3) -> Result<FrameMesh, ReadError> {
     let mut mesh = FrameMesh::default();
     for (number, line) in bytes.split(|b| *b == b'\n').enumerate() {
         let at = |problem: &'static str| ReadError::Line { line: number + 1, problem };
@@ -156,12 +161,12 @@ pub fn read(bytes: &[u8]) -> Result<FrameMesh, ReadError> {
         let mut words = line.split_ascii_whitespace();
         match words.next() {
             Some("v") => {
-                let mut p = [0.0f32; 3];
+                let mut p = [0.0f64; 3];
                 for x in &mut p {
                     let word = words.next().ok_or(at("has fewer than 3 coordinates"))?;
                     *x = word.parse().map_err(|_| at("has a coordinate that is no number"))?;
                 }
-                mesh.positions.push(Vec3::from_array(p));
+                mesh.positions.push((DVec3::from_array(p) - origin_m).as_vec3());
             }
             Some("f") => {
                 let mut triangle = [0u32; 3];

@@ -10,6 +10,7 @@ use thiserror::Error;
 use super::frame_mesh::{FrameMesh, ReadError};
 use super::frames::{FrameFormat, frame_path};
 use super::{RunDirectory, obj, pc2, ply};
+use crate::math::{DVec3, Vec3};
 
 /// Why the frames of a run cannot be read.
 #[derive(Debug, Error)]
@@ -65,6 +66,8 @@ pub struct FrameSource {
     obstacles: BTreeMap<u32, FrameFormat>,
     /// Point cache and its mesh.
     point_cache: Option<(PathBuf, FrameMesh)>,
+    /// Positions are read relative to it.
+    origin_m: DVec3,
 }
 
 impl FrameSource {
@@ -78,12 +81,18 @@ impl FrameSource {
         let cache = directory.point_cache();
         if files.is_empty() && cache.is_file() {
             files = (0..pc2::samples(&cache)?).map(|frame| (frame, FrameFormat::Pc2)).collect();
-            point_cache = Some((cache, read_mesh(&directory.rest_mesh(), FrameFormat::Obj)?));
+            point_cache = Some((cache, read_mesh(&directory.rest_mesh(), FrameFormat::Obj, DVec3::ZERO)?));
         }
         if files.is_empty() {
             return Err(FramesError::None(directory.path().to_path_buf()));
         }
-        Ok(FrameSource { folder, files, obstacles, point_cache })
+        Ok(FrameSource { folder, files, obstacles, point_cache, origin_m: DVec3::ZERO })
+    }
+
+    /// The same frames with positions relative to `origin_m`, so that what computes in f32 with them does not lose more
+    /// digits than the files have.
+    pub fn about(self, origin_m: DVec3) -> FrameSource {
+        FrameSource { origin_m, ..self }
     }
 
     /// Numbers of the frames, ascending.
@@ -95,7 +104,7 @@ impl FrameSource {
     pub fn read(&self, frame: u32) -> Result<FrameMesh, FramesError> {
         match &self.point_cache {
             Some((path, rest)) => {
-                let positions = pc2::read(path, frame)?;
+                let positions = relative(pc2::read(path, frame)?, self.origin_m);
                 if positions.len() != rest.positions.len() {
                     let (cached, vertices) = (positions.len(), rest.positions.len());
                     return Err(FramesError::RestDiffers { path: path.clone(), cached, vertices });
@@ -104,7 +113,7 @@ impl FrameSource {
             }
             None => {
                 let format = self.files.get(&frame).copied().unwrap_or(FrameFormat::Ply);
-                read_mesh(&frame_path(&self.folder, "frame", frame, format), format)
+                read_mesh(&frame_path(&self.folder, "frame", frame, format), format, self.origin_m)
             }
         }
     }
@@ -112,13 +121,23 @@ impl FrameSource {
     /// Reads the obstacles of a frame, if it has any.
     pub fn read_obstacle(&self, frame: u32) -> Result<Option<FrameMesh>, FramesError> {
         let Some(format) = self.obstacles.get(&frame) else { return Ok(None) };
-        read_mesh(&frame_path(&self.folder, "obstacle", frame, *format), *format).map(Some)
+        read_mesh(&frame_path(&self.folder, "obstacle", frame, *format), *format, self.origin_m).map(Some)
     }
 }
 
-fn read_mesh(path: &Path, format: FrameFormat) -> Result<FrameMesh, FramesError> {
+fn relative(mut positions: Vec<Vec3>, origin_m: DVec3) -> Vec<Vec3> {
+    positions.iter_mut().for_each(|p| *p = (p.as_dvec3() - origin_m).as_vec3());
+    positions
+}
+
+fn read_mesh(path: &Path, format: FrameFormat, origin_m: DVec3) -> Result<FrameMesh, FramesError> {
     let bytes = fs::read(path).map_err(|source| FramesError::Io { path: path.to_path_buf(), source })?;
-    let mesh = if format == FrameFormat::Ply { ply::read(&bytes) } else { obj::read(&bytes) };
+    let mesh = match format {
+        FrameFormat::Ply => {
+            ply::read(&bytes).map(|mesh| FrameMesh { positions: relative(mesh.positions, origin_m), ..mesh })
+        }
+        _ => obj::read(&bytes, origin_m),
+    };
     mesh.map_err(|source| FramesError::Damaged { path: path.to_path_buf(), source })
 }
 

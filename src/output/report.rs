@@ -91,6 +91,10 @@ pub struct ReportHeader {
     pub steps_per_frame: u32,
     /// Number of frames to write, in addition to frame 0.
     pub frames_wanted: u32,
+    /// Local origin that the states of the run are relative to, meters; omitted if it is zero. Frames are in world
+    /// coordinates.
+    #[serde(skip_serializing_if = "is_zero_point")]
+    pub local_origin_m: [f64; 3],
     /// Gravity, m/s^2.
     pub gravity_m_s2: [f64; 3],
     /// `y` or `z`: the axis against gravity.
@@ -223,6 +227,10 @@ pub struct StepRecord {
     pub resident_bytes_per_rank: Vec<u64>,
     /// Smallest gap between two parts of the cloth, meters, if it was measured.
     pub smallest_gap_m: Option<f64>,
+}
+
+fn is_zero_point(point: &[f64; 3]) -> bool {
+    *point == [0.0; 3]
 }
 
 fn is_zero(number: &usize) -> bool {

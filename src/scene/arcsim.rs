@@ -14,12 +14,12 @@ use std::path::Path;
 use crate::math::DVec3;
 use crate::mesh::MaterialSource;
 
-use super::cloth_source::{ClothSource, Shape, StartVelocity};
+use super::cloth_source::{ClothSource, Shape, StartVelocity, UnplacedCloth, place_cloths};
 use super::json::{Json, parse_json};
 use super::model::CONTACT_STIFFNESS;
 use super::parsed::ParsedScene;
 use super::pins::{PinSource, Selection};
-use super::placement::placed_mesh;
+use super::placement::unplaced_mesh;
 use super::{Fabric, Motion, SceneError, Settings, load_fabric};
 
 use common::{UNMOVED, find, placement};
@@ -43,28 +43,39 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     if entries.is_empty() {
         return Err(list.error("a scene needs at least one cloth"));
     }
-    let (mut cloths, mut of_files, mut warnings) = (Vec::with_capacity(entries.len()), Vec::new(), Vec::new());
+    let (mut cloths, mut fields) = (Vec::with_capacity(entries.len()), Vec::new());
+    let (mut of_files, mut warnings) = (Vec::new(), Vec::new());
     for entry in &entries {
         let (source, line) = cloth(entry, &mut left_out, &mut warnings)?;
         cloths.push(source);
+        fields.push(velocity_field(entry)?);
         of_files.extend(line);
+    }
+    let (mut cloths, origin_m) = place_cloths(cloths)?;
+    for (cloth, [linear, angular, center]) in cloths.iter_mut().zip(fields) {
+        let Shape::Mesh(placed) = &cloth.shape else { continue };
+        let center = center - origin_m;
+        let velocity = |p: &crate::math::Vec3| (linear + angular.cross(p.as_dvec3() - center)).as_vec3();
+        cloth.velocity = StartVelocity::PerVertex(placed.mesh.positions.iter().map(velocity).collect());
     }
     let settings = settings(&root, &mut left_out)?;
     let motion_file = motions::MotionFile::of(&root)?;
-    let obstacles = obstacles::obstacles(&root, &motion_file, &mut left_out)?;
+    let obstacles = obstacles::obstacles(&root, &motion_file, origin_m, &mut left_out)?;
 
     let (mut pins, mut scene_motions) = (Vec::new(), Vec::new());
     for handle in root.entries("handles")? {
         pins.extend(handle_pin(&root, &motion_file, &handle, &cloths, &mut scene_motions, &mut left_out)?);
     }
+    let motions = scene_motions.into_iter().map(|motion| motion.relative_to(origin_m, origin_m)).collect();
     left_out.whole_scene(&root);
     left_out.lines.extend(of_files);
     let scene = ParsedScene {
         path: path.into(),
         name: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),
+        origin_m,
         cloths,
         pins,
-        motions: scene_motions,
+        motions,
         obstacles,
         settings,
         warnings,
@@ -80,14 +91,14 @@ fn cloth(
     cloth: &Json,
     left_out: &mut LeftOut,
     warnings: &mut Vec<String>,
-) -> Result<(ClothSource, Option<String>), SceneError> {
+) -> Result<(UnplacedCloth, Option<String>), SceneError> {
     let file = cloth.required("mesh")?;
     let placement = cloth.or("transform", UNMOVED, placement)?;
     if placement.scale <= 0.0 {
         return Err(cloth.error("the scale of its transform must be above 0"));
     }
     let path = find(&file)?;
-    let placed = placed_mesh(&path, MaterialSource::TextureOrShape, None, &placement)?;
+    let mesh = unplaced_mesh(&path, MaterialSource::TextureOrShape, None, &placement)?;
     let materials = cloth.required("materials")?.array()?;
     let Some(first) = materials.first() else {
         return Err(cloth.required("materials")?.error("a cloth needs a material"));
@@ -103,33 +114,35 @@ fn cloth(
     if cloth.get("remeshing").is_some() {
         left_out.module("remeshing", "remeshing: left out, the mesh keeps its triangles");
     }
-    // Velocity field of a rigid motion: v + w x (x - o).
-    let [linear, angular, origin] = match cloth.get("velocity") {
-        None => [DVec3::ZERO; 3],
-        Some(velocity) if velocity.value.is_array() => [velocity.vector()?, DVec3::ZERO, DVec3::ZERO],
-        Some(velocity) => {
-            let part = |key| velocity.or(key, DVec3::ZERO, Json::vector);
-            [part("linear")?, part("angular")?, part("origin")?]
-        }
-    };
-    let velocity = |p: &crate::math::Vec3| (linear + angular.cross(p.as_dvec3() - origin)).as_vec3();
-    if let Some(areas) = placed.texture_areas(placement.scale) {
+    if let Some(areas) = mesh.texture_areas(placement.scale) {
         warnings.push(format!(
             "{}: {areas}: the cloth will spring to that size, as in ARCSim; a scene in TOML may take its shape in space \
              (`material = \"shape\"`)",
             path.display()
         ));
     }
-    placed.repairs(&path).into_iter().for_each(|line| left_out.say(line));
-    let line = placed.left_out(&path);
+    mesh.repairs(&path).into_iter().for_each(|line| left_out.say(line));
+    let line = mesh.left_out(&path);
     let source = ClothSource {
         name: cloth.name.clone(),
-        velocity: StartVelocity::PerVertex(placed.mesh.positions.iter().map(velocity).collect()),
-        shape: Shape::Mesh(placed),
+        velocity: StartVelocity::Same(crate::math::Vec3::ZERO),
+        shape: Shape::Mesh(mesh),
         fabric,
         friction: None,
     };
-    Ok((source, line))
+    Ok((UnplacedCloth { source, placement, file: Some(path) }, line))
+}
+
+/// The velocity field v + w x (x - o) of a rigid motion: v, w and o, in world coordinates.
+fn velocity_field(cloth: &Json) -> Result<[DVec3; 3], SceneError> {
+    Ok(match cloth.get("velocity") {
+        None => [DVec3::ZERO; 3],
+        Some(velocity) if velocity.value.is_array() => [velocity.vector()?, DVec3::ZERO, DVec3::ZERO],
+        Some(velocity) => {
+            let part = |key| velocity.or(key, DVec3::ZERO, Json::vector);
+            [part("linear")?, part("angular")?, part("origin")?]
+        }
+    })
 }
 
 fn material(json: &Json, left_out: &mut LeftOut) -> Result<Fabric, SceneError> {

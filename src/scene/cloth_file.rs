@@ -1,14 +1,14 @@
 //! `[[cloth]]` and `[[fabric]]` of the TOML scene format.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::math::{DQuat, DVec3};
 use crate::mesh::{FileMesh, MaterialSource};
 
-use super::cloth_source::{ClothSource, Shape, SheetSource, StartVelocity};
+use super::cloth_source::{ClothSource, Shape, SheetSource, StartVelocity, UnplacedCloth};
 use super::fields::{Fields, Value};
 use super::files::find;
-use super::placement::{Placement, placed_mesh};
+use super::placement::{Placement, unplaced_mesh};
 use super::{Fabric, RESOLUTIONS, SceneError};
 
 pub(super) const FABRIC_FIELDS: [&str; 5] = ["name", "density_kg_m2", "stretching_n_m", "bending_n_m", "damping_s"];
@@ -87,15 +87,20 @@ pub(super) fn cloth(
     fabrics: &[Fabric],
     path: &Path,
     remarks: &mut Remarks,
-) -> Result<ClothSource, SceneError> {
+) -> Result<UnplacedCloth, SceneError> {
     let placement = Placement {
         translation_m: fields.or("origin_m", DVec3::ZERO, Value::vector)?,
         rotation: fields.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?,
         scale: fields.or("scale", 1.0, Value::positive)?,
     };
+    let mut found = None;
     let shape = match (fields.get("sheet"), fields.get("mesh")) {
         (Some(_), None) => Shape::Sheet(sheet(fields, triangles, placement)?),
-        (None, Some(file)) => Shape::Mesh(mesh(fields, &file, placement, path, remarks)?),
+        (None, Some(file)) => {
+            let (mesh, path) = mesh(fields, &file, placement, path, remarks)?;
+            found = Some(path);
+            Shape::Mesh(mesh)
+        }
         _ => return Err(fields.error("a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`")),
     };
     let mut fabric = match fields.get("fabric") {
@@ -107,13 +112,14 @@ pub(super) fn cloth(
     }
     fabric.damping_s = fields.or("damping_s", fabric.damping_s, Value::not_negative)?;
     fabric.check().map_err(|what| fields.error_at("fabric", what))?;
-    Ok(ClothSource {
+    let source = ClothSource {
         name: fields.or("name", format!("cloth {index}"), |value| value.text().map(str::to_owned))?,
         shape,
         velocity: StartVelocity::Same(fields.or("velocity_m_s", DVec3::ZERO, Value::vector)?.as_vec3()),
         fabric,
         friction: fields.optional("friction", Value::not_negative)?,
-    })
+    };
+    Ok(UnplacedCloth { source, placement, file: found })
 }
 
 fn mesh(
@@ -122,7 +128,7 @@ fn mesh(
     placement: Placement,
     path: &Path,
     remarks: &mut Remarks,
-) -> Result<FileMesh, SceneError> {
+) -> Result<(FileMesh, PathBuf), SceneError> {
     if fields.get("plane").is_some() {
         return Err(fields.error_at("plane", "belongs to a cloth with a `sheet`; this one has a `mesh`"));
     }
@@ -131,7 +137,7 @@ fn mesh(
     let source = fields.or("material", MaterialSource::Auto, |value| value.choice(&sources))?;
     let weld_m = fields.optional("weld_m", Value::not_negative)?;
     let found = find(path, file.text()?).map_err(|what| file.error(what))?;
-    let mesh = placed_mesh(&found, source, weld_m, &placement)?;
+    let mesh = unplaced_mesh(&found, source, weld_m, &placement)?;
     remarks.left_out.extend(mesh.left_out(&found));
     remarks.warnings.extend(mesh.warnings(&found, placement.scale));
     if source == MaterialSource::TextureOrShape && mesh.fit.is_none() {
@@ -139,7 +145,7 @@ fn mesh(
             "not every corner has texture coordinates (or they have no area), so its shape in space is the rest shape";
         remarks.warnings.push(format!("{}: {what}", found.display()));
     }
-    Ok(mesh)
+    Ok((mesh, found))
 }
 
 fn sheet(fields: &Fields, triangles: f64, placement: Placement) -> Result<SheetSource, SceneError> {

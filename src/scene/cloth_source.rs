@@ -1,11 +1,14 @@
 //! Description of a piece of cloth as a scene file gives it, before a resolution is chosen.
 
-use crate::math::{DVec3, Vec3};
+use std::path::PathBuf;
+
+use crate::math::{DVec3, FAR_M, Vec3, bounds, local_origin};
 use crate::mesh::FileMesh;
 
+use super::SceneError;
 use super::error::Place;
 use super::fabric::Fabric;
-use super::placement::Placement;
+use super::placement::{Placement, place_mesh};
 
 /// Source of a piece of cloth; a resolution turns it into a mesh.
 #[derive(Clone, Debug)]
@@ -24,7 +27,7 @@ pub(super) struct ClothSource {
 pub(super) enum Shape {
     /// A rectangle, meshed at the requested resolution.
     Sheet(SheetSource),
-    /// A mesh from a file, already placed in the scene; the same at every resolution.
+    /// A mesh from a file, placed relative to the scene's local origin; the same at every resolution.
     Mesh(FileMesh),
 }
 
@@ -34,6 +37,7 @@ pub(super) struct SheetSource {
     pub size_m: [f64; 2],
     /// Directions of warp and weft before the placement.
     pub axes: [DVec3; 2],
+    /// In coordinates relative to the scene's local origin.
     pub placement: Placement,
     /// Triangles at the scene's own resolution. It is a fraction, so that the shares of several sheets add up.
     pub triangles: f64,
@@ -55,4 +59,49 @@ impl ClothSource {
             Shape::Mesh(_) => None,
         }
     }
+}
+
+/// A piece of cloth before the scene's local origin is known.
+pub(super) struct UnplacedCloth {
+    /// A mesh is as its file has it.
+    pub source: ClothSource,
+    /// In world coordinates.
+    pub placement: Placement,
+    /// The file of a mesh.
+    pub file: Option<PathBuf>,
+}
+
+impl UnplacedCloth {
+    /// The box that holds the piece in the world, meters.
+    fn bounds(&self) -> (DVec3, DVec3) {
+        match &self.source.shape {
+            Shape::Mesh(file) => self.placement.bounds(&file.mesh.positions, file.base),
+            Shape::Sheet(sheet) => {
+                let [u, v] = [0, 1].map(|side| sheet.axes[side] * sheet.size_m[side]);
+                bounds([DVec3::ZERO, u, v, u + v].map(|corner| self.placement.point(corner)))
+            }
+        }
+    }
+
+    fn place(self, origin_m: DVec3) -> Result<ClothSource, SceneError> {
+        let (placement, mut source) = (self.placement.about(origin_m), self.source);
+        match &mut source.shape {
+            Shape::Mesh(mesh) => place_mesh(mesh, &self.file.unwrap_or_default(), &placement)?,
+            Shape::Sheet(sheet) => sheet.placement = placement,
+        }
+        Ok(source)
+    }
+}
+
+/// Places the pieces relative to the scene's local origin, the second value, which is that of the box around all of
+/// them.
+///
+/// # Errors
+/// A mesh is not valid at its place.
+pub(super) fn place_cloths(cloths: Vec<UnplacedCloth>) -> Result<(Vec<ClothSource>, DVec3), SceneError> {
+    let corners = cloths.iter().map(UnplacedCloth::bounds).flat_map(|(low, high)| [low, high]);
+    let (low, high) = bounds(corners);
+    let origin_m = local_origin(low, high, FAR_M);
+    let placed = cloths.into_iter().map(|cloth| cloth.place(origin_m)).collect::<Result<_, _>>()?;
+    Ok((placed, origin_m))
 }

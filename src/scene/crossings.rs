@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use crate::math::Vec3;
+use crate::math::{DVec3, Vec3};
 use crate::mesh::MOST_PAIRS;
 
 /// Pairs of triangles that cross or touch at the start.
@@ -13,7 +13,9 @@ pub struct Crossings {
     pub first: [String; 2],
     /// Number of pairs found. The search ends at about 10,000.
     pub pairs: usize,
-    /// Positions of the triangles that cross, three per triangle, meters.
+    /// The local origin of the scene, meters.
+    pub origin_m: DVec3,
+    /// Positions of the triangles that cross, three per triangle, relative to the local origin, meters.
     pub positions: Vec<Vec3>,
     /// A command that writes a mesh of these triangles.
     pub command: String,
@@ -41,7 +43,7 @@ pub struct Doubled {
 pub struct BestState {
     /// Pairs that crossed before.
     pub pairs_before: usize,
-    /// Positions of the cloth, meters.
+    /// Positions of the cloth, relative to the local origin, meters.
     pub positions: Vec<Vec3>,
     /// Triangles of the cloth.
     pub triangles: Vec<[u32; 3]>,

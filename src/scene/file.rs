@@ -5,6 +5,7 @@ use std::path::Path;
 use toml::de::DeTable;
 
 use super::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, Remarks, cloth, fabric, sheet_triangles};
+use super::cloth_source::place_cloths;
 use super::fields::{Fields, Source};
 use super::model::RESOLUTIONS;
 use super::obstacle_file::{OBSTACLE_FIELDS, obstacle};
@@ -47,20 +48,22 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
             &mut Remarks { warnings: &mut warnings, left_out: &mut left_out },
         )?);
     }
+    let (cloths, origin_m) = place_cloths(cloths)?;
     let settings = settings(&root, &mut warnings)?;
     let mut obstacles = Vec::new();
     let mut from_file = Vec::new();
     for (i, fields) in root.tables("obstacle", &OBSTACLE_FIELDS)?.iter().enumerate() {
         from_file.push(fields.get("mesh").or(fields.get("sequence")).is_some());
-        obstacles.push(obstacle(fields, i, settings.friction, path, &mut left_out)?);
+        obstacles.push(obstacle(fields, i, settings.friction, path, origin_m, &mut left_out)?);
     }
     let (mut pins, mut motions) = (Vec::new(), Vec::new());
     for fields in root.tables("pin", &PIN_FIELDS)? {
-        pins.push(pin(&fields, &cloths, &mut motions)?);
+        pins.push(pin(&fields, &cloths, origin_m, &mut motions)?);
     }
     let scene = ParsedScene {
         path: path.into(),
         name,
+        origin_m,
         cloths,
         pins,
         motions,

@@ -1,6 +1,6 @@
 //! [`Scene`]: the objects, start state and settings of a run.
 
-use crate::math::Vec3;
+use crate::math::{DVec3, Vec3};
 use crate::mesh::{Part, TriangleMesh};
 
 use super::fabric::Fabric;
@@ -31,6 +31,10 @@ pub const DEFAULT_THICKNESS_M: f64 = 0.002;
 pub struct Scene {
     /// Name shown in reports.
     pub name: String,
+    /// The local origin, meters: zero, or for cloth far from the world's origin a point near its middle
+    /// ([`crate::math::local_origin`]). Positions of mesh and obstacles are relative to it, as are the motions and all
+    /// states of a run; only files and messages for people are in world coordinates.
+    pub origin_m: DVec3,
     /// All cloth pieces merged into one mesh.
     pub mesh: TriangleMesh,
     /// Start velocity of every vertex, m/s.

@@ -96,6 +96,19 @@ impl Motion {
         .transform()
     }
 
+    /// The same motion in coordinates relative to `origin_m`, for points whose start positions are relative to `base_m`.
+    pub(super) fn relative_to(mut self, base_m: DVec3, origin_m: DVec3) -> Motion {
+        // Without rotation and scaling a pivot does nothing; moved, it would add rounding errors of its size.
+        let turns = self.keyframes.iter().any(|key| key.rotation != DQuat::IDENTITY || key.scale != 1.0);
+        for key in &mut self.keyframes {
+            key.translation_m += base_m - origin_m;
+            if turns {
+                key.pivot_m -= base_m;
+            }
+        }
+        self
+    }
+
     /// Position at `time_s` of a point that starts at `start`.
     pub fn apply(&self, time_s: f64, start: Vec3) -> Vec3 {
         self.transform_at(time_s).transform_point3(start.as_dvec3()).as_vec3()
@@ -135,6 +148,25 @@ mod tests {
         let other = Motion { keyframes: vec![still(0.0).turned(DVec3::Y, 0.1), still(1.0).turned(DVec3::X, 0.1)] };
         let slerp = DQuat::from_rotation_y(0.1).slerp(DQuat::from_rotation_x(0.1), 0.5);
         assert!(other.apply(0.5, Vec3::Z).distance((slerp * DVec3::Z).as_vec3()) < 1e-6);
+    }
+
+    #[test]
+    fn the_same_places_relative_to_a_local_origin() {
+        let (base, origin) = (DVec3::new(10_000.0, 8.0, 0.0), DVec3::new(9_000.0, 0.0, -4_000.0));
+        let key = Keyframe { translation_m: DVec3::new(3.0, 0.0, 1.0), pivot_m: base, ..Keyframe::identity(2.0) };
+        let turning = Motion {
+            keyframes: vec![Keyframe { pivot_m: base, ..Keyframe::identity(0.0) }, key.turned(DVec3::Y, 7.0)],
+        };
+        let sliding = Motion { keyframes: vec![Keyframe::identity(0.0), Keyframe { pivot_m: DVec3::ZERO, ..key }] };
+        for motion in [turning, sliding] {
+            let local = motion.clone().relative_to(base, origin);
+            for time_s in [0.0, 0.7, 2.0] {
+                let p = DVec3::new(1.0, 2.0, 3.0);
+                let world = motion.transform_at(time_s).transform_point3(p + base);
+                let there = local.transform_at(time_s).transform_point3(p);
+                assert!((there + origin).distance(world) < 1e-8, "at {time_s} s");
+            }
+        }
     }
 
     #[test]

@@ -14,7 +14,8 @@ pub struct Obstacle {
     pub name: String,
     /// Coulomb friction coefficient between this obstacle and cloth.
     pub friction: f64,
-    /// World positions before any motion, meters.
+    /// Positions before any motion, meters: relative to the scene's local origin, or to a point of their own that the
+    /// motion knows, where an obstacle comes from far away.
     pub positions: Vec<Vec3>,
     /// Vertex indices of every triangle, from 0 within the obstacle. Some vertices can be in no triangle.
     pub triangles: Vec<[u32; 3]>,

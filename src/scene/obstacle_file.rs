@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::math::{DQuat, DVec3};
+use crate::math::{DQuat, DVec3, FAR_M, local_origin};
 use crate::mesh::{Surface, check_obstacle, read_obstacle, shapes};
 
 use super::fields::{Fields, Value};
@@ -36,13 +36,14 @@ const DEFAULT_TRIANGLES: u64 = 3_000;
 /// Valid numbers of triangles of a shape.
 const TRIANGLES: std::ops::RangeInclusive<u64> = 12..=5_000_000;
 
-/// Reads an obstacle. `path` = the scene file, `friction` = default coefficient. `left_out` receives a sentence about
-/// unused parts of a file.
+/// Reads an obstacle. `path` = the scene file, `friction` = default coefficient, `origin_m` = the scene's local origin.
+/// `left_out` receives a sentence about unused parts of a file.
 pub(super) fn obstacle(
     fields: &Fields,
     index: usize,
     friction: f64,
     path: &Path,
+    origin_m: DVec3,
     left_out: &mut Vec<String>,
 ) -> Result<Obstacle, SceneError> {
     let given: Vec<&str> = FORMS.into_iter().filter(|form| fields.get(form).is_some()).collect();
@@ -64,13 +65,23 @@ pub(super) fn obstacle(
         Ok(Placement { translation_m: center, rotation, scale: fields.or("scale", 1.0, Value::positive)? })
     };
     let mut movement = Movement::Still;
+    // The point that positions before the motion are relative to.
+    let mut base_m = origin_m;
+    let motion = motion(fields)?;
+    let moves = motion.is_some();
+    let mut settle = |placement: &Placement, surface: &mut Surface| {
+        base_m = base(placement.bounds(&surface.positions, surface.base), origin_m, moves);
+        placement.about(base_m).move_surface(surface);
+    };
     let surface = match form {
         "sequence" => {
             if fields.get("motion").is_some() {
                 return Err(fields.error_at("motion", "give either `motion` or a `sequence`"));
             }
             let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
-            let frames = read_frames(&sequence_files(&value, path)?, |points| placement.move_points(points))?;
+            let local = placement.about(origin_m);
+            let files = sequence_files(&value, path)?;
+            let frames = read_frames(&files, placement.scale, |surface| local.move_surface(surface))?;
             let (surface, later) = (frames.first, frames.later);
             left_out.extend(frames.left_out);
             let frames_per_s = fields.required("frames_per_s")?.positive()?;
@@ -79,19 +90,21 @@ pub(super) fn obstacle(
         }
         "mesh" => {
             let found = find(path, value.text()?).map_err(|what| value.error(what))?;
-            let (mut surface, line) = read_obstacle(&found)?;
+            let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
+            let (mut surface, line) = read_obstacle(&found, placement.scale)?;
             left_out.extend(line);
-            placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?.move_points(&mut surface.positions);
+            settle(&placement, &mut surface);
             surface
         }
         _ => {
             let (mut surface, center, own) = shape(form, &value)?;
-            Placement { rotation: rotation * own, ..placement(center)? }.move_points(&mut surface.positions);
+            settle(&Placement { rotation: rotation * own, ..placement(center)? }, &mut surface);
             surface
         }
     };
     check_obstacle(&surface).map_err(|fault| value.error(format!("at its place in the scene: {fault}")))?;
-    if let Some(motion) = motion(fields)? {
+    if let Some(motion) = motion {
+        let motion = motion.relative_to(base_m, origin_m);
         if !stays_finite(&motion, &surface.positions) {
             return Err(fields.error_at("motion", "moves it to where no number can say"));
         }
@@ -107,6 +120,13 @@ pub(super) fn obstacle(
         triangles: surface.triangles,
         movement,
     })
+}
+
+/// The point that positions of an obstacle before its motion are relative to: the scene's local origin, or, for an
+/// obstacle that moves in from far away, its own.
+pub(super) fn base((low, high): (DVec3, DVec3), origin_m: DVec3, moves: bool) -> DVec3 {
+    let is_near = (low - origin_m).min_element() >= -FAR_M && (high - origin_m).max_element() <= FAR_M;
+    if is_near || !moves { origin_m } else { local_origin(low, high, FAR_M) }
 }
 
 fn sequence_files(value: &Value, scene: &Path) -> Result<Vec<PathBuf>, SceneError> {

@@ -5,6 +5,7 @@
 
 use std::path::PathBuf;
 
+use crate::math::DVec3;
 use crate::mesh::extent;
 
 use super::cloth_source::{ClothSource, Shape};
@@ -22,6 +23,7 @@ use super::{Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, Scen
 pub struct ParsedScene {
     pub(super) path: PathBuf,
     pub(super) name: String,
+    pub(super) origin_m: DVec3,
     pub(super) cloths: Vec<ClothSource>,
     pub(super) pins: Vec<PinSource>,
     pub(super) motions: Vec<Motion>,
@@ -76,12 +78,14 @@ impl ParsedScene {
             flat: &flat,
             obstacles: &self.obstacles,
             pins: &pins,
+            origin_m: self.origin_m,
             settings: &settings,
         }
         .settle(&mut merged, start)
         .map_err(|crossings| self.cloths_at.crossing(crossings))?;
         Ok(Scene {
             name: self.name.clone(),
+            origin_m: self.origin_m,
             mesh: merged.mesh,
             velocities: merged.velocities,
             fabrics: merged.fabrics,

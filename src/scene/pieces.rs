@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::math::{DVec2, Vec3};
+use crate::math::{DVec2, DVec3, Vec3};
 use crate::mesh::{FileMesh, Part, TriangleMesh, validate};
 
 use super::cloth_source::{ClothSource, Shape, StartVelocity};
@@ -32,7 +32,7 @@ impl<'a> Piece<'a> {
                     material_uv: corners.iter().map(|t| t.map(|v| uv[v as usize])).collect(),
                     triangles: corners,
                 };
-                sheet.placement.place(&mut mesh);
+                sheet.placement.place(&mut mesh, DVec3::ZERO);
                 validate(&mesh).map_err(|fault| sheet.at.error(fault.to_string()))?;
                 (Cow::Owned(FileMesh::from(mesh)), Some(cells))
             }

@@ -13,8 +13,13 @@ pub(super) const PIN_FIELDS: [&str; 12] = [
     "cloth", "corners", "edge", "every", "count", "vertices", "group", "box_m", "sphere", "start_s", "end_s", "motion",
 ];
 
-/// Reads a `[[pin]]` and appends its motion to `motions`.
-pub(super) fn pin(fields: &Fields, cloths: &[ClothSource], motions: &mut Vec<Motion>) -> Result<PinSource, SceneError> {
+/// Reads a `[[pin]]` and appends its motion to `motions`. `origin_m`: the scene's local origin.
+pub(super) fn pin(
+    fields: &Fields,
+    cloths: &[ClothSource],
+    origin_m: DVec3,
+    motions: &mut Vec<Motion>,
+) -> Result<PinSource, SceneError> {
     let cloth = match fields.get("cloth") {
         None if cloths.len() == 1 => 0,
         None => {
@@ -27,21 +32,21 @@ pub(super) fn pin(fields: &Fields, cloths: &[ClothSource], motions: &mut Vec<Mot
         }
         Some(value) => value.whole(0..=cloths.len() as u64 - 1)? as usize,
     };
-    let (select, value) = selection(fields, &cloths[cloth])?;
+    let (select, value) = selection(fields, &cloths[cloth], origin_m)?;
     let start_s = fields.or("start_s", 0.0, Value::not_negative)?;
     let end_s = fields.or("end_s", f64::INFINITY, Value::positive)?;
     if end_s <= start_s {
         return Err(fields.error_at("end_s", format!("must be after start_s = {start_s}")));
     }
     let motion = motion(fields)?.map(|motion| {
-        motions.push(motion);
+        motions.push(motion.relative_to(origin_m, origin_m));
         motions.len() as u32 - 1
     });
     Ok(PinSource { cloth, select, motion, start_s, end_s, at: value.place() })
 }
 
 /// The selection of a pin and the field that gives it.
-fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource) -> Result<(Selection, Value<'a>), SceneError> {
+fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Result<(Selection, Value<'a>), SceneError> {
     let ways = ["corners", "edge", "vertices", "group", "box_m", "sphere"];
     let given: Vec<&str> = ways.into_iter().filter(|way| pin.get(way).is_some()).collect();
     let [way] = given[..] else {
@@ -98,12 +103,12 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource) -> Result<(Selection, Va
             if low.cmpgt(high).any() {
                 return Err(value.error("the first corner must be the lower one in x, y and z"));
             }
-            Selection::Box { low, high }
+            Selection::Box { low: low - origin_m, high: high - origin_m }
         }
         _ => {
             let sphere = value.table(&["center_m", "radius_m"])?;
             let (center, radius_m) = (sphere.required("center_m")?.vector()?, sphere.required("radius_m")?.positive()?);
-            Selection::Sphere { center, radius_m }
+            Selection::Sphere { center: center - origin_m, radius_m }
         }
     };
     Ok((select, value))

@@ -32,9 +32,9 @@ pub(super) enum Selection {
     Vertices(Vec<u32>),
     /// Vertices of the mesh of a file.
     MeshVertices(Vec<u32>),
-    /// All vertices that start in a box.
+    /// All vertices that start in a box, relative to the scene's local origin.
     Box { low: DVec3, high: DVec3 },
-    /// All vertices that start in a sphere.
+    /// All vertices that start in a sphere, relative to the scene's local origin.
     Sphere { center: DVec3, radius_m: f64 },
 }
 

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use crate::math::{DQuat, DVec3, Vec3};
-use crate::mesh::{FileMesh, MaterialSource, MeshOptions, TriangleMesh, read_mesh, validate};
+use crate::math::{DQuat, DVec3, Vec3, bounds};
+use crate::mesh::{FileMesh, MaterialSource, MeshOptions, Surface, TriangleMesh, read_mesh, validate};
 
 use super::error::SceneError;
 
@@ -16,34 +16,59 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    /// Applies the placement to a mesh, including its material coordinates.
-    pub(super) fn place(&self, mesh: &mut TriangleMesh) {
-        self.move_points(&mut mesh.positions);
+    /// The same placement in coordinates relative to `origin_m`.
+    pub(super) fn about(self, origin_m: DVec3) -> Placement {
+        Placement { translation_m: self.translation_m - origin_m, ..self }
+    }
+
+    /// Applies the placement to a mesh, including its material coordinates. Its positions are relative to `base`.
+    pub(super) fn place(&self, mesh: &mut TriangleMesh, base: DVec3) {
+        self.move_points(&mut mesh.positions, base);
         if self.scale != 1.0 {
             mesh.material_uv.iter_mut().flatten().for_each(|uv| *uv *= self.scale as f32);
         }
     }
 
-    /// Applies the placement to points.
-    pub(super) fn move_points(&self, points: &mut [Vec3]) {
+    /// Applies the placement to a surface.
+    pub(super) fn move_surface(&self, surface: &mut Surface) {
+        self.move_points(&mut surface.positions, surface.base);
+        surface.base = DVec3::ZERO;
+    }
+
+    /// The place of a point.
+    pub(super) fn point(&self, p: DVec3) -> DVec3 {
+        self.rotation * (p * self.scale) + self.translation_m
+    }
+
+    /// The box that holds points relative to `base` once they are placed.
+    pub(super) fn bounds(&self, points: &[Vec3], base: DVec3) -> (DVec3, DVec3) {
+        bounds(points.iter().map(|p| self.point(p.as_dvec3() + base)))
+    }
+
+    fn move_points(&self, points: &mut [Vec3], base: DVec3) {
         for p in points {
-            *p = (self.rotation * (p.as_dvec3() * self.scale) + self.translation_m).as_vec3();
+            *p = self.point(p.as_dvec3() + base).as_vec3();
         }
     }
 }
 
-/// Reads and places a mesh from a file. Vertices that lie within `weld_m` of each other after placement are joined.
-pub(super) fn placed_mesh(
+/// Reads a mesh from a file; [`place_mesh`] places it. Vertices that lie within `weld_m` of each other after placement
+/// are joined.
+pub(super) fn unplaced_mesh(
     path: &Path,
     material: MaterialSource,
     weld_m: Option<f64>,
     placement: &Placement,
 ) -> Result<FileMesh, SceneError> {
     let weld = weld_m.map(|distance| distance / placement.scale);
-    let mut file = read_mesh(path, MeshOptions { material, weld })?;
-    placement.place(&mut file.mesh);
+    Ok(read_mesh(path, MeshOptions { material, weld, unit_m: placement.scale })?)
+}
+
+/// Places the mesh of the file `path`.
+pub(super) fn place_mesh(file: &mut FileMesh, path: &Path, placement: &Placement) -> Result<(), SceneError> {
+    placement.place(&mut file.mesh, file.base);
+    file.base = DVec3::ZERO;
     // A far translation or an extreme scale can make a valid mesh invalid.
     validate(&file.mesh)
-        .map_err(|fault| SceneError::File { path: path.into(), what: format!("at its place in the scene: {fault}") })?;
-    Ok(file)
+        .map_err(|fault| SceneError::File { path: path.into(), what: format!("at its place in the scene: {fault}") })
 }

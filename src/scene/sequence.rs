@@ -107,15 +107,15 @@ pub(super) struct Frames {
     pub left_out: Option<String>,
 }
 
-/// Reads the frames and moves their positions by `place`. Every frame must have the vertices and triangles of the
-/// first. Triangles without area in one of the frames are left out.
-pub(super) fn read_frames(files: &[PathBuf], place: impl Fn(&mut [Vec3])) -> Result<Frames, SceneError> {
+/// Reads the frames, in units of `unit_m` meters, and moves their positions by `place`. Every frame must have the
+/// vertices and triangles of the first. Triangles without area in one of the frames are left out.
+pub(super) fn read_frames(files: &[PathBuf], unit_m: f64, place: impl Fn(&mut Surface)) -> Result<Frames, SceneError> {
     let fault = |path: &Path, what: String| SceneError::File { path: path.into(), what };
     let mut first: Option<Surface> = None;
     let (mut later, mut flat) = (Vec::new(), Vec::new());
     for path in files {
-        let mut frame = read_file(path)?;
-        place(&mut frame.positions);
+        let mut frame = read_file(path, unit_m)?;
+        place(&mut frame);
         if let Some(vertex) = frame.positions.iter().position(|p| !p.is_finite()) {
             return Err(fault(path, format!("at its place in the scene, vertex {} is not finite", vertex + 1)));
         }

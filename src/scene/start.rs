@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::math::Vec3;
+use crate::math::{DVec3, Vec3};
 use crate::mesh::{Group, GroupKind, Tangle, TriangleMesh, crossings, first_at_place};
 
 use super::crossings::{BestState, Crossings, Doubled, Untangling};
@@ -29,6 +29,7 @@ pub(super) struct Start<'a> {
     pub flat: &'a [bool],
     pub obstacles: &'a [Obstacle],
     pub pins: &'a [Pin],
+    pub origin_m: DVec3,
     pub settings: &'a Settings,
 }
 
@@ -112,6 +113,7 @@ impl Start<'_> {
         Box::new(Crossings {
             first: pairs[0].map(|t| surface.name_of(t)),
             pairs: pairs.len(),
+            origin_m: self.origin_m,
             positions: meeting.iter().flat_map(corners).collect(),
             command: format!("loomtree check {}{resolution} --write-crossings crossings.obj", self.path.display()),
             written: None,

@@ -4,7 +4,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use loomtree::math::{Vec2, Vec3};
+use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::State;
 use loomtree::output::*;
@@ -83,15 +83,16 @@ fn obj_of_two_triangles_is_this_text() {
     let mesh = two_triangles();
     let texture = obj::TextureCoordinates::new(4, &mesh.triangles, &mesh.material_uv);
     let mut bytes = Vec::new();
-    obj::write(&mut bytes, &mut Vec::new(), &mesh.positions, &mesh.triangles, Some(&texture), &[]).unwrap();
+    obj::write(&mut bytes, &mut Vec::new(), DVec3::ZERO, &mesh.positions, &mesh.triangles, Some(&texture), &[])
+        .unwrap();
     let text = String::from_utf8(bytes).unwrap();
     let expected = "v 0 0 0\nv 1 0 0.1\nv 1 -1.5 1e-7\nv 0 1 123456.79\n\
         vt 0 0\nvt 1 0\nvt 1 1\nvt 0.5 0.25\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/4 4/5\n";
     assert_eq!(text, expected);
-    let read = obj::read(text.as_bytes()).unwrap();
+    let read = obj::read(text.as_bytes(), DVec3::ZERO).unwrap();
     assert_eq!((read.positions, read.triangles), (mesh.positions, mesh.triangles));
 
-    let message = |text: &str| obj::read(text.as_bytes()).unwrap_err().to_string();
+    let message = |text: &str| obj::read(text.as_bytes(), DVec3::ZERO).unwrap_err().to_string();
     assert_eq!(message("v 0 0 0\nv 1 x 0"), "line 2 has a coordinate that is no number");
     assert_eq!(message("v 0 0 0\nf 1 1 0"), "line 2 has vertex number 0 (they count from 1)");
     assert_eq!(message("v 0 0 0\nf 1 1 2"), "triangle 0 (from 0) names a vertex beyond the 1 there are");
@@ -105,7 +106,11 @@ proptest! {
         let triangles: Vec<[u32; 3]> = (2..positions.len() as u32).map(|i| [0, i - 1, i]).collect();
         let as_bits = |p: &[Vec3]| p.iter().map(|p| p.to_array().map(f32::to_bits)).collect::<Vec<_>>();
         for write_and_read in [
-            |p: &[Vec3], t: &[[u32; 3]]| { let mut b = Vec::new(); obj::write(&mut b, &mut Vec::new(), p, t, None, &[]).unwrap(); obj::read(&b) },
+            |p: &[Vec3], t: &[[u32; 3]]| {
+                let mut b = Vec::new();
+                obj::write(&mut b, &mut Vec::new(), DVec3::ZERO, p, t, None, &[]).unwrap();
+                obj::read(&b, DVec3::ZERO)
+            },
             |p: &[Vec3], t: &[[u32; 3]]| { let mut b = Vec::new(); ply::write(&mut b, &mut Vec::new(), p, t).unwrap(); ply::read(&b) },
         ] {
             let mesh = write_and_read(&positions, &triangles).unwrap();
@@ -131,7 +136,7 @@ proptest! {
                 prop_assert!(Checkpoint::from_bytes(&file).is_err());
             }
         }
-        if let Ok(mesh) = obj::read(&bytes) {
+        if let Ok(mesh) = obj::read(&bytes, DVec3::ZERO) {
             prop_assert!(mesh.triangles.iter().flatten().all(|i| (*i as usize) < mesh.positions.len()));
         }
     }

@@ -14,7 +14,7 @@ use loomtree::coordinator::RunOptions;
 use loomtree::input::Input;
 use loomtree::interconnect::Topology;
 use loomtree::linear_system::{parse_block_csr, parse_matrix_market, parse_right_hand_side};
-use loomtree::math::Vec3;
+use loomtree::math::{DVec3, Vec3};
 use loomtree::mesh::{MaterialSource, MeshOptions, first_intersection, parse_obj, parse_ply, validate};
 use loomtree::model::State;
 use loomtree::output::pc2::{self, Pc2Writer};
@@ -40,7 +40,9 @@ struct Seed {
 
 fn mesh(surface: Result<loomtree::mesh::Surface, loomtree::mesh::ParseFault>) -> Result<(), String> {
     let surface = surface.map_err(|fault| fault.to_string())?;
-    for options in [MaterialSource::Auto.into(), MeshOptions { material: MaterialSource::Shape, weld: Some(0.1) }] {
+    for options in
+        [MaterialSource::Auto.into(), MeshOptions { material: MaterialSource::Shape, weld: Some(0.1), unit_m: 1.0 }]
+    {
         let file = surface.clone().into_mesh(options).map_err(|fault| fault.to_string())?;
         assert_eq!(validate(&file.mesh), Ok(()));
         first_intersection(&file.mesh);
@@ -192,7 +194,7 @@ fn seeds() -> Vec<Seed> {
     }
     add("binary ply", &binary, |bytes| mesh(parse_ply(bytes, bytes.len() as u64)));
     add("frame ply", &binary, |bytes| ply::read(bytes).map(|_| ()).map_err(|error| error.to_string()));
-    add("frame obj", obj_text, |bytes| obj::read(bytes).map(|_| ()).map_err(|error| error.to_string()));
+    add("frame obj", obj_text, |bytes| obj::read(bytes, DVec3::ZERO).map(|_| ()).map_err(|error| error.to_string()));
     let toml = "resolution = 40\n[simulation]\nframe_s = 0.04\nthickness_m = 0.01\n[air]\nwind_m_s = [1, 0, 0]\n[[fabric]]\nname = \"a\"\ndensity_kg_m2 = 0.2\n\
         stretching_n_m = [1, 0, 1, 1]\nbending_n_m = 1e-5\n[[cloth]]\nname = \"b\"\nsheet = { size_m = [1, 2] }\nfabric = \"a\"\nrotate_deg = [9, 0, 1, 0]\n\
         [[pin]]\nedge = \"top\"\ncount = 3\nmotion = [{ time_s = 1, translate_m = [0, 1, 0] }]\n[[obstacle]]\n\

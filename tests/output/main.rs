@@ -10,6 +10,7 @@ mod records;
 mod scene_any_input;
 mod scene_arcsim;
 mod scene_contact;
+mod scene_far;
 mod scene_files;
 mod scene_obstacles;
 mod trace;

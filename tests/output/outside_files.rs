@@ -170,11 +170,14 @@ fn a_needle_of_a_collider_is_left_out() {
         ("q_0.obj", ball),
         ("q_1.obj", &ball.replace("v 0.5 0 0", "v 0.5 0 0.5")),
     ]);
-    let (surface, line) = read_obstacle(&folder.path("b.obj")).unwrap();
+    let (surface, line) = read_obstacle(&folder.path("b.obj"), 1.0).unwrap();
     assert_eq!(surface.triangles, [[0, 1, 2], [2, 1, 3]]);
     assert!(line.unwrap().ends_with("b.obj: triangle 2 has no area and is left out"));
     assert!(
-        read_obstacle(&folder.path("only.obj")).unwrap_err().to_string().contains("triangle 1 has no area in space")
+        read_obstacle(&folder.path("only.obj"), 1.0)
+            .unwrap_err()
+            .to_string()
+            .contains("triangle 1 has no area in space")
     );
     let cloth = "[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8 }\norigin_m = [0, 5, 0]\n[[obstacle]]\n";
     let scene = folder.scene(&format!("{cloth}mesh = \"b.obj\"")).unwrap();
@@ -274,7 +277,7 @@ fn pins_select_objects_and_groups_and_frames_keep_them() {
     let scene = folder.scene(text).unwrap();
     let run = RunDirectory::create(&folder.path("run"), Existing::Refuse).unwrap();
     let formats = [FrameFormat::Obj, FrameFormat::Pc2];
-    let mut writer = FrameWriter::with_parts(&run, &formats, &scene.mesh, &scene.parts, 0).unwrap();
+    let mut writer = FrameWriter::with_parts(&run, &formats, &scene.mesh, &scene.parts, scene.origin_m, 0).unwrap();
     writer.write(0, &scene.mesh, &scene.mesh.positions).unwrap();
     for file in [run.frames().join("frame_000000.obj"), run.rest_mesh()] {
         let again = parse_obj(&std::fs::read(&file).unwrap()[..]).unwrap();
@@ -347,7 +350,10 @@ fn scenes_meshes_and_matrices_may_be_utf_16_or_zipped() {
 
 #[test]
 fn options_of_a_mesh_convert() {
-    assert_eq!(MeshOptions::from(MaterialSource::Shape), MeshOptions { material: MaterialSource::Shape, weld: None });
+    assert_eq!(
+        MeshOptions::from(MaterialSource::Shape),
+        MeshOptions { material: MaterialSource::Shape, weld: None, unit_m: 1.0 }
+    );
     assert_eq!(MeshOptions::default().material, MaterialSource::Auto);
 }
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use loomtree::impact_zone::ZoneCounts;
-use loomtree::math::{Vec2, Vec3};
+use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::State;
 use loomtree::output::*;
@@ -204,6 +204,7 @@ fn scene() -> Scene {
     };
     Scene {
         name: "two triangles".to_string(),
+        origin_m: DVec3::ZERO,
         mesh: TriangleMesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::X + Vec3::Y, Vec3::Y],
             triangles: vec![[0, 1, 2], [0, 2, 3]],

@@ -5,6 +5,7 @@ mod bench_commands;
 mod control_conformance;
 mod cores;
 mod descriptors;
+mod far;
 mod faults;
 mod groups;
 mod launch;

@@ -3,26 +3,30 @@
 
 use std::path::Path;
 
-use crate::mesh::{check_obstacle, read_obstacle};
+use crate::math::DVec3;
+use crate::mesh::{Surface, check_obstacle, read_obstacle};
 
 use super::super::json::Json;
 use super::super::keyframes::stays_finite;
+use super::super::obstacle_file::base;
+use super::super::placement::Placement;
 use super::super::sequence::Pattern;
 use super::super::{Motion, Movement, Obstacle, SceneError};
 use super::common::{UNMOVED, find, placement};
 use super::left_out::LeftOut;
 use super::motions::{MotionFile, motion_number, world_motion};
 
-/// Reads the obstacles of a scene.
+/// Reads the obstacles of a scene with the local origin `origin_m`.
 pub(super) fn obstacles(
     root: &Json,
     motions: &MotionFile,
+    origin_m: DVec3,
     left_out: &mut LeftOut,
 ) -> Result<Vec<Obstacle>, SceneError> {
     let friction = root.or("obs_friction", 0.3, Json::not_negative)?;
     let Some(list) = root.get("obstacles") else { return Ok(Vec::new()) };
     if list.value.is_string() {
-        return body_parts(root, &list, motions, friction, left_out);
+        return body_parts(root, &list, motions, origin_m, friction, left_out);
     }
     let mut obstacles = Vec::new();
     for json in list.array()? {
@@ -32,9 +36,10 @@ pub(super) fn obstacles(
             left_out.say(format!("{name}: left out, there is no file `{file}`"));
             continue;
         };
-        let (mut surface, line) = read_obstacle(&path)?;
+        let placement = json.or("transform", UNMOVED, placement)?;
+        let (mut surface, line) = read_obstacle(&path, placement.scale)?;
         line.into_iter().for_each(|line| left_out.say(line));
-        json.or("transform", UNMOVED, placement)?.move_points(&mut surface.positions);
+        let base_m = settle(&mut surface, &placement, origin_m, json.get("motion").is_some());
         check_obstacle(&surface).map_err(|fault| mesh.error(format!("at its place in the scene: {fault}")))?;
         for key in ["start_time", "end_time"] {
             if json.get(key).is_some() {
@@ -42,6 +47,7 @@ pub(super) fn obstacles(
             }
         }
         let motion = json.get("motion").map(|index| world_motion(root, motions, &index)).transpose()?;
+        let motion = motion.map(|motion| motion.relative_to(base_m, origin_m));
         let (positions, triangles) = (surface.positions, surface.triangles);
         obstacles.push(Obstacle {
             name: json.name.clone(),
@@ -58,6 +64,7 @@ fn body_parts(
     root: &Json,
     field: &Json,
     motions: &MotionFile,
+    origin_m: DVec3,
     friction: f64,
     left_out: &mut LeftOut,
 ) -> Result<Vec<Obstacle>, SceneError> {
@@ -69,9 +76,10 @@ fn body_parts(
         let name = pattern.name(number);
         let value = serde_json::Value::String(name.clone());
         let Ok(path) = find(&Json { file: field.file, name: field.name.clone(), value: &value }) else { break };
-        let (surface, line) = read_obstacle(&path)?;
+        let (mut surface, line) = read_obstacle(&path, 1.0)?;
         line.into_iter().for_each(|line| left_out.say(line));
-        let motion = motion_number(root, motions, number as usize, field)?;
+        let base_m = settle(&mut surface, &UNMOVED, origin_m, true);
+        let motion = motion_number(root, motions, number as usize, field)?.relative_to(base_m, origin_m);
         obstacles.push(Obstacle {
             friction,
             movement: movement(Some(motion), &surface.positions, field)?,
@@ -96,6 +104,13 @@ fn body_parts(
         left_out.say(format!("obstacles: none, there is no file `{}`", pattern.name(0)));
     }
     Ok(obstacles)
+}
+
+/// Places a surface; returns the point that its positions are relative to then.
+fn settle(surface: &mut Surface, placement: &Placement, origin_m: DVec3, moves: bool) -> DVec3 {
+    let base_m = base(placement.bounds(&surface.positions, surface.base), origin_m, moves);
+    placement.about(base_m).move_surface(surface);
+    base_m
 }
 
 fn movement(motion: Option<Motion>, positions: &[crate::math::Vec3], at: &Json) -> Result<Movement, SceneError> {

@@ -11,7 +11,7 @@ pub mod zones;
 
 use loomtree::gpu::Executor;
 use loomtree::interconnect::QueueNode;
-use loomtree::math::{Vec2, Vec3};
+use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::{GlobalModel, RankModel, RankState, State};
 use loomtree::partition::RowPartition;
@@ -68,6 +68,7 @@ pub fn sheet(nx: usize, ny: usize, size_m: [f32; 2], origin: Vec3, u: Vec3, v: V
 pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gravity: Vec3) -> Scene {
     Scene {
         name: "test".into(),
+        origin_m: DVec3::ZERO,
         velocities: vec![Vec3::ZERO; mesh.positions.len()],
         fabric_of_triangle: vec![0; mesh.triangles.len()],
         mesh,
