@@ -11,6 +11,7 @@ mod own_state;
 mod products;
 mod span;
 mod stats;
+mod substeps;
 mod system;
 
 use std::ops::Range;
@@ -76,6 +77,8 @@ pub struct Simulation {
 /// A rank's part of the cloth, with the modules that advance it.
 struct RankCloth {
     settings: Settings,
+    /// Mean of the smallest altitudes of the triangles at rest, meters.
+    cell_m: f64,
     /// Own rows in the global order.
     rows: Range<usize>,
     pins: Pins,
@@ -110,7 +113,7 @@ impl Simulation {
         let mut stats = StepStats { step, converged: true, ..StepStats::default() };
         self.cloth.solver.spmv.traffic = TrafficCounter::default();
         let mut rank = RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
-        self.cloth.advance_over(&mut rank, span, 0, &mut stats)?;
+        self.cloth.advance_in_parts(&mut rank, span, &mut stats)?;
         self.cloth.state_is_new = false;
         if let Some(fault) = self.executor.take_fault() {
             return Err(Failure::in_step(step, fault));
@@ -143,7 +146,7 @@ impl RankCloth {
     /// The state at the start of a run, and the data that depends only on the pattern of the matrix; also the slots of
     /// the matrix divided by its stored blocks.
     fn new(executor: &Executor, model: RankModel, exchange: &ExchangePlan) -> Result<(RankCloth, f64), SetupError> {
-        let RankModel { partition, plan, pins, motions, settings, pins_move, collision, arrays } = model;
+        let RankModel { partition, plan, pins, motions, settings, cell_m, pins_move, collision, arrays } = model;
         let columns = ColumnOrder::new(&partition, exchange);
         let elements = Elements::new(executor, &arrays);
         let matrix = Assembled::new(executor, &arrays, &elements, &columns.numbering(&plan))?;
@@ -156,6 +159,7 @@ impl RankCloth {
             .then(|| matrix.schwarz(executor, &partition, &plan, exchange, &columns.numbering(&plan)));
         let padding_ratio = matrix.padding_ratio();
         let cloth = RankCloth {
+            cell_m,
             rows: partition.rows_of(plan.rank),
             pins: Pins::new(pins),
             pins_move,

@@ -79,6 +79,9 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
             stopped()
         }
     })?;
+    if summary.substeps > u64::from(summary.steps) {
+        note(format_args!("{} steps were made in {} sub-steps (simulation.substeps)", summary.steps, summary.substeps));
+    }
     let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
     note(format_args!(
         "{how}: {} steps, {:.2} ms/step, frames 0..={} in {}",

@@ -81,6 +81,8 @@ pub struct RunSummary {
     pub frames: u32,
     /// Steps done in this start.
     pub steps: u32,
+    /// Sub-steps of these steps.
+    pub substeps: u64,
     /// Mean wall time of a step, measured by the coordinator, seconds.
     pub seconds_per_step: f64,
     /// True if the user stopped the run.
@@ -119,10 +121,11 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
         first_step,
         last_step,
         done: StepStats { step: first_step, ..StepStats::default() },
+        substeps: 0,
         seconds: 0.0,
     };
     let played = shot::play(&[segment], 1, &options.session(), launch, &mut |told| listener.hear(told));
-    let Listener { mut recorder, progress, done: StepStats { step: done, .. }, seconds, .. } = listener;
+    let Listener { mut recorder, progress, done: StepStats { step: done, .. }, substeps, seconds, .. } = listener;
     let played = played.and_then(|ended| recorder.keep_last_state().map(|_| ended).map_err(ShotError::Listener));
     let error = match played {
         Ok(ended) => {
@@ -132,7 +135,8 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
             let (stopped, steps) = (ended == Ended::Stopped, done - first_step);
             recorder.finish(if stopped { Status::Stopped } else { Status::Done })?;
             let frames = done / settings.steps_per_frame + 1;
-            return Ok(RunSummary { frames, steps, seconds_per_step: seconds / steps.max(1) as f64, stopped });
+            let seconds_per_step = seconds / steps.max(1) as f64;
+            return Ok(RunSummary { frames, steps, substeps, seconds_per_step, stopped });
         }
         Err(ShotError::Session { error: SessionError::Crew(stopped @ CrewError::Stopped(_)), .. }) => {
             RunError::Stopped(stopped.to_string())
@@ -171,6 +175,7 @@ struct Listener<'a> {
     /// Of rank 0 in the last step done.
     done: StepStats,
     /// Of all steps done.
+    substeps: u64,
     seconds: f64,
 }
 
@@ -187,6 +192,7 @@ impl Listener<'_> {
             }
             News::Step(done) => {
                 (self.done, self.seconds) = (done.ranks[0], self.seconds + done.wall_s);
+                self.substeps += u64::from(self.done.substeps);
                 self.recorder.step(self.plan, told.session, &done)?;
             }
             News::State { step, state } => {

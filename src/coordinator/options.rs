@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::interconnect::ScheduleKind;
 use crate::output::FormatList;
 use crate::protocol::{BindCores, ExecutorChoice};
-use crate::scene::PreconditionerKind;
+use crate::scene::{PreconditionerKind, Substeps};
 use crate::solver::ExchangeMode;
 use crate::transport::Machine;
 
@@ -74,6 +74,10 @@ pub struct RunOptions {
     #[arg(long, value_enum)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preconditioner: Option<PreconditionerKind>,
+    /// Sub-steps of a step: auto (as many as the motion asks for) or a number [default: the scene's, which is auto]
+    #[arg(long, value_name = "auto|N")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub substeps: Option<Substeps>,
     /// Write a checkpoint every K frames (one is always left at the end, at Ctrl-C and after a failure); 0 = only then
     #[arg(long, value_name = "K", default_value_t = 10)]
     pub checkpoint_every: u32,

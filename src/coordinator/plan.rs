@@ -86,6 +86,7 @@ impl RunPlan {
     /// As [`RunPlan::new`], for a scene that was read before.
     pub fn of_scene(mut scene: Scene, options: &RunOptions) -> Result<RunPlan, PlanError> {
         scene.settings.preconditioner = options.preconditioner.unwrap_or(scene.settings.preconditioner);
+        scene.settings.substeps = options.substeps.unwrap_or(scene.settings.substeps);
         let rows = scene.mesh.positions.len();
         let workers = options.workers;
         check_workers(workers, rows, &format!("the cloth has only {rows} vertices"))?;

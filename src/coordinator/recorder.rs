@@ -212,6 +212,7 @@ impl Recorder {
             session,
             frame: first.step.div_ceil(settings.steps_per_frame),
             time_s: first.step as f64 * settings.step_s,
+            substeps: first.substeps,
             iterations: first.iterations,
             residual: first.residual,
             converged: first.converged,

@@ -110,6 +110,13 @@ impl Pins {
         }
         out
     }
+
+    /// Displacement of every moving pin that is held in the step that starts at `time_s`, meters.
+    pub fn ways<'a>(&'a self, time_s: f64, step_s: f64, motions: &'a [Motion]) -> impl Iterator<Item = DVec3> + 'a {
+        let held = move |pin: &&RankPin| is_held((pin.start_s, pin.end_s), time_s, step_s);
+        let way = move |pin| moved(pin, motions, time_s + step_s) - moved(pin, motions, time_s);
+        self.pins.iter().filter(held).filter(|pin| pin.motion.is_some()).map(way)
+    }
 }
 
 /// True if a pin with the hold `span` (seconds) is held during the step that starts at `time_s`.

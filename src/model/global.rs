@@ -112,6 +112,12 @@ impl GlobalModel {
         (self.positions, self.velocities) = (positions, velocities);
     }
 
+    /// Mean of the smallest altitudes of the triangles at rest, meters.
+    pub fn cell_m(&self) -> f64 {
+        let sum: f64 = self.triangles.iter().map(|e| f64::from(e.smallest_altitude_m())).sum();
+        sum / self.triangles.len() as f64
+    }
+
     /// Number of vertices.
     pub fn rows(&self) -> usize {
         self.masses.len()

@@ -23,6 +23,8 @@ pub struct RankModel {
     pub motions: Vec<Motion>,
     /// Parameters of the run.
     pub settings: Settings,
+    /// Mean of the smallest altitudes of the triangles at rest, meters.
+    pub cell_m: f64,
     /// True if a pin of any rank moves or takes hold later. Then every solve starts from prescribed values.
     pub pins_move: bool,
     /// Collision data of the whole scene; none if the scene disables collisions.
@@ -135,6 +137,7 @@ impl RankModel {
             pins,
             motions: model.motions.clone(),
             settings: model.settings.clone(),
+            cell_m: model.cell_m(),
             pins_move,
             collision: None,
             arrays,

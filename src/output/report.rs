@@ -196,6 +196,8 @@ pub struct StepRecord {
     pub frame: u32,
     /// Simulated time after the step, seconds.
     pub time_s: f64,
+    /// Sub-steps that the step was made in.
+    pub substeps: u32,
     /// Iterations of the solver.
     pub iterations: u32,
     /// Relative residual reached (`null` in the file if it is no number).

@@ -246,6 +246,7 @@ fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError>
     }
     Ok(Settings {
         step_s: frame_s / f64::from(steps_per_frame),
+        substeps: Default::default(),
         steps_per_frame,
         frames: frames as u32,
         gravity_m_s2: vector(root, "gravity")?,

@@ -26,6 +26,7 @@ mod sequence;
 mod settings_file;
 mod sheet;
 mod start;
+mod substeps;
 
 use std::path::Path;
 
@@ -39,6 +40,7 @@ pub use parsed::ParsedScene;
 pub use pieces::size_warning;
 pub use preconditioner::PreconditionerKind;
 pub use sheet::{Sheet, sheet_cells};
+pub use substeps::Substeps;
 
 /// Reads and checks a scene file: `.toml` in the format of `docs/scene.md` or `.json` in ARCSim's format.
 /// [`ParsedScene::at`] then builds scenes from it.

@@ -7,6 +7,7 @@ use super::fabric::Fabric;
 use super::motion::Motion;
 use super::obstacle::Obstacle;
 use super::preconditioner::PreconditionerKind;
+use super::substeps::Substeps;
 
 /// Values from the command line that replace those of a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -113,6 +114,8 @@ pub struct Pin {
 pub struct Settings {
     /// Length of a step, seconds.
     pub step_s: f64,
+    /// Sub-steps that a step is made in.
+    pub substeps: Substeps,
     /// Steps per written frame.
     pub steps_per_frame: u32,
     /// Frames to write, in addition to frame 0, which is the start state.

@@ -4,12 +4,13 @@ use crate::math::Vec3;
 
 use super::fields::{Fields, Value};
 use super::model::{CONTACT_STIFFNESS, DEFAULT_THICKNESS_M};
-use super::{PreconditionerKind, SceneError, Settings};
+use super::{PreconditionerKind, SceneError, Settings, Substeps};
 
 /// Reads the settings from the document `root`.
 pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Settings, SceneError> {
     let known = [
         "step_s",
+        "substeps",
         "frames",
         "steps_per_frame",
         "frame_s",
@@ -34,6 +35,7 @@ pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Sett
     let density = if root.get("air").is_some() { 1.2 } else { 0.0 };
     Ok(Settings {
         step_s,
+        substeps: simulation.or("substeps", Substeps::Auto, substeps)?,
         steps_per_frame,
         frames: simulation.or("frames", 100, |value| value.whole(0..=10_000_000))? as u32,
         gravity_m_s2: simulation.or("gravity_m_s2", Vec3::new(0.0, -9.81, 0.0), vector)?,
@@ -49,6 +51,14 @@ pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Sett
         collisions: simulation.or("collisions", true, Value::boolean)?,
         contact_stiffness: simulation.or("contact_stiffness", CONTACT_STIFFNESS, Value::positive)?,
     })
+}
+
+/// `"auto"` or a number.
+fn substeps(value: &Value) -> Result<Substeps, SceneError> {
+    if value.is_text() {
+        return value.text()?.parse().map_err(|_| value.error("must be \"auto\" or a whole number"));
+    }
+    Ok(Substeps::Fixed(value.whole(1..=u64::from(Substeps::MOST))? as u32))
 }
 
 /// Step length if the scene does not give one, seconds.

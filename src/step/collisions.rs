@@ -12,6 +12,7 @@ use crate::context::RankContext;
 use crate::forces::{ContactElement, NO_VERTEX};
 use crate::gpu::CpuExecutor;
 use crate::impact_zone::{self, ImpactZones, Moved, StepPositions, ZoneSettings};
+use crate::math::DVec3;
 use crate::model::CollisionModel;
 use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::Obstacles;
@@ -120,6 +121,16 @@ impl Collisions {
     /// The state is no longer the end of the step before.
     pub(super) fn forget_state(&mut self) {
         self.state_known = false;
+    }
+
+    /// Displacements of the obstacles' vertices from one time to another, meters.
+    pub(super) fn obstacle_ways(&self, start_s: f64, end_s: f64) -> Vec<DVec3> {
+        let (mut starts, mut ends) = (Vec::new(), Vec::new());
+        self.obstacles.positions_at(start_s, &mut starts);
+        self.obstacles.positions_at(end_s, &mut ends);
+        let at = |x: &[f32; 3]| DVec3::from_array(x.map(f64::from));
+        let pairs = starts.as_chunks::<3>().0.iter().zip(ends.as_chunks::<3>().0);
+        pairs.map(|(start, end)| at(end) - at(start)).collect()
     }
 
     /// Bytes held besides the tables of queries: mesh, positions, masses.

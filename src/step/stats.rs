@@ -113,6 +113,8 @@ impl QueryStats {
 pub struct StepStats {
     /// Step number, from 1.
     pub step: u32,
+    /// Sub-steps that the step was made in. Further halvings of them are counted in `zones`.
+    pub substeps: u32,
     /// PCG iterations.
     pub iterations: u32,
     /// Relative residual reached.

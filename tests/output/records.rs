@@ -73,7 +73,7 @@ fn the_fields_of_a_step_keep_their_names() {
         keys(&json),
         "bytes_moved bytes_per_spmv collision_mesh_bytes_per_rank contacts continuous converged fail_safes frame halvings \
          impacts iterations largest_zone memory_bytes_per_rank proximity resident_bytes_per_rank residual smallest_gap_m \
-         stage_seconds step time_s zone_iterations zone_rounds zones"
+         stage_seconds step substeps time_s zone_iterations zone_rounds zones"
     );
     assert_eq!(
         keys(&json["proximity"]),
@@ -188,6 +188,7 @@ fn scene() -> Scene {
     };
     let settings = Settings {
         step_s: 0.004,
+        substeps: Default::default(),
         steps_per_frame: 1,
         frames: 100,
         gravity_m_s2: Vec3::new(0.0, 0.0, -9.8),

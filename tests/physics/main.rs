@@ -8,4 +8,5 @@ mod contact_scenes;
 mod motion;
 mod pins;
 mod rest;
+mod substeps;
 mod system;

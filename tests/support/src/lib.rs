@@ -15,7 +15,7 @@ use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::{GlobalModel, RankModel, RankState, State};
 use loomtree::partition::RowPartition;
-use loomtree::scene::{Fabric, Pin, Scene, Settings};
+use loomtree::scene::{Fabric, Pin, Scene, Settings, Substeps};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::{ExchangePlan, Simulation, StepStats};
 use loomtree::telemetry::{Activity, Event, EventName};
@@ -79,6 +79,7 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
         obstacles: Vec::new(),
         settings: Settings {
             step_s,
+            substeps: Substeps::Fixed(1),
             steps_per_frame: 1,
             frames: 1,
             gravity_m_s2: gravity,

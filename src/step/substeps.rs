@@ -1,0 +1,102 @@
+//! How a step is divided into sub-steps: as the scene says, or as the motion at its start asks for.
+//!
+//! A step much longer than the cloth can follow stretches it without an error: features pass many cells within one
+//! linearization, and contacts and impact zones see only the ends of the way. The choice here depends on the state at
+//! the start of each part and on the scene, never on the number of ranks: velocities are compared by their bounds,
+//! whose minimum and maximum have no rounding.
+
+use super::span::Span;
+use super::{Failure, RankCloth, StepStats};
+use crate::context::RankContext;
+use crate::math::{DIM, DVec3, bounds};
+use crate::scene::Substeps;
+use crate::telemetry::{Activity, EventName};
+use crate::transport::TransportError;
+
+/// Sub-steps that the program chooses are never shorter than this, seconds: the default length of a step. Contacts and
+/// impact zones hold there at every speed of the shipped scenes, and shorter steps are made in halves where they do
+/// not.
+const SHORTEST_S: f64 = 0.004;
+/// Farthest relative motion within a sub-step, in cells of the mesh.
+const CELLS_MOST: f64 = 0.25;
+
+impl RankCloth {
+    /// Advances over a step, in the sub-steps that `simulation.substeps` asks for.
+    pub(super) fn advance_in_parts(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        step: Span,
+        stats: &mut StepStats,
+    ) -> Result<(), Failure> {
+        let (parts, chosen) = match self.settings.substeps {
+            Substeps::Auto => (parts_most(step.length_s), true),
+            Substeps::Fixed(parts) => (parts, false),
+        };
+        let mut done = 0;
+        while done < parts {
+            let next = match chosen && parts > 1 {
+                true => done + self.part(rank, step, done, parts)?,
+                false => done + 1,
+            };
+            self.advance_over(rank, step.part(done..next, parts), 0, stats)?;
+            stats.substeps += 1;
+            done = next;
+        }
+        Ok(())
+    }
+
+    /// Length of the next part in units of the step / `parts`, where `done` of them are behind: a power of two that
+    /// divides what is behind.
+    fn part(&self, rank: &mut RankContext<'_>, step: Span, done: u32, parts: u32) -> Result<u32, TransportError> {
+        let mut length = if done == 0 { parts } else { 1 << done.trailing_zeros() };
+        let speed_m_s = self.relative_speed(rank, step.part(done..done + length, parts))?;
+        let farthest_m = (CELLS_MOST * self.cell_m).max(self.settings.thickness_m);
+        let unit_s = step.length_s / f64::from(parts);
+        while length > 1 && speed_m_s * unit_s * f64::from(length) > farthest_m {
+            length /= 2;
+        }
+        Ok(length)
+    }
+
+    /// A bound of the speed of any two points of cloth, pins and obstacles relative to each other, m/s: the diagonal of
+    /// the box around their velocities. Those of cloth are those of the state at the start of `span`, those of pins and
+    /// obstacles their mean over `span`. A cloth that moves as a whole does not count.
+    fn relative_speed(&self, rank: &mut RankContext<'_>, span: Span) -> Result<f64, TransportError> {
+        let own = self.state.recorded(rank);
+        let cloth = own.velocities.as_chunks::<DIM>().0.iter().map(|&v| DVec3::from_array(v.map(f64::from)));
+        let pins = self.pins.ways(span.start_s, span.length_s, &self.motions).map(|way| way / span.length_s);
+        let (low, high) = bounds(cloth.chain(pins));
+        let start = rank.recorder.now();
+        let mut all = Vec::new();
+        rank.transport.all_gather(&[low.to_array(), high.to_array()].concat(), &mut all)?;
+        rank.recorder.end(EventName::AllReduce, Activity::Wait, start, 6 * size_of::<f64>() as u64, 0);
+        let of_ranks = all.iter().flat_map(|values| values.as_chunks::<DIM>().0).map(|&v| DVec3::from_array(v));
+        let obstacles = self.collisions.iter().flat_map(|collisions| {
+            let ways = collisions.obstacle_ways(span.start_s, span.end_s);
+            ways.into_iter().map(|way| way / span.length_s)
+        });
+        let (low, high) = bounds(of_ranks.chain(obstacles));
+        Ok((high - low).length())
+    }
+}
+
+/// The most sub-steps that the program chooses for a step of this length, a power of two.
+fn parts_most(step_s: f64) -> u32 {
+    let mut parts = 1;
+    while step_s / f64::from(2 * parts) >= SHORTEST_S && parts < 1 << 10 {
+        parts *= 2;
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sub_steps_are_not_shorter_than_the_default_step() {
+        for (step_s, most) in [(0.0005, 1), (0.004, 1), (0.005, 1), (0.008, 2), (1.0 / 60.0, 4), (1.0 / 24.0, 8)] {
+            assert_eq!(parts_most(step_s), most, "{step_s} s");
+        }
+    }
+}
