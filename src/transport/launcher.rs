@@ -35,7 +35,7 @@ pub trait Launcher {
     fn end_of(&mut self, _rank: usize) -> Option<String> {
         None
     }
-    /// A number that increases while worker `rank` computes; none if it is not known.
+    /// A number that increases while worker `rank` computes or waits for a core; none if it is not known.
     fn work_of(&self, _rank: usize) -> Option<u64> {
         None
     }

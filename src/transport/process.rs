@@ -34,8 +34,7 @@ impl ProcessWatch {
     /// True while the process is stopped (SIGSTOP, Ctrl-Z).
     pub fn is_stopped(&self) -> bool {
         let line = std::fs::read_to_string(format!("/proc/{}/stat", self.pid)).unwrap_or_default();
-        line.rsplit_once(')')
-            .is_some_and(|(_, fields)| matches!(fields.trim_start().as_bytes().first(), Some(b'T' | b't')))
+        matches!(state_of(&line), Some(b'T' | b't'))
     }
 
     /// True once the process has ended, reaped or not. Never waits.
@@ -77,6 +76,19 @@ pub fn start_ticks(pid: u32) -> Option<u64> {
 /// Processor time that a process and its threads have used, in clock ticks. `None` as for [`start_ticks`].
 pub(super) fn cpu_ticks(pid: u32) -> Option<u64> {
     parse_cpu(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
+}
+
+/// Whether a thread of a process computes, or waits for a core or for memory (states R and D). On a crowded machine such
+/// a wait may be long, and it uses no processor time.
+pub(super) fn is_busy(pid: u32) -> bool {
+    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let lines = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("stat")).ok());
+    lines.into_iter().any(|line| matches!(state_of(&line), Some(b'R' | b'D')))
+}
+
+/// The state in a line of `/proc/PID/stat`.
+fn state_of(line: &str) -> Option<u8> {
+    line.rsplit_once(')')?.1.trim_start().bytes().next()
 }
 
 /// The sum of the times in user and kernel mode in a line of `/proc/PID/stat` (fields 14 and 15).
@@ -128,7 +140,7 @@ mod tests {
         let without_descriptor = |pid: u32| ProcessWatch { descriptor: None, ..ProcessWatch::new(pid) };
         let own = std::process::id();
         assert!(!ProcessWatch::new(own).has_ended() && !without_descriptor(own).has_ended());
-        assert!(start_ticks(own).is_some());
+        assert!(start_ticks(own).is_some() && is_busy(own));
         assert!(ProcessWatch::new(0).has_ended() && ProcessWatch::new(u32::MAX).has_ended());
 
         let mut child = std::process::Command::new("sleep").arg("600").spawn().unwrap();
@@ -139,7 +151,7 @@ mod tests {
         while !watches[0].is_stopped() {
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
-        assert!(!watches[0].has_ended());
+        assert!(!watches[0].has_ended() && !is_busy(child.id()));
         child.kill().unwrap();
         // Not reaped yet: a zombie has ended too.
         while watches.iter().any(|watch| !watch.has_ended()) {

@@ -7,7 +7,7 @@ use std::process::{Child, Command};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::process::cpu_ticks;
+use super::process::{cpu_ticks, is_busy};
 use super::{Launcher, Life, Member, RunError, RunMember, RunName};
 use crate::os::signals;
 
@@ -20,6 +20,8 @@ pub struct ProcessLauncher {
     children: Vec<Option<Child>>,
     /// By rank: workers that other programs started, as last seen.
     seen: RefCell<Vec<Option<Member>>>,
+    /// By rank: how often the worker was busy when it was looked at.
+    busy: RefCell<Vec<u64>>,
     run: RunName,
     // Dropped last: as long as it lives, the run counts as alive.
     _member: RunMember,
@@ -31,7 +33,8 @@ impl ProcessLauncher {
     pub fn new(ranks: usize, command: Option<WorkerCommand>) -> Result<ProcessLauncher, RunError> {
         let (run, member) = RunName::create("coordinator")?;
         let children = (0..ranks).map(|_| None).collect();
-        Ok(ProcessLauncher { command, children, seen: RefCell::new(vec![None; ranks]), run, _member: member })
+        let (seen, busy) = (RefCell::new(vec![None; ranks]), RefCell::new(vec![0; ranks]));
+        Ok(ProcessLauncher { command, children, seen, busy, run, _member: member })
     }
 
     /// The run.
@@ -87,7 +90,12 @@ impl Launcher for ProcessLauncher {
     }
 
     fn work_of(&self, rank: usize) -> Option<u64> {
-        cpu_ticks(self.pid(rank)?)
+        let pid = self.pid(rank)?;
+        let mut busy = self.busy.borrow_mut();
+        let times = busy.get_mut(rank)?;
+        // A worker that waits for a core is not hung, though it uses no time.
+        *times += u64::from(is_busy(pid));
+        Some(cpu_ticks(pid)? + *times)
     }
 
     fn describe(&self, rank: usize) -> String {
