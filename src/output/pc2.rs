@@ -69,7 +69,13 @@ fn read_header(file: &mut File, path: &Path) -> Result<Header, Pc2Error> {
         return Err(unfit("it does not begin with POINTCACHE2"));
     }
     let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
-    Ok(Header { points: word(16), samples: word(28) })
+    let (points, samples) = (word(16), word(28));
+    // It bounds the frames that a reader lists on the word of the header.
+    let length = file.metadata().map(|m| m.len()).unwrap_or(0);
+    if u64::from(samples) > length {
+        return Err(unfit(&format!("its header counts {samples} frames in a file of {length} bytes")));
+    }
+    Ok(Header { points, samples })
 }
 
 /// Appends frames to a point cache.
@@ -168,12 +174,13 @@ pub fn read(path: &Path, frame: u32) -> Result<Vec<Vec3>, Pc2Error> {
     let mut file = open(path)?;
     let header = read_header(&mut file, path)?;
     let size = u64::from(header.points) * 12;
-    let offset = HEADER_BYTES + u64::from(frame) * size;
-    // The header's numbers are checked against the length of the file.
+    // The header's numbers are checked against the length of the file; damaged ones may exceed every integer.
     let length = file.metadata().map(|m| m.len()).unwrap_or(0);
-    if frame >= header.samples || offset + size > length {
+    let end = size.checked_mul(u64::from(frame) + 1).and_then(|bytes| bytes.checked_add(HEADER_BYTES));
+    let Some(end) = end.filter(|&end| frame < header.samples && end <= length) else {
         return Err(unfit(format!("frame {frame} is missing or cut off")));
-    }
+    };
+    let offset = end - size;
     let mut bytes = vec![0; size as usize];
     let fill = file.seek(SeekFrom::Start(offset)).and_then(|_| file.read_exact(&mut bytes));
     fill.map_err(|source| Pc2Error::Read { path: path.to_path_buf(), source })?;
@@ -182,4 +189,31 @@ pub fn read(path: &Path, frame: u32) -> Result<Vec<Vec3>, Pc2Error> {
 
 fn open(path: &Path) -> Result<File, Pc2Error> {
     File::open(path).map_err(|source| Pc2Error::Read { path: path.to_path_buf(), source })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 2^31 points and 2^31 frames: the number of their bytes wraps around to zero.
+    #[test]
+    fn numbers_beyond_every_integer_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cloth.pc2");
+        let mut bytes = MAGIC.to_vec();
+        for word in [1u32, 1 << 31, 0, 1.0f32.to_bits(), 1 << 31] {
+            bytes.extend(word.to_le_bytes());
+        }
+        let refusal = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            read(&path, 3).unwrap_err().to_string()
+        };
+        let counted = refusal(&bytes);
+        assert!(counted.ends_with("its header counts 2147483648 frames in a file of 32 bytes"), "{counted}");
+        assert_eq!(samples(&path).unwrap_err().to_string(), counted);
+        // Fewer frames, of 24 GiB each.
+        bytes[28..].copy_from_slice(&4u32.to_le_bytes());
+        let cut = refusal(&bytes);
+        assert!(cut.ends_with("frame 3 is missing or cut off"), "{cut}");
+    }
 }
