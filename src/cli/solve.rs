@@ -158,7 +158,6 @@ fn facts(args: &SolveArgs, plan: &SolvePlan, trace: Option<TraceFolder>) -> Solv
         exchange: args.exchange,
         schedule: plan.transfers.kind,
         rtol: args.rtol,
-        max_iterations: args.max_iterations,
         solution: args.solution.clone(),
         order: plan.order.clone(),
         matrix: args.matrix.clone(),

@@ -8,8 +8,9 @@ use serde::Serialize;
 use super::solve_trace::TraceFolder;
 use super::{CliError, print};
 use crate::interconnect::ScheduleKind;
-use crate::linear_system::{SolveResult, write_solution};
+use crate::linear_system::{SolveEnd, SolveResult, write_solution};
 use crate::math::DIM;
+use crate::os::console::note;
 use crate::output::{ReportHeader, write_atomically};
 use crate::solver::ExchangeMode;
 
@@ -21,7 +22,6 @@ pub(super) struct SolveFacts {
     pub(super) exchange: ExchangeMode,
     pub(super) schedule: ScheduleKind,
     pub(super) rtol: f64,
-    pub(super) max_iterations: u32,
     pub(super) solution: Option<PathBuf>,
     pub(super) order: Option<Vec<u32>>,
     pub(super) matrix: PathBuf,
@@ -71,6 +71,8 @@ pub(super) struct SolveReport {
     products: u32,
     /// Corrections solved after the first PCG.
     refinements: u32,
+    /// The part of the iterations in double precision.
+    double_precision_iterations: u32,
     /// Bytes received by all workers per product.
     bytes_per_product: f64,
     milliseconds_per_iteration: f64,
@@ -108,19 +110,42 @@ pub(super) fn report(facts: &SolveFacts, executor: &str, results: &[SolveResult]
     let json = serde_json::to_string_pretty(&report);
     let json = json.map_err(|error| CliError::failed(format!("cannot print the report: {error}")))?;
     print(&(json + "\n"))?;
+    if report.double_precision_iterations > 0 {
+        note(format_args!(
+            "{}: single precision cannot solve this system; {} of {} iterations were in double precision",
+            facts.matrix.display(),
+            report.double_precision_iterations,
+            report.iterations
+        ));
+    }
     if report.converged {
         return Ok(());
     }
-    let (residual, rtol, iterations) = (report.relative_residual, facts.rtol, report.iterations);
-    Err(CliError::failed(if iterations >= facts.max_iterations {
-        format!(
-            "not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; --max-iterations allows more"
-        )
-    } else {
-        format!(
-            "not converged: relative residual {residual:.3e} after {iterations} iterations, above {rtol:e}; the matrix is too ill-conditioned for corrections in single precision"
-        )
-    }))
+    Err(CliError::failed(format!(
+        "{}: not converged: relative residual {:.3e} after {} iterations, above {:e}; {}",
+        facts.matrix.display(),
+        report.relative_residual,
+        report.iterations,
+        facts.rtol,
+        why(results[0].stats.end)
+    )))
+}
+
+/// Why a solve did not converge, and what to do about it.
+fn why(end: SolveEnd) -> String {
+    match end {
+        SolveEnd::Converged | SolveEnd::Limit => "--max-iterations allows more".into(),
+        SolveEnd::NotPositiveDefinite { curvature } => {
+            format!("the matrix is not positive definite: p'Ap = {curvature:.3e}")
+        }
+        SolveEnd::Singular => {
+            "the matrix is singular within double precision, and the right-hand side has no solution".into()
+        }
+        SolveEnd::SinglePrecision => "the matrix is too ill-conditioned for the single precision of this device; \
+             --executor cpu goes on in double precision"
+            .into(),
+        SolveEnd::DoublePrecision => "the matrix is too ill-conditioned for double precision".into(),
+    }
 }
 
 impl SolveReport {
@@ -148,6 +173,7 @@ impl SolveReport {
             padding_ratio: stats.slots as f64 / stats.blocks as f64,
             products: stats.products,
             refinements: stats.refinements,
+            double_precision_iterations: stats.double_iterations,
             bytes_per_product: stats.product_bytes as f64 / stats.products.max(1) as f64,
             milliseconds_per_iteration: per_iteration(median),
             seconds_best: repeated(best),

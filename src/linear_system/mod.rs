@@ -5,6 +5,7 @@
 //! file.
 
 mod block_csr_file;
+mod double;
 mod matrix_market;
 mod order;
 mod precondition;
@@ -22,7 +23,7 @@ pub use matrix_market::parse_matrix_market;
 pub use order::{locality_order, share_between_chunks};
 pub use rank_system::{RankSystem, RankSystemArrays, RankSystemError};
 pub use right_hand_side::{parse_right_hand_side, read_right_hand_side, write_solution};
-pub use solve::{SolveError, SolveParams, SolveRecord, SolveResult, SolveStats, solve_rank};
+pub use solve::{SolveEnd, SolveError, SolveParams, SolveRecord, SolveResult, SolveStats, solve_rank};
 pub use system::{BlockSystem, Values};
 
 use std::io::Read;

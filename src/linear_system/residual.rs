@@ -24,6 +24,8 @@ pub(super) struct Residual<'a> {
     high: DeviceVec<f32>,
     low: DeviceVec<f32>,
     x: Vec<f64>,
+    /// The halves of the best x so far.
+    best: (Vec<f32>, Vec<f32>),
     tree: ReductionTree,
     /// b - A x of the own rows.
     pub(super) r: Vec<f64>,
@@ -41,6 +43,7 @@ impl<'a> Residual<'a> {
             high: DeviceVec::zeros(&host, len),
             low: DeviceVec::zeros(&host, len),
             x: vec![0.0; len],
+            best: Default::default(),
             tree: ReductionTree::new(&system.partition),
             r: Vec::new(),
             traffic: TrafficCounter::default(),
@@ -59,15 +62,27 @@ impl<'a> Residual<'a> {
         self.r.extend(self.system.arrays.rhs.iter().map(|b| b * scale));
         self.high.fill_zero(&self.host);
         self.low.fill_zero(&self.host);
+        self.keep();
         self.traffic = TrafficCounter::default();
     }
 
+    /// Marks x as the best so far.
+    pub(super) fn keep(&mut self) {
+        self.best = (self.high.as_slice().to_vec(), self.low.as_slice().to_vec());
+    }
+
+    /// Goes back to the best x. The residual is out of date until [`Residual::update`].
+    pub(super) fn restore(&mut self) {
+        self.high.as_mut_slice().copy_from_slice(&self.best.0);
+        self.low.as_mut_slice().copy_from_slice(&self.best.1);
+    }
+
     /// Adds scale * d to x on the own rows.
-    pub(super) fn add(&mut self, scale: f64, d: &[f32]) {
+    pub(super) fn add<T: Copy + Into<f64>>(&mut self, scale: f64, d: &[T]) {
         let own = self.system.plan.own.start * DIM..self.system.plan.own.end * DIM;
         let (high, low) = (&mut self.high.as_mut_slice()[own.clone()], &mut self.low.as_mut_slice()[own]);
         for ((high, low), d) in high.iter_mut().zip(low).zip(d) {
-            let x = *high as f64 + *low as f64 + scale * *d as f64;
+            let x = *high as f64 + *low as f64 + scale * (*d).into();
             *high = x as f32;
             *low = (x - *high as f64) as f32;
         }
@@ -91,12 +106,7 @@ impl<'a> Residual<'a> {
             *r = b * scale;
         }
         let arrays = &self.system.arrays;
-        let (scale, r) = (self.system.matrix_scale.recip(), &mut self.r);
-        let cpu = &self.cpu;
-        match &arrays.values {
-            Values::F32(values) => subtract(cpu, &arrays.offsets, &arrays.columns, values, scale, &self.x, r),
-            Values::F64(values) => subtract(cpu, &arrays.offsets, &arrays.columns, values, scale, &self.x, r),
-        }
+        subtract_product(&self.cpu, self.system, 1.0, &self.x, &mut self.r);
         let blocks = arrays.columns.len() as u64;
         let block_bytes = match &arrays.values {
             Values::F32(_) => 4 * BLOCK as u64 + 4,
@@ -120,6 +130,15 @@ impl<'a> Residual<'a> {
         let own = self.system.plan.own.start * DIM..self.system.plan.own.end * DIM;
         let halves = self.high.as_slice()[own.clone()].iter().zip(&self.low.as_slice()[own]);
         halves.map(|(high, low)| *high as f64 + *low as f64).collect()
+    }
+}
+
+/// Subtracts `factor` * A x from r, with A in scaled units.
+pub(super) fn subtract_product(cpu: &CpuExecutor, system: &RankSystem, factor: f64, x: &[f64], r: &mut [f64]) {
+    let (arrays, scale) = (&system.arrays, factor * system.matrix_scale.recip());
+    match &arrays.values {
+        Values::F32(values) => subtract(cpu, &arrays.offsets, &arrays.columns, values, scale, x, r),
+        Values::F64(values) => subtract(cpu, &arrays.offsets, &arrays.columns, values, scale, x, r),
     }
 }
 

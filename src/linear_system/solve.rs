@@ -3,13 +3,15 @@
 //!
 //! Convergence is judged by b - A x in f64. A single PCG in f32 reduces it to about 1e-5 of b (less for ill-conditioned
 //! systems). Then A d = r is solved for a correction d, repeatedly. This converges while the f32 copy of the matrix is
-//! a good preconditioner, that is, for condition numbers (after block Jacobi) up to about 1e6.
+//! a good preconditioner, that is, for condition numbers (after block Jacobi) up to about 1e6. Where it stops to make
+//! progress, the native executor solves for the remaining corrections by PCG in f64 ([`DoublePcg`]).
 
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::double::DoubleSystem;
 use super::precondition::inverse_block;
 use super::rank_system::{RankSystem, power_of_two};
 use super::residual::Residual;
@@ -20,13 +22,16 @@ use crate::gpu::{DeviceVec, Executor};
 use crate::interconnect::QueueNode;
 use crate::math::DIM;
 use crate::solver::{
-    ExchangeMode, LinearSolver, LinearSystem, PcgError, PcgParams, PreconditionerKind, RankPattern, Schwarz,
+    DoubleEnd, DoublePcg, ExchangeMode, LinearSolver, LinearSystem, PcgError, PcgParams, PreconditionerKind,
+    RankPattern, Schwarz,
 };
 use crate::telemetry::{Activity, Event, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
 /// Smallest relative residual that a single PCG in f32 is asked for.
 const INNER_TOLERANCE: f64 = 1e-5;
+/// Smallest relative residual that a single PCG in f64 is asked for.
+const DOUBLE_TOLERANCE: f64 = 1e-12;
 /// The solve gives up if a refinement does not reduce the residual to at most this fraction of the previous one.
 const PROGRESS: f64 = 0.5;
 /// Number of products in the separate timing of products.
@@ -77,6 +82,10 @@ pub struct SolveStats {
     pub relative_residual: f64,
     /// Corrections solved after the first PCG.
     pub refinements: u32,
+    /// The part of `iterations` in double precision.
+    pub double_iterations: u32,
+    /// Why the solve ended.
+    pub end: SolveEnd,
     /// Matrix-vector products of one solve.
     pub products: u32,
     /// The preconditioner that was used.
@@ -95,6 +104,27 @@ pub struct SolveStats {
     pub slots: u64,
     /// If timed: seconds of one product (best time, slowest rank), and bytes that the kernels of all ranks move in it.
     pub product: Option<(f64, u64)>,
+}
+
+/// Why a solve ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum SolveEnd {
+    /// The residual met the tolerance.
+    #[default]
+    Converged,
+    /// The iteration limit was reached.
+    Limit,
+    /// A direction p with p'Ap < 0 was found; p'Ap in scaled units.
+    NotPositiveDefinite {
+        /// p'Ap.
+        curvature: f64,
+    },
+    /// A direction p with p'Ap = 0 within rounding was found, so that the right-hand side has no solution.
+    Singular,
+    /// Single precision cannot reduce the residual any further, and the executor has nothing else.
+    SinglePrecision,
+    /// Double precision cannot reduce the residual any further.
+    DoublePrecision,
 }
 
 /// Result of one rank.
@@ -132,34 +162,14 @@ pub enum SolveError {
     /// The requested preconditioner is not available for this system or executor.
     #[error("{0}")]
     Preconditioner(String),
-    /// The matrix is indefinite, or too ill-conditioned for f32 to tell the difference.
-    #[error(
-        "the matrix is not positive definite, or too ill-conditioned for single precision: p'Ap = {curvature:.3e} in iteration {iteration}, with a relative residual of {relative_residual:.3e}"
-    )]
-    NotPositiveDefinite {
-        /// PCG iteration, summed over all refinements.
-        iteration: u32,
-        /// p'Ap in scaled units.
-        curvature: f64,
-        /// Relative residual reached so far.
-        relative_residual: f64,
-    },
-    /// The numbers overflowed.
-    #[error(
-        "the solve met a value that is not finite in iteration {iteration}; the matrix is likely close to singular"
-    )]
-    NotFinite {
-        /// PCG iteration, summed over all refinements.
-        iteration: u32,
-    },
 }
 
 /// Solves A x = b on all ranks together. `queue`: this rank's work queue. All ranks return the same error, except for
 /// failed transfers.
 ///
 /// # Errors
-/// A transfer failed, or the matrix is not positive definite. A solve that does not converge returns `Ok` with
-/// `converged == false`.
+/// A transfer failed. A solve that does not converge returns `Ok` with `converged == false`, the best iterate, and its
+/// residual.
 pub fn solve_rank(
     executor: &Executor,
     transport: &mut dyn Transport,
@@ -194,6 +204,24 @@ pub fn solve_rank(
     Ok(SolveResult { stats, x, record: solver.record() })
 }
 
+/// PCG in double precision and its operator, made when a solve needs them.
+struct Double<'a> {
+    system: &'a RankSystem,
+    queue: Vec<QueueNode>,
+    threads: usize,
+    made: Option<(DoublePcg, DoubleSystem<'a>, Vec<f64>)>,
+}
+
+impl<'a> Double<'a> {
+    fn parts(&mut self) -> &mut (DoublePcg, DoubleSystem<'a>, Vec<f64>) {
+        let Double { system, queue, threads, made } = self;
+        made.get_or_insert_with(|| {
+            let pcg = DoublePcg::new(&system.partition, system.plan.clone(), queue.clone());
+            (pcg, DoubleSystem::new(system, *threads), vec![0.0; system.plan.own.len() * DIM])
+        })
+    }
+}
+
 /// State of one rank during solves.
 struct RankSolver<'a> {
     executor: &'a Executor,
@@ -202,6 +230,8 @@ struct RankSolver<'a> {
     rhs: DeviceVec<f32>,
     solver: LinearSolver,
     residual: Residual<'a>,
+    /// None on a device.
+    double: Option<Double<'a>>,
     recorder: Recorder,
     slots: usize,
 }
@@ -237,6 +267,12 @@ impl<'a> RankSolver<'a> {
             rhs: DeviceVec::zeros(executor, rows * DIM),
             solver: LinearSolver::new(executor, partition, plan.clone(), mode, queue, schwarz),
             residual: Residual::new(system, queue.to_vec(), params.host_threads),
+            double: matches!(executor, Executor::Cpu(_)).then(|| Double {
+                system,
+                queue: queue.to_vec(),
+                threads: params.host_threads,
+                made: None,
+            }),
             recorder: Recorder::new(executor.clock().filter(|_| params.record_solves > 0)),
             slots: layout.slots(),
             executor,
@@ -291,79 +327,132 @@ impl<'a> RankSolver<'a> {
         let mut clock = Instant::now();
         let (solver, system, mut rank) = self.parts(transport);
         solver.set_up(&mut rank, &system)?;
+        let (mut best, mut in_double) = (norm, false);
         while !stats.converged {
             let relative = norm / b_norm;
             let wanted = params.relative_tolerance / relative;
             // The tolerance of a correction is tightened by 10 %, because rounding could otherwise require one more
             // correction.
             let wanted = if stats.iterations == 0 { wanted } else { 0.9 * wanted };
+            let least = if in_double { DOUBLE_TOLERANCE } else { INNER_TOLERANCE };
             let inner = PcgParams {
-                relative_tolerance: wanted.max(INNER_TOLERANCE),
+                relative_tolerance: wanted.max(least),
                 max_iterations: params.max_iterations - stats.iterations,
                 nonzero_start: false,
             };
-            let stop = self.correct(transport, norm, &inner, &mut stats)?;
+            let end = match in_double {
+                false => self.correct(transport, norm, &inner, &mut stats)?,
+                true => self.correct_in_double(transport, &inner, &mut stats)?,
+            };
             *seconds += clock.elapsed().as_secs_f64();
             clock = Instant::now();
             self.residual.update(transport, &mut self.recorder)?;
             norm = self.norm(transport)?;
-            stats.relative_residual = norm / b_norm;
-            if !norm.is_finite() {
-                return Err(SolveError::NotFinite { iteration: stats.iterations });
+            if norm < best {
+                best = norm;
+                self.residual.keep();
             }
-            stats.converged = stats.relative_residual <= params.relative_tolerance;
-            let progress = stats.relative_residual <= PROGRESS * relative;
-            match stop {
-                _ if stats.converged => {}
-                Some(curvature) if !progress => {
-                    let (iteration, relative_residual) = (stats.iterations, stats.relative_residual);
-                    return Err(SolveError::NotPositiveDefinite { iteration, curvature, relative_residual });
-                }
-                _ if !progress && inner.relative_tolerance <= PROGRESS || stats.iterations >= params.max_iterations => {
+            stats.converged = norm / b_norm <= params.relative_tolerance;
+            let progress = norm / b_norm <= PROGRESS * relative;
+            if stats.converged {
+                break;
+            }
+            if stats.iterations >= params.max_iterations {
+                stats.end = SolveEnd::Limit;
+                break;
+            }
+            // A broken-off or fruitless correction ends this precision.
+            if !progress && (end != SolveEnd::Converged || inner.relative_tolerance <= PROGRESS) {
+                if in_double || self.double.is_none() {
+                    stats.end = match end {
+                        SolveEnd::Converged if in_double => SolveEnd::DoublePrecision,
+                        SolveEnd::Converged => SolveEnd::SinglePrecision,
+                        other => other,
+                    };
                     break;
                 }
-                _ => stats.refinements += 1,
+                in_double = true;
             }
+            if norm > best || !norm.is_finite() {
+                norm = self.go_back(transport)?;
+            }
+            stats.refinements += 1;
         }
+        if !stats.converged && (norm > best || !norm.is_finite()) {
+            norm = self.go_back(transport)?;
+        }
+        stats.relative_residual = if b_norm > 0.0 { norm / b_norm } else { 0.0 };
         stats.product_bytes = self.solver.spmv.traffic.received_bytes;
         stats.bytes_exchanged = stats.product_bytes + self.residual.traffic.received_bytes;
         Ok(stats)
     }
 
-    /// Solves A d = r by PCG and adds d to x. Returns the curvature if PCG met one that is not positive.
+    /// Goes back to the best x; returns its residual norm.
+    fn go_back(&mut self, transport: &mut dyn Transport) -> Result<f64, TransportError> {
+        self.residual.restore();
+        self.residual.update(transport, &mut self.recorder)?;
+        self.norm(transport)
+    }
+
+    /// Solves A d = r by PCG in f32 and adds d to x. `Converged`: as far as this precision can tell.
     fn correct(
         &mut self,
         transport: &mut dyn Transport,
         norm: f64,
         params: &PcgParams,
         stats: &mut SolveStats,
-    ) -> Result<Option<f64>, SolveError> {
+    ) -> Result<SolveEnd, SolveError> {
         // Division by a power of two is exact and brings the right-hand side into the range of f32.
         let scale = power_of_two(norm);
         let rhs: Vec<f32> = self.residual.r.iter().map(|r| (r / scale) as f32).collect();
         self.rhs.write_range(self.executor, 0, &rhs);
         self.solver.vectors.x.fill_zero(self.executor);
         let (solver, system, mut rank) = self.parts(transport);
-        let solved = solver.solve(&mut rank, &system, params);
-        let mut stop = None;
-        match solved {
+        let end = match solver.solve(&mut rank, &system, params) {
             Ok(info) => {
                 stats.iterations += info.iterations;
                 stats.products += info.products;
+                SolveEnd::Converged
             }
             Err(PcgError::NotPositiveDefinite { iteration, curvature }) => {
                 // Near the accuracy limit of f32 a negative curvature can come from rounding; the f64 residual decides.
                 stats.iterations += iteration;
                 stats.products += iteration + 1;
-                stop = Some(curvature);
+                SolveEnd::NotPositiveDefinite { curvature }
             }
             Err(PcgError::NotFinite { iteration }) => {
-                return Err(SolveError::NotFinite { iteration: stats.iterations + iteration });
+                stats.iterations += iteration;
+                stats.products += iteration + 1;
+                SolveEnd::SinglePrecision
             }
             Err(PcgError::Transport(error)) => return Err(error.into()),
-        }
+        };
         self.residual.add(scale, &self.solver.vectors.x.read(self.executor));
-        Ok(stop)
+        Ok(end)
+    }
+
+    /// As [`RankSolver::correct`], in f64 with block Jacobi. Native executor only.
+    fn correct_in_double(
+        &mut self,
+        transport: &mut dyn Transport,
+        params: &PcgParams,
+        stats: &mut SolveStats,
+    ) -> Result<SolveEnd, SolveError> {
+        let Some(double) = &mut self.double else { return Ok(SolveEnd::SinglePrecision) };
+        let (pcg, operator, d) = double.parts();
+        let Residual { r, traffic, .. } = &mut self.residual;
+        let (recorder, tolerance) = (&mut self.recorder, params.relative_tolerance);
+        let info = pcg.solve(transport, recorder, traffic, operator, r, d, tolerance, params.max_iterations)?;
+        stats.iterations += info.iterations;
+        stats.double_iterations += info.iterations;
+        stats.products += info.iterations;
+        self.residual.add(1.0, d);
+        Ok(match info.end {
+            DoubleEnd::Converged | DoubleEnd::Limit => SolveEnd::Converged,
+            DoubleEnd::Negative(curvature) => SolveEnd::NotPositiveDefinite { curvature },
+            DoubleEnd::Singular => SolveEnd::Singular,
+            DoubleEnd::NotFinite => SolveEnd::DoublePrecision,
+        })
     }
 
     /// Best time of a product on the slowest rank, and the bytes that its kernels move on all ranks.

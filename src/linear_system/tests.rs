@@ -208,26 +208,77 @@ fn too_few_iterations_are_said_with_numbers() {
 }
 
 #[test]
-fn an_indefinite_matrix_is_an_error_on_every_rank() {
+fn an_indefinite_matrix_is_told_on_every_rank_with_the_best_iterate() {
     // Positive diagonal blocks, negative in the direction (1,..,-1) across two blocks.
     let body: String =
         (1..=6).map(|i| format!("{i} {i} 1\n")).chain((1..=3).map(|i| format!("{} {i} 2\n", i + 3))).collect();
     let system = market(&symmetric(&format!("6 6 9\n{body}"))).expect("looks fine");
+    let rhs = [1.0, 2.0, 0.5, -1.0, -2.0, 0.1];
     for ranks in [1, 2] {
-        for result in solve(&system, &[1.0, 2.0, 0.5, -1.0, -2.0, 0.1], ranks, ExchangeMode::Halo, params(1e-6)) {
-            assert!(matches!(result, Err(SolveError::NotPositiveDefinite { .. })), "{result:?}");
-        }
+        let (x, stats) = joined(solve(&system, &rhs, ranks, ExchangeMode::Halo, params(1e-6)));
+        assert!(matches!(stats.end, SolveEnd::NotPositiveDefinite { curvature } if curvature < 0.0), "{stats:?}");
+        assert!(!stats.converged);
+        let square: f64 = (0..6).map(|i| (rhs[i] - x[i] - 2.0 * x[(i + 3) % 6]).powi(2)).sum();
+        let relative = (square / rhs.iter().map(|b| b * b).sum::<f64>()).sqrt();
+        assert!((relative - stats.relative_residual).abs() < 1e-12 && relative <= 1.0, "{relative} {stats:?}");
     }
 }
 
 #[test]
-fn a_singular_matrix_ends() {
-    // A ring of second differences (zero row sums) with an inconsistent right-hand side.
+fn a_singular_matrix_says_so() {
+    // A ring of second differences: all row sums are zero.
     let body: String =
         (1..=9).map(|i| format!("{i} {i} 2\n")).chain((2..=9).map(|i| format!("{i} {} -1\n", i - 1))).collect();
-    let system = market(&symmetric(&format!("9 9 18\n{body}9 1 -1\n"))).expect("looks fine");
-    let result = solve(&system, &[1.0; 9], 1, ExchangeMode::Halo, params(1e-6)).pop().expect("one rank");
-    assert!(result.is_err() || result.is_ok_and(|result| !result.stats.converged));
+    let message = refusal(&symmetric(&format!("9 9 18\n{body}9 1 -1\n")));
+    assert!(message.starts_with("a.mtx: the matrix is singular: its product with the vector of ones"), "{message}");
+    // Its null vector alternates, so that only a solve can find it.
+    let body: String =
+        (1..=8).map(|i| format!("{i} {i} 2\n")).chain((2..=8).map(|i| format!("{i} {} 1\n", i - 1))).collect();
+    let system = market(&symmetric(&format!("8 8 16\n{body}8 1 1\n"))).expect("looks fine");
+    let mut rhs = [1.0; 8];
+    rhs[3] = 1.5;
+    for ranks in [1, 3] {
+        let (_, stats) = joined(solve(&system, &rhs, ranks, ExchangeMode::Halo, params(1e-6)));
+        assert_eq!((stats.converged, stats.end), (false, SolveEnd::Singular));
+        // What remains is the part of b in the null space: 0.5 / sqrt(8).
+        let b: f64 = rhs.iter().map(|b| b * b).sum::<f64>().sqrt();
+        assert!((stats.relative_residual * b - 0.5 / 8f64.sqrt()).abs() < 1e-6, "{stats:?}");
+    }
+}
+
+/// A chain of springs between two walls, every other one `ratio` times as stiff as the others.
+fn springs(rows: usize, ratio: f64) -> BlockSystem {
+    let stiffness = |i: usize| if i.is_multiple_of(2) { 1.0 } else { ratio };
+    let mut body = String::new();
+    for i in 1..=rows {
+        body += &format!("{i} {i} {}\n", stiffness(i - 1) + stiffness(i));
+        if i > 1 {
+            body += &format!("{i} {} -{}\n", i - 1, stiffness(i - 1));
+        }
+    }
+    market(&symmetric(&format!("{rows} {rows} {}\n{body}", rows * 2 - 1))).expect("a valid matrix")
+}
+
+#[test]
+fn what_single_precision_cannot_solve_goes_on_in_double_precision() {
+    // The solution is 1 everywhere, so that stiff springs cancel in the right-hand side. At 1e7, f64 itself reaches
+    // about 1e-9.
+    for (rows, ratio, rtol) in [(300, 1e3, 1e-10), (36, 1e7, 1e-6)] {
+        let system = springs(rows, ratio);
+        let rhs = system.times_ones();
+        let (x, one) = joined(solve(&system, &rhs, 1, ExchangeMode::Halo, params(rtol)));
+        assert!(one.converged && one.relative_residual <= rtol && one.double_iterations > 0, "{one:?}");
+        // The residual once more, from the springs.
+        let stiffness = |i: usize| if i.is_multiple_of(2) { 1.0 } else { ratio };
+        let at = |i: usize| if (1..=rows).contains(&i) { x[i - 1] } else { 0.0 };
+        let force = |i: usize| stiffness(i - 1) * (at(i) - at(i - 1)) + stiffness(i) * (at(i) - at(i + 1));
+        let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+        let relative = norm(&mut (1..=rows).map(|i| rhs[i - 1] - force(i))) / norm(&mut rhs.iter().copied());
+        assert!(relative <= 2.0 * rtol, "{relative:e}");
+        let (y, several) = joined(solve(&system, &rhs, 3, ExchangeMode::Halo, params(rtol)));
+        assert!(x.iter().map(|v| v.to_bits()).eq(y.iter().map(|v| v.to_bits())));
+        assert_eq!(one.double_iterations, several.double_iterations);
+    }
 }
 
 #[test]

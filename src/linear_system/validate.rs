@@ -71,7 +71,31 @@ pub(super) fn validated(
         }
     }
     symmetric(&system, &diagonal)?;
+    if annihilates_ones(&system) {
+        return Err("the matrix is singular: its product with the vector of ones is zero within rounding, so a \
+                    solution is not unique; fix the value of at least one unknown"
+            .into());
+    }
     Ok(system)
+}
+
+/// True if the sum of every row is zero within the rounding of its terms, as for a Laplacian without fixed values.
+/// Solves themselves detect other singular matrices, except where the right-hand side hides them.
+fn annihilates_ones(system: &BlockSystem) -> bool {
+    let epsilon = match system.values {
+        Values::F32(_) => f64::from(f32::EPSILON),
+        Values::F64(_) => f64::EPSILON,
+    };
+    (0..system.scalar_rows).all(|row| {
+        let blocks = system.offsets[row / DIM] as usize..system.offsets[row / DIM + 1] as usize;
+        let values = blocks.flat_map(|k| (0..DIM).map(move |c| k * BLOCK + row % DIM * DIM + c));
+        let (mut sum, mut size) = (0.0, 0.0);
+        for value in values.map(|at| system.values.get(at)) {
+            sum += value;
+            size += value.abs();
+        }
+        sum.abs() <= 4.0 * epsilon * size
+    })
 }
 
 fn finite(system: &BlockSystem) -> Result<(), String> {

@@ -5,6 +5,7 @@ mod coarse;
 mod colored;
 mod colored_cpu;
 pub mod comparison;
+mod double;
 pub mod exchange;
 mod gather;
 mod gather_cpu;
@@ -25,6 +26,7 @@ pub mod vector;
 mod vector_cpu;
 
 pub use crate::scene::PreconditionerKind;
+pub use double::{DoubleEnd, DoubleInfo, DoubleOperator, DoublePcg};
 pub use exchange::{ExchangeMode, HaloExchange, TrafficCounter};
 pub use linear_solver::{LinearSolver, LinearSystem};
 pub use operator::{Operator, StoredMatrix};

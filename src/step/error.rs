@@ -109,7 +109,6 @@ impl From<SolveError> for Failure {
         match error {
             SolveError::Transport(error) => error.into(),
             SolveError::Preconditioner(text) => Failure::BadInput(text),
-            other => Failure::Other(other.to_string()),
         }
     }
 }

@@ -73,7 +73,43 @@ fn an_indefinite_matrix_is_a_sentence_with_exit_code_1() {
     let output = solve(&[&matrix, "--rhs", &rhs, "--rtol", "1e-6"]);
     assert_eq!(output.status.code(), Some(1));
     let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(complaint.contains("not positive definite"), "{complaint}");
+    assert!(complaint.contains("not positive definite: p'Ap = -"), "{complaint}");
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("the report is printed all the same");
+    let residual = json["relative_residual"].as_f64().expect("a number");
+    assert!(json["converged"] == false && residual > 1e-6 && residual <= 1.0, "{json}");
+}
+
+#[test]
+fn a_singular_matrix_is_refused_and_a_stiff_one_goes_on_in_double_precision() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let chain = |name: &str, rows: usize, ratio: f64, ends: [f64; 2]| {
+        let stiffness = |i: usize| match i {
+            0 => ends[0],
+            i if i == rows => ends[1],
+            i => [1.0, ratio][i % 2],
+        };
+        let mut lines = vec![format!("1 1 {}", stiffness(0) + stiffness(1))];
+        for i in 2..=rows {
+            lines.push(format!("{i} {i} {}", stiffness(i - 1) + stiffness(i)));
+            lines.push(format!("{i} {} -{}", i - 1, stiffness(i - 1)));
+        }
+        let path = folder.path().join(name).display().to_string();
+        let header = "%%MatrixMarket matrix coordinate real symmetric";
+        let text = format!("{header}\n{rows} {rows} {}\n{}\n", lines.len(), lines.join("\n"));
+        std::fs::write(&path, text).expect("writes");
+        path
+    };
+    let output = solve(&[&chain("free.mtx", 200, 1.0, [0.0, 0.0])]);
+    assert_eq!(output.status.code(), Some(2));
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(complaint.contains("free.mtx: the matrix is singular"), "{complaint}");
+    let output = solve(&[&chain("stiff.mtx", 300, 1e3, [1.0, 1.0]), "--rtol", "1e-6"]);
+    assert_eq!(output.status.code(), Some(0));
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(complaint.contains("stiff.mtx: single precision cannot solve this system"), "{complaint}");
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert!(json["double_precision_iterations"].as_u64() > Some(100), "{json}");
+    assert!(json["relative_residual"].as_f64() <= Some(1e-6), "{json}");
 }
 
 #[test]
@@ -113,11 +149,11 @@ fn matrices_of_other_fields_reach_their_tolerance() {
         let matrix = folder.join(format!("{name}.mtx")).display().to_string();
         let condition = facts["cond"].as_f64().expect("cond");
         let counts = &facts["jacobi_pcg_iterations_f64"];
-        for rtol in ["1e-2", "1e-5", "1e-8"] {
-            let scalar_jacobi = counts[rtol].as_u64().expect("a count");
+        for rtol in ["1e-2", "1e-5", "1e-8", "1e-10"] {
+            let scalar_jacobi = counts[rtol].as_u64();
             for workers in ["1", "3"] {
                 let (json, code) = report(&[&matrix, "--rtol", rtol, "--workers", workers]);
-                println!("{name} (cond {condition:.1e}) rtol {rtol}, scalar Jacobi in f64 {scalar_jacobi}: {json}");
+                println!("{name} (cond {condition:.1e}) rtol {rtol}, scalar Jacobi in f64 {scalar_jacobi:?}: {json}");
                 assert_eq!(code, Some(0), "{name}: {json}");
                 let residual = json["relative_residual"].as_f64().expect("a number");
                 assert!(residual <= rtol.parse::<f64>().expect("a number"), "{name}: {json}");
