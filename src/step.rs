@@ -9,6 +9,7 @@ mod error;
 mod inspect;
 mod own_state;
 mod products;
+mod relinearize;
 mod span;
 mod stats;
 mod substeps;
@@ -43,6 +44,11 @@ const HALVINGS_MAX: u32 = 4;
 /// Maximum number of halvings of a step whose impacts take many rounds. Shorter steps let contact forces act before
 /// impact zones are needed.
 const HALVINGS_FOR_SPEED: u32 = 2;
+/// k dt^2 / (rho h^2) from which on a solve stops by the energy of its error, too, and is repeated around its result.
+/// Cotton in steps of 4 ms reaches it in triangles lower than 1 mm.
+const STIFF: f64 = 5e4;
+/// Maximum number of halvings of a step whose solve breaks off. After that the best iterate counts.
+const HALVINGS_FOR_SOLVE: u32 = 3;
 /// Rounds of impact zones after which a step is halved.
 const ROUNDS_MOST: u32 = 5;
 
@@ -54,14 +60,15 @@ enum Attempt {
     Again(Again),
 }
 
-/// Why a span is taken again. After [`HALVINGS_MAX`] halvings the reason becomes the failure of the run.
+/// Why a span is taken again. After [`HALVINGS_MAX`] halvings the reason becomes the failure of the run, except that
+/// the last iterate of a solve that breaks off is used after [`HALVINGS_FOR_SOLVE`].
 enum Again {
     /// Impacts took more rounds than allowed.
     Slow,
     /// The end of the span is not free of penetrations.
     Squeezed(Vec<Imposed>),
-    /// The linear system could not be solved. Neither positions nor velocities have been changed.
-    Unsolved(Failure),
+    /// The solve broke off. Neither positions nor velocities have been changed.
+    Unsolved,
 }
 
 /// One rank's simulation.
@@ -83,6 +90,8 @@ struct RankCloth {
     rows: Range<usize>,
     pins: Pins,
     pins_move: bool,
+    /// See [`STIFF`].
+    stiff: bool,
     /// True until the first step from the start state or from a state that was set.
     state_is_new: bool,
     motions: Vec<Motion>,
@@ -146,7 +155,18 @@ impl RankCloth {
     /// The state at the start of a run, and the data that depends only on the pattern of the matrix; also the slots of
     /// the matrix divided by its stored blocks.
     fn new(executor: &Executor, model: RankModel, exchange: &ExchangePlan) -> Result<(RankCloth, f64), SetupError> {
-        let RankModel { partition, plan, pins, motions, settings, cell_m, pins_move, collision, arrays } = model;
+        let RankModel {
+            partition,
+            plan,
+            pins,
+            motions,
+            settings,
+            cell_m,
+            pins_move,
+            stiffness_ratio,
+            collision,
+            arrays,
+        } = model;
         let columns = ColumnOrder::new(&partition, exchange);
         let elements = Elements::new(executor, &arrays);
         let matrix = Assembled::new(executor, &arrays, &elements, &columns.numbering(&plan))?;
@@ -163,6 +183,7 @@ impl RankCloth {
             rows: partition.rows_of(plan.rank),
             pins: Pins::new(pins),
             pins_move,
+            stiff: stiffness_ratio >= STIFF,
             state_is_new: true,
             motions,
             state: StateVectors::new(executor, &arrays, plan.own.clone()),
@@ -189,8 +210,7 @@ impl RankCloth {
     ) -> Result<(), Failure> {
         let state = self.collisions.is_some().then(|| self.state.recorded(rank));
         let pins = self.pins.clone();
-        let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
-        let again = match self.solve_over(rank, span, rounds_most, stats)? {
+        let again = match self.solve_over(rank, span, halvings, stats)? {
             Attempt::Done => return Ok(()),
             Attempt::Again(again) => again,
         };
@@ -198,7 +218,7 @@ impl RankCloth {
             return Err(match again {
                 Again::Slow => Failure::Squeezed { step: stats.step, imposed: Vec::new() },
                 Again::Squeezed(imposed) => Failure::Squeezed { step: stats.step, imposed },
-                Again::Unsolved(failure) => failure,
+                Again::Unsolved => unreachable!("solves ask for at most {HALVINGS_FOR_SOLVE} halvings"),
             });
         }
         if let (Some(state), Again::Slow | Again::Squeezed(_)) = (state, &again) {
@@ -212,12 +232,12 @@ impl RankCloth {
         Ok(())
     }
 
-    /// One implicit step over `span` [Li et al. 2020, Fig. 2].
+    /// One implicit step over `span` [Li et al. 2020, Fig. 2], the part of a step after `halvings` of it.
     fn solve_over(
         &mut self,
         rank: &mut RankContext<'_>,
         span: Span,
-        rounds_most: u32,
+        halvings: u32,
         stats: &mut StepStats,
     ) -> Result<Attempt, Failure> {
         let clock = StageClock::start();
@@ -233,7 +253,7 @@ impl RankCloth {
         clock.lap_kernels(rank.executor, &mut stats.seconds.exchange);
 
         // 3. Assembly elements.
-        self.element_records(rank, span);
+        self.element_records(rank, span, span.length_s);
         clock.lap_kernels(rank.executor, &mut stats.seconds.elements);
         rank.transport.alive()?;
 
@@ -244,16 +264,23 @@ impl RankCloth {
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.state.prescribe(rank.executor, &targets, &mut self.solver.vectors.x);
-        if let Some(failure) = self.solve(rank, prescribed, stats)? {
-            return Ok(Attempt::Again(Again::Unsolved(failure)));
-        }
+        let solved = self.solve(rank, prescribed, halvings < HALVINGS_FOR_SOLVE, stats)?;
         clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
+        if !solved {
+            return Ok(Attempt::Again(Again::Unsolved));
+        }
 
+        let before = (self.stiff && stats.contacts == 0).then(|| self.state.recorded(rank));
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
         self.state.advance(rank, span, &self.solver.vectors.x, &targets);
         clock.lap_kernels(rank.executor, &mut stats.seconds.advance);
+        if let Some(before) = before {
+            self.relinearize(rank, span, &before, &targets, stats)?;
+            clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
+        }
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.
+        let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
         self.resolve_impacts(rank, span, rounds_most, stats)
     }
 
@@ -304,9 +331,10 @@ impl RankCloth {
         Ok(())
     }
 
-    fn element_records(&mut self, rank: &mut RankContext<'_>, span: Span) {
+    /// `ahead_s`: forces are those at this time after the state, to first order.
+    fn element_records(&mut self, rank: &mut RankContext<'_>, span: Span, ahead_s: f64) {
         let start = rank.recorder.before_kernels();
-        self.elements.fill_records(rank.executor, &self.settings, span, &self.state);
+        self.elements.fill_records(rank.executor, &self.settings, span, ahead_s, &self.state);
         let (step_s, stiffness_ratio) = (span.length_s as f32, self.settings.contact_stiffness as f32);
         self.system.contacts.records(rank.executor, step_s, stiffness_ratio, &self.state.velocities);
         let (bytes, flops) = (self.elements.moved_bytes(), self.elements.flops());
@@ -322,24 +350,38 @@ impl RankCloth {
         self.matrix.fill(rank, &params, &self.elements, &mut self.system);
     }
 
-    /// Solves the linear system. The value is the cause if the matrix is not positive definite, which shorter steps
-    /// can mend: mass outweighs stiffness there.
+    /// Solves for dv. False: the solve broke off and `may_halve` is true, because shorter steps can mend that: mass
+    /// outweighs stiffness there. Otherwise a solve that broke off counts with its last iterate, which has the smallest
+    /// energy so far.
     fn solve(
         &mut self,
         rank: &mut RankContext<'_>,
         prescribed: bool,
+        may_halve: bool,
         stats: &mut StepStats,
-    ) -> Result<Option<Failure>, Failure> {
+    ) -> Result<bool, Failure> {
         let params = PcgParams {
             relative_tolerance: self.settings.relative_tolerance,
             max_iterations: self.settings.max_iterations,
+            energy: self.stiff,
             nonzero_start: prescribed,
         };
         let solved = self.matrix.solve(rank, &self.elements, &self.system, &mut self.solver, &params);
         let info = match solved {
             Ok(info) => info,
-            Err(error @ PcgError::NotPositiveDefinite { .. }) => {
-                return Ok(Some(self.explain(rank.executor, stats.step, error)));
+            Err(PcgError::NotPositiveDefinite { iteration, .. }) => {
+                (stats.iterations, stats.products) = (stats.iterations + iteration, stats.products + iteration + 1);
+                stats.breakdowns += 1;
+                stats.converged &= may_halve;
+                return Ok(!may_halve);
+            }
+            Err(PcgError::NotFinite { iteration }) if may_halve => {
+                if let Some(fault) = rank.executor.take_fault() {
+                    return Err(Failure::in_step(stats.step, fault));
+                }
+                (stats.iterations, stats.products) = (stats.iterations + iteration, stats.products + iteration + 1);
+                stats.breakdowns += 1;
+                return Ok(false);
             }
             Err(error) => return Err(self.explain(rank.executor, stats.step, error)),
         };
@@ -347,7 +389,7 @@ impl RankCloth {
         stats.products += info.products;
         stats.converged &= info.converged;
         stats.residual = stats.residual.max(info.relative_residual);
-        Ok(None)
+        Ok(true)
     }
 
     /// Frees the state at t1 of penetrations. Moved vertices get the velocity of their motion over the step.

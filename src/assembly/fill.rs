@@ -116,6 +116,7 @@ impl FillTables {
         }
         let placement = Placement::new(&index.segments(numbering, count, |row| row as u32, |_| false));
         let mut matrix = SellMatrix::empty(executor, count);
+        matrix.difference = true;
         matrix.place(executor, &placement);
         let row_offsets = upload(&offsets);
         let mut block_address = DeviceVec::zeros(executor, placement.blocks);

@@ -84,6 +84,18 @@ fn triangle_force(e: u32, a: u32) -> vec3<f32> {
     return vec3<f32>(r3.w, r4.w, r5.w) - (r4.xyz * w.x + r5.xyz * w.y);
 }
 
+// Sum of the air blocks of triangle e over its corners: 3 ((normal - tangent) n n' + tangent I).
+fn air_sum(e: u32) -> mat3x3<f32> {
+    let r3 = triangle_records[e * 6u + 3u];
+    let normal = cross(triangle_records[e * 6u].xyz, triangle_records[e * 6u + 1u].xyz);
+    let n = normal * (1.0 / max(sqrt(dot(normal, normal)), 1e-30));
+    var block = outer(n * (3.0 * (r3.y - r3.z)), n);
+    block[0].x += 3.0 * r3.z;
+    block[1].y += 3.0 * r3.z;
+    block[2].z += 3.0 * r3.z;
+    return block;
+}
+
 // Block (a, b) of triangle e.
 fn triangle_block(e: u32, a: u32, b: u32) -> mat3x3<f32> {
     let r0 = triangle_records[e * 6u];
@@ -172,6 +184,46 @@ fn fill_force(row: u32) {
     rhs[row] = packed(force);
 }
 
+// Mass and the diagonal block of the contacts of a row.
+fn mass_and_contacts(row: u32) -> mat3x3<f32> {
+    let mass = masses[row];
+    var block = mat3x3<f32>(mass, 0.0, 0.0, 0.0, mass, 0.0, 0.0, 0.0, mass);
+    let sums = contact_sums_of(row);
+    if (sums != NO_SLOT) {
+        let xy = contact_sums[sums + 1u];
+        let xz = contact_sums[sums + 2u];
+        let yz = contact_sums[sums + 4u];
+        block += mat3x3<f32>(
+            contact_sums[sums], xy, xz,
+            xy, contact_sums[sums + 3u], yz,
+            xz, yz, contact_sums[sums + 5u],
+        );
+    }
+    return block;
+}
+
+fn keep_air(row: u32, m: mat3x3<f32>) {
+    let at = row * 6u;
+    inverse_diagonal[at] = m[0].x;
+    inverse_diagonal[at + 1u] = m[0].y;
+    inverse_diagonal[at + 2u] = m[0].z;
+    inverse_diagonal[at + 3u] = m[1].y;
+    inverse_diagonal[at + 4u] = m[1].z;
+    inverse_diagonal[at + 5u] = m[2].z;
+}
+
+fn kept_air(row: u32) -> mat3x3<f32> {
+    let at = row * 6u;
+    let xy = inverse_diagonal[at + 1u];
+    let xz = inverse_diagonal[at + 2u];
+    let yz = inverse_diagonal[at + 4u];
+    return mat3x3<f32>(
+        inverse_diagonal[at], xy, xz,
+        xy, inverse_diagonal[at + 3u], yz,
+        xz, yz, inverse_diagonal[at + 5u],
+    );
+}
+
 fn fill_block(row: u32, k: u32) {
     let address = block_address[row_offsets[row] + k];
     let slot = address / LANES - params.first_slot;
@@ -186,15 +238,25 @@ fn fill_block(row: u32, k: u32) {
         }
     }
     var diagonal = false;
+    // The part of the diagonal block that is stored. Between passes its air is kept where the inverse goes.
+    var absolute = mat3x3<f32>();
     for (var i = triangle_offsets[row]; i < triangle_offsets[row + 1u]; i++) {
         // A triangle does not have a fourth corner.
         let corner = corner_at(vec4<u32>(unpacked_positions(triangle_positions[i]).xyz, NO_BLOCK), k);
         let entry = triangle_entries[i];
         if (corner != NO_BLOCK) {
-            diagonal = corner == (entry & 3u);
+            if (corner == (entry & 3u) && !diagonal) {
+                diagonal = true;
+                if ((params.passes & FIRST_PASS) == 0u) {
+                    absolute = kept_air(row);
+                }
+            }
             let e = (entry >> 2u) - params.first_triangle;
             if (e < params.triangles) {
                 block += triangle_block(e, entry & 3u, corner);
+                if (diagonal) {
+                    absolute += air_sum(e);
+                }
             }
         }
     }
@@ -206,22 +268,14 @@ fn fill_block(row: u32, k: u32) {
             block += outer(scaled, hinge_records[e * 4u + corner].xyz);
         }
     }
-    if (diagonal && (params.passes & LAST_PASS) != 0u) {
-        block[0].x += masses[row];
-        block[1].y += masses[row];
-        block[2].z += masses[row];
-        let sums = contact_sums_of(row);
-        if (sums != NO_SLOT) {
-            let xy = contact_sums[sums + 1u];
-            let xz = contact_sums[sums + 2u];
-            let yz = contact_sums[sums + 4u];
-            block += mat3x3<f32>(
-                contact_sums[sums], xy, xz,
-                xy, contact_sums[sums + 3u], yz,
-                xz, yz, contact_sums[sums + 5u],
-            );
+    if (diagonal) {
+        if ((params.passes & LAST_PASS) == 0u) {
+            keep_air(row, absolute);
+        } else {
+            let added = mass_and_contacts(row);
+            store_inverse(row, block + added);
+            block = absolute + added;
         }
-        store_inverse(row, block);
     }
     for (var c = 0u; c < BLOCK; c++) {
         values[at + c * LANES] = block[c % 3u][c / 3u];

@@ -1,4 +1,9 @@
 //! CPU twin of `fill.wgsl`: one row at a time, contributions in ascending element order, triangles before hinges.
+//!
+//! The matrix is stored in difference form (`SellMatrix::difference`): the blocks of an internal element sum to zero over
+//! its corners, so their part of the diagonal block is minus the sum of the other blocks of the row and is not stored.
+//! Mass, air drag and contacts act on absolute velocity and remain. In f32 a whole diagonal block loses the mass where
+//! stiffness dt^2 / mass passes 1e5.
 
 use super::contact_fill::SUMS;
 use super::contact_rows::NO_SLOT;
@@ -63,25 +68,28 @@ pub(super) fn fill(
             let length = inputs.row_offsets[row + 1] as usize - first;
             blocks.clear();
             blocks.resize(length, [0.0; BLOCK]);
+            let mut absolute = [0.0; BLOCK];
             let mut force = Vec3::from(params.gravity) * inputs.masses[row];
             let mut diagonal = 0;
             for i in inputs.triangle_offsets[row] as usize..inputs.triangle_offsets[row + 1] as usize {
                 let (entry, positions) = (inputs.triangle_entries[i], inputs.triangle_positions[i]);
                 diagonal = positions[(entry & 3) as usize] as usize;
-                add_triangle(inputs, entry, positions, &mut blocks, &mut force);
+                add_triangle(inputs, entry, positions, &mut blocks, &mut absolute, &mut force);
             }
             for i in inputs.hinge_offsets[row] as usize..inputs.hinge_offsets[row + 1] as usize {
                 add_hinge(inputs, inputs.hinge_entries[i], inputs.hinge_positions[i], &mut blocks, &mut force);
             }
             for c in [0, 4, 8] {
                 blocks[diagonal][c] += inputs.masses[row];
+                absolute[c] += inputs.masses[row];
             }
             let mut impulse = (force * params.step_s).to_array();
             if let Some(&slot) = inputs.contact_slots.get(row)
                 && slot != NO_SLOT
             {
-                add_contacts(inputs, slot as usize, &mut blocks[diagonal], &mut impulse);
+                add_contacts(inputs, slot as usize, [&mut blocks[diagonal], &mut absolute], &mut impulse);
             }
+            let whole = std::mem::replace(&mut blocks[diagonal], absolute);
             for (k, block) in blocks.iter().enumerate() {
                 for (c, value) in block.iter().enumerate() {
                     // SAFETY: addresses of this row's blocks.
@@ -92,28 +100,33 @@ pub(super) fn fill(
                 // SAFETY: the row's own entries.
                 unsafe { rhs_shared.set(row * 3 + c, value) };
             }
-            inverse.copy_from_slice(&if inputs.pinned[row] != 0 {
-                [0.0; 6]
-            } else {
-                inverse_symmetric(&blocks[diagonal])
-            });
+            inverse.copy_from_slice(&if inputs.pinned[row] != 0 { [0.0; 6] } else { inverse_symmetric(&whole) });
         }
     });
 }
 
-/// Adds the sums of the contacts of row `slot` among the rows with contacts.
-pub(crate) fn add_contacts(inputs: &FillInputs, slot: usize, diagonal: &mut [f32; BLOCK], impulse: &mut [f32; 3]) {
+/// Adds the sums of the contacts of row `slot` among the rows with contacts to each of `diagonals`.
+pub(crate) fn add_contacts<const N: usize>(
+    inputs: &FillInputs,
+    slot: usize,
+    diagonals: [&mut [f32; BLOCK]; N],
+    impulse: &mut [f32; 3],
+) {
     let [xx, xy, xz, yy, yz, zz, x, y, z] = inputs.contact_sums.as_chunks::<SUMS>().0[slot];
-    diagonal.iter_mut().zip([xx, xy, xz, xy, yy, yz, xz, yz, zz]).for_each(|(to, value)| *to += value);
+    for diagonal in diagonals {
+        diagonal.iter_mut().zip([xx, xy, xz, xy, yy, yz, xz, yz, zz]).for_each(|(to, value)| *to += value);
+    }
     impulse.iter_mut().zip([x, y, z]).for_each(|(to, value)| *to += value);
 }
 
-/// Adds the contribution of one corner of a triangle to its row: blocks at `positions` of the corners, and the force.
+/// Adds the contribution of one corner of a triangle to its row: blocks at `positions` of the corners, the sum of the
+/// blocks that do not sum to zero (air) to `absolute`, and the force.
 pub(crate) fn add_triangle(
     inputs: &FillInputs,
     entry: u32,
     positions: [u16; 4],
     blocks: &mut [[f32; BLOCK]],
+    absolute: &mut [f32; BLOCK],
     force: &mut Vec3,
 ) {
     let (e, a) = ((entry >> 2) as usize, (entry & 3) as usize);
@@ -127,6 +140,7 @@ pub(crate) fn add_triangle(
     *force += Vec3::new(r[15], r[19], r[23]);
     let normal = xu.cross(xv);
     let n = normal * (1.0 / normal.length().max(1e-30));
+    add_block(absolute, Vec3::ZERO, xu, Vec3::ZERO, xv, n * (3.0 * (r[13] - r[14])), n, 3.0 * r[14]);
     for b in 0..3 {
         let [ub, vb] = weights[b];
         let (uu, uv, vu, vv) = (ua * ub, ua * vb, va * ub, va * vb);

@@ -33,6 +33,9 @@ pub struct SellMatrix {
     pub columns: DeviceVec<u32>,
     /// Value Table.
     pub values: DeviceVec<f32>,
+    /// True for the elastic matrix of a cloth: y_i = D_i x_i + sum of A_ij (x_j - x_i) over j != i. The diagonal block
+    /// holds D_i, all that acts on absolute velocity. False: y_i = sum of A_ij x_j.
+    pub difference: bool,
     /// Stored blocks, without padding.
     pub blocks: usize,
     /// Slots of each section, for byte counts.
@@ -99,6 +102,7 @@ impl SellMatrix {
             slice_offsets: DeviceVec::zeros(executor, 0),
             columns: DeviceVec::zeros(executor, 0),
             values: DeviceVec::zeros(executor, 0),
+            difference: false,
             blocks: 0,
             section_slots: Vec::new(),
             longest_row: 0,
@@ -186,7 +190,8 @@ impl SellMatrix {
 
     /// Bytes moved by a product with section `section`: values and columns once, the vector entries at least once.
     pub fn section_bytes(&self, section: usize) -> u64 {
-        (self.section_slots[section] * (BLOCK * 4 + 4) + self.sections[section].len() * LANES * 12) as u64
+        let vectors = if self.difference { 24 } else { 12 };
+        (self.section_slots[section] * (BLOCK * 4 + 4) + self.sections[section].len() * LANES * vectors) as u64
     }
 
     /// Device bytes of all tables.
@@ -202,7 +207,7 @@ impl SellMatrix {
 /// contacts make. y = elastic x + contact x, each row in this order, so contacts never move an elastic block.
 #[derive(Clone, Copy)]
 pub struct SystemMatrix<'a> {
-    /// Fixed pattern; diagonal blocks hold masses and the contacts' share, too.
+    /// Fixed pattern, in difference form; diagonal blocks hold masses, air drag and the contacts' share.
     pub elastic: &'a SellMatrix,
     /// Off-diagonal contact blocks of the rows with contacts, in the same sections as `elastic`. None without contacts.
     pub contact: Option<&'a SellMatrix>,

@@ -216,6 +216,7 @@ impl Recorder {
             iterations: first.iterations,
             residual: first.residual,
             converged: first.converged,
+            breakdowns: first.breakdowns,
             stage_seconds: StageSeconds { total: *wall_s, ..slowest },
             bytes_moved: spmv_bytes + ranks.iter().map(|rank| rank.state_bytes).sum::<u64>(),
             bytes_per_spmv: spmv_bytes / first.products.max(1) as u64,
@@ -228,6 +229,14 @@ impl Recorder {
             memory_bytes_per_rank: ranks.iter().map(|rank| rank.memory_bytes).collect(),
             resident_bytes_per_rank: ranks.iter().map(|rank| rank.resident_bytes).collect(),
         };
+        if first.breakdowns > 0 {
+            tracing::warn!(
+                "step {}: the solve broke off {} times, the step was made in {} parts",
+                first.step,
+                first.breakdowns,
+                first.zones.halvings + 1
+            );
+        }
         if !first.converged {
             tracing::warn!(
                 "step {}: the solver stopped at {} iterations with a relative residual of {:.2e}",

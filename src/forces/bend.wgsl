@@ -63,7 +63,7 @@ fn bend(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let damping = 0.5 * (fabrics[element.fabric.x].damping_s + fabrics[element.fabric.y].damping_s);
     let rate = dot(g0, unpacked(velocities[element.vertices.x])) + dot(g1, unpacked(velocities[element.vertices.y]))
         + dot(g2, unpacked(velocities[element.vertices.z])) + dot(g3, unpacked(velocities[element.vertices.w]));
-    let moment = k * (angle - element.rest_angle) + (params.step_s + damping) * k * rate;
+    let moment = k * (angle - element.rest_angle) + (params.ahead_s + damping) * k * rate;
     let h = params.step_s * (params.step_s + damping) * k;
     records[i * 4u] = vec4<f32>(g0, h);
     records[i * 4u + 1u] = vec4<f32>(g1, moment);

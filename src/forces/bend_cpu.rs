@@ -73,7 +73,7 @@ pub(super) fn bend(
             let damping =
                 0.5 * (fabrics[element.fabric[0] as usize].damping_s + fabrics[element.fabric[1] as usize].damping_s);
             let rate = g[0].dot(v[0]) + g[1].dot(v[1]) + g[2].dot(v[2]) + g[3].dot(v[3]);
-            let moment = k * (angle - element.rest_angle) + (params.step_s + damping) * k * rate;
+            let moment = k * (angle - element.rest_angle) + (params.ahead_s + damping) * k * rate;
             let h = params.step_s * (params.step_s + damping) * k;
             record.copy_from_slice(&[
                 g[0].x, g[0].y, g[0].z, h, //

@@ -85,8 +85,9 @@ gpu_struct! {
         pub count: u32,
         /// Velocity of the air, m/s.
         pub wind: [f32; 3],
-        /// Fills the struct to a multiple of 16 bytes.
-        pub padding: f32,
+        /// Internal forces are those at this time after the state, to first order, seconds: the step, or 0 where the
+        /// state is already that of the end of the step.
+        pub ahead_s: f32,
     }
 }
 

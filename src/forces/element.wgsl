@@ -31,7 +31,8 @@ struct StepParams {
     air_drag: f32,
     count: u32,
     wind: vec3<f32>,
-    padding: f32,
+    // See StepParams::ahead_s in element.rs.
+    ahead_s: f32,
 }
 
 // atan2 within 2e-7; WGSL's own may be off by 4096 units in the last place. Range reduction to tan(pi/8), then the

@@ -82,7 +82,7 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let shear_rate = quarter * (dot(xv, wu) + dot(xu, wv));
     let ku = xu * (warp * dot(xu, wu) + cross_stiffness * dot(xv, wv)) + xv * shear_rate + wu * p.x + wv * p.y;
     let kv = xv * (weft * dot(xv, wv) + cross_stiffness * dot(xu, wu)) + xu * shear_rate + wv * p.z + wu * p.y;
-    let rate = dt + damping;
+    let rate = params.ahead_s + damping;
     let pu = (xu * suu + xv * suv + ku * rate) * area;
     let pv = (xu * suv + xv * svv + kv * rate) * area;
 

@@ -105,7 +105,7 @@ fn stretch_record(
     let shear_rate = quarter * (xv.dot(wu) + xu.dot(wv));
     let ku = xu * (warp * xu.dot(wu) + cross * xv.dot(wv)) + xv * shear_rate + wu * puu + wv * puv;
     let kv = xv * (weft * xv.dot(wv) + cross * xu.dot(wu)) + xu * shear_rate + wv * pvv + wu * puv;
-    let rate = dt + fabric.damping_s;
+    let rate = params.ahead_s + fabric.damping_s;
     let pu = (xu * suu + xv * suv + ku * rate) * area;
     let pv = (xu * suv + xv * svv + kv * rate) * area;
 

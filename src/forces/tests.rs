@@ -22,7 +22,7 @@ pub(super) fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
 }
 
 fn still_air(step_s: f32, count: u32) -> StepParams {
-    StepParams { step_s, air_density: 0.0, air_drag: 0.0, count, wind: [0.0; 3], padding: 0.0 }
+    StepParams { step_s, air_density: 0.0, air_drag: 0.0, count, wind: [0.0; 3], ahead_s: step_s }
 }
 
 fn flat<const N: usize>(x: [Vec3; N]) -> Vec<f32> {

@@ -337,6 +337,7 @@ impl<'a> RankSolver<'a> {
             let least = if in_double { DOUBLE_TOLERANCE } else { INNER_TOLERANCE };
             let inner = PcgParams {
                 relative_tolerance: wanted.max(least),
+                energy: false,
                 max_iterations: params.max_iterations - stats.iterations,
                 nonzero_start: false,
             };

@@ -33,6 +33,8 @@ pub struct GlobalModel {
     pub friction: Vec<f32>,
     /// Obstacles.
     pub obstacles: Obstacles,
+    /// Largest k dt^2 / (rho h^2) of a triangle: stiffness at rest, step, mass per area, smallest altitude.
+    pub stiffness_ratio: f64,
     /// Parameters of the run.
     pub settings: Settings,
 }
@@ -52,10 +54,15 @@ impl GlobalModel {
         let mut masses = vec![0.0f64; mesh.positions.len()];
         let mut areas = vec![0.0f64; mesh.triangles.len()];
         let mut triangles = Vec::with_capacity(mesh.triangles.len());
+        let mut stiffness_ratio = 0.0f64;
         for (t, (corners, uv)) in mesh.triangles.iter().zip(&mesh.material_uv).enumerate() {
             let fabric = scene.fabric_of_triangle[t];
             let element = triangle_element(corners.map(map), fabric as u32, *uv);
             areas[t] = rest_area(uv);
+            let [warp, _, weft, shear] = scene.fabrics[fabric as usize].stretching_n_m[0];
+            let (k, rho) = (warp.max(weft).max(shear), scene.fabrics[fabric as usize].density_kg_m2);
+            let ratio = k / rho * (scene.settings.step_s / f64::from(element.smallest_altitude_m())).powi(2);
+            stiffness_ratio = stiffness_ratio.max(ratio);
             for &v in corners {
                 masses[map(v) as usize] += areas[t] * scene.fabrics[fabric as usize].density_kg_m2 / 3.0;
             }
@@ -101,6 +108,7 @@ impl GlobalModel {
             motions: scene.motions.clone(),
             friction: original_from_global.iter().map(|&v| scene.friction_of_vertex(v) as f32).collect(),
             obstacles: Obstacles::new(&scene.obstacles),
+            stiffness_ratio,
             settings: scene.settings.clone(),
             original_from_global,
         }

@@ -27,6 +27,8 @@ pub struct RankModel {
     pub cell_m: f64,
     /// True if a pin of any rank moves or takes hold later. Then every solve starts from prescribed values.
     pub pins_move: bool,
+    /// As [`GlobalModel::stiffness_ratio`].
+    pub stiffness_ratio: f64,
     /// Collision data of the whole scene; none if the scene disables collisions.
     pub collision: Option<CollisionModel>,
     /// Bulk data; sent unserialized after the header.
@@ -139,6 +141,7 @@ impl RankModel {
             settings: model.settings.clone(),
             cell_m: model.cell_m(),
             pins_move,
+            stiffness_ratio: model.stiffness_ratio,
             collision: None,
             arrays,
             plan,

@@ -205,6 +205,9 @@ pub struct StepRecord {
     pub residual: f64,
     /// True if the requested residual was reached.
     pub converged: bool,
+    /// Solves that broke off; omitted if none did. `halvings` counts the steps that were made in two for this reason, too.
+    #[serde(skip_serializing_if = "is_none")]
+    pub breakdowns: u32,
     /// Seconds per stage of the slowest rank. `total` is measured by the coordinator.
     pub stage_seconds: StageSeconds,
     /// Bytes moved between ranks, summed over all ranks.
@@ -233,6 +236,10 @@ pub struct StepRecord {
 
 fn is_zero_point(point: &[f64; 3]) -> bool {
     *point == [0.0; 3]
+}
+
+fn is_none(count: &u32) -> bool {
+    *count == 0
 }
 
 fn is_zero(number: &usize) -> bool {

@@ -27,6 +27,8 @@ static PRODUCT_SUMS: KernelSource =
     KernelSource::new::<ColoredParams>("solver/colored.wgsl", TEXT, "product_sums").with_libraries(LIBRARIES);
 /// Sums of a chunk: r . u, r . r, w . u, w.
 const SUMS: usize = 6;
+/// Values of the sums of blocks of a chunk with one group: of free columns, of pinned columns.
+pub(super) const ENTRY: usize = 2 * BLOCK;
 /// Source of the padding blocks that fill a chunk's list up to a multiple of [`WINDOW_STEP`].
 pub(super) const PADDING: u32 = u32::MAX;
 /// Over-relaxation. Larger factors do not pay in the order of colors (docs/performance.md).
@@ -47,6 +49,7 @@ gpu_struct! {
         blocks: u32,
         first_slot: u32,
         slots: u32,
+        difference: u32,
     }
 }
 
@@ -106,6 +109,8 @@ pub(super) struct Colored {
     sources: DeviceVec<u32>,
     block_rows: DeviceVec<u32>,
     blocks: DeviceVec<f32>,
+    /// See [`SellMatrix::difference`].
+    difference: bool,
     color_starts: DeviceVec<u32>,
     /// Range of the blocks of each sum, and the group of their columns.
     entry_ends: DeviceVec<[u32; 2]>,
@@ -209,10 +214,11 @@ impl Colored {
             colors,
             batches: batches(executor, &ends),
             blocks: DeviceVec::zeros(executor, lists.sources.len() * BLOCK),
+            difference: false,
             sources: DeviceVec::upload(executor, &lists.sources),
             block_rows: DeviceVec::upload(executor, &lists.rows),
             color_starts: DeviceVec::upload(executor, &color_starts),
-            entries: DeviceVec::zeros(executor, lists.entry_ends.len() * BLOCK),
+            entries: DeviceVec::zeros(executor, lists.entry_ends.len() * ENTRY),
             entry_ends: DeviceVec::upload(executor, &lists.entry_ends),
             entry_groups: lists.entry_groups,
             entry_starts: ends.iter().map(|end| end.1).collect(),
@@ -229,6 +235,7 @@ impl Colored {
         matrix: &SellMatrix,
         flags: &DeviceVec<f32>,
     ) -> Vec<GroupSums> {
+        self.difference = matrix.difference;
         match executor {
             Executor::Cpu(_) => {
                 let blocks = self.blocks.as_mut_slice();
@@ -236,10 +243,10 @@ impl Colored {
                 colored_cpu::entry_sums(
                     blocks,
                     self.block_rows.as_slice(),
-                    self.layout.block_columns.as_slice(),
+                    &self.layout.tables(),
                     self.entry_ends.as_slice(),
                     flags.as_slice(),
-                    self.layout.own_start,
+                    matrix.difference,
                     self.entries.as_mut_slice(),
                 );
             }
@@ -251,8 +258,21 @@ impl Colored {
         }
         let entries = self.entries.read(executor);
         let of_chunk = |entries: Range<usize>, sums: &[f32]| {
-            let sums = sums.as_chunks::<BLOCK>().0[entries.clone()].iter().map(|block| block.map(f64::from));
-            self.entry_groups[entries].iter().copied().zip(sums).collect()
+            let sums = sums.as_chunks::<ENTRY>().0[entries.clone()].iter();
+            let free = sums.clone().map(|sums| std::array::from_fn(|c| f64::from(sums[c])));
+            let mut groups: GroupSums = self.entry_groups[entries].iter().copied().zip(free).collect();
+            if self.difference {
+                // The first entry is that of the chunk itself, whose own blocks cancel.
+                let mut coupled = [0.0; BLOCK];
+                for (number, sums) in sums.enumerate() {
+                    for c in 0..BLOCK {
+                        let free = if number == 0 { 0.0 } else { f64::from(sums[c]) };
+                        coupled[c] += free + f64::from(sums[BLOCK + c]);
+                    }
+                }
+                groups[0].1.iter_mut().zip(coupled).for_each(|(sum, v)| *sum -= v);
+            }
+            groups
         };
         self.entry_starts.windows(2).map(|ends| of_chunk(ends[0]..ends[1], &entries)).collect()
     }
@@ -417,6 +437,7 @@ impl Colored {
             blocks: blocks.len() as u32,
             first_slot: 0,
             slots: 0,
+            difference: self.difference.into(),
         }
     }
 }

@@ -21,6 +21,8 @@ struct ColoredParams {
     // Slots of the matrix that are bound.
     first_slot: u32,
     slots: u32,
+    // 1: the matrix is in difference form.
+    difference: u32,
 }
 
 const LANES: u32 = 16u;
@@ -75,7 +77,9 @@ fn take(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     }
 }
 
-// Sums of the blocks that couple rows that are not pinned: one workgroup per sum, nine values each.
+// Two sums of the blocks of rows that are not pinned, nine values each; one workgroup per pair of sums. The first one is
+// over columns that are not pinned; in difference form, without the blocks off the diagonal inside the chunk, which
+// cancel each other. The second one is over pinned columns.
 @compute @workgroup_size(CHUNK_THREADS)
 fn entry_sums(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -83,32 +87,44 @@ fn entry_sums(
     @builtin(local_invocation_index) local: u32,
 ) {
     let at = group_index(group, groups);
-    var first = vec4<f32>(0.0);
-    var second = vec4<f32>(0.0);
-    var last = vec4<f32>(0.0);
+    var free = array<vec4<f32>, 3>();
+    var pinned = array<vec4<f32>, 3>();
     if (at < params.entries) {
         let range = entry_ends[params.first_entry + at];
         for (var k = range.x + local; k < range.y; k += CHUNK_THREADS) {
             let block = k - params.first_block;
-            let row_free = flags[params.u_first + block_rows[block]].x != 0.0;
-            if (row_free && flags[block_columns[block]].x != 0.0) {
-                let v = block * BLOCK;
-                first += vec4<f32>(blocks_read[v], blocks_read[v + 1u], blocks_read[v + 2u], blocks_read[v + 3u]);
-                second += vec4<f32>(blocks_read[v + 4u], blocks_read[v + 5u], blocks_read[v + 6u], blocks_read[v + 7u]);
-                last.x += blocks_read[v + 8u];
+            let row = block_rows[block];
+            if (flags[params.u_first + row].x == 0.0) {
+                continue;
+            }
+            let v = block * BLOCK;
+            let first = vec4<f32>(blocks_read[v], blocks_read[v + 1u], blocks_read[v + 2u], blocks_read[v + 3u]);
+            let second = vec4<f32>(blocks_read[v + 4u], blocks_read[v + 5u], blocks_read[v + 6u], blocks_read[v + 7u]);
+            let last = vec4<f32>(blocks_read[v + 8u], 0.0, 0.0, 0.0);
+            // Columns before the own rows wrap around.
+            let column = block_columns[block] - params.u_first;
+            let inside = column < params.rows && column / params.chunk_rows == row / params.chunk_rows;
+            if (flags[block_columns[block]].x == 0.0) {
+                pinned[0] += first;
+                pinned[1] += second;
+                pinned[2] += last;
+            } else if (params.difference == 0u || !inside || column == row) {
+                free[0] += first;
+                free[1] += second;
+                free[2] += last;
             }
         }
     }
-    first = chunk_sum(local, first);
-    second = chunk_sum(local, second);
-    last = chunk_sum(local, last);
+    for (var part = 0u; part < 3u; part++) {
+        free[part] = chunk_sum(local, free[part]);
+        pinned[part] = chunk_sum(local, pinned[part]);
+    }
     if (local == 0u && at < params.entries) {
-        let to = (params.first_entry + at) * BLOCK;
-        for (var c = 0u; c < 4u; c++) {
-            entries[to + c] = first[c];
-            entries[to + 4u + c] = second[c];
+        let to = (params.first_entry + at) * 2u * BLOCK;
+        for (var c = 0u; c < BLOCK; c++) {
+            entries[to + c] = free[c / 4u][c % 4u];
+            entries[to + BLOCK + c] = pinned[c / 4u][c % 4u];
         }
-        entries[to + 8u] = last.x;
     }
 }
 

@@ -4,7 +4,7 @@
 //! other blocks. With D' = D / relaxation, u = (D' + U)^-1 D' (D' + L)^-1 r + z. z is the coarse correction, one vector
 //! per chunk, zero on pinned rows.
 
-use super::colored::BlockTables;
+use super::colored::{BlockTables, ENTRY};
 use crate::assembly::sell::{BLOCK, value_index};
 
 /// Copies the blocks of the matrix; padding blocks stay zero.
@@ -16,23 +16,34 @@ pub(super) fn take(values: &[f32], sources: &[u32], blocks: &mut [f32]) {
     }
 }
 
-/// Sums of the blocks that couple rows that are not pinned (`flags` of local rows), nine values per sum.
+/// Two sums of the blocks of rows that are not pinned (`flags` of local rows: zero where pinned), nine values each per
+/// entry. The first one is over columns that are not pinned; with `difference`, without the blocks off the diagonal
+/// inside the chunk, which cancel each other. The second one is over pinned columns.
 pub(super) fn entry_sums(
     blocks: &[f32],
     block_rows: &[u32],
-    block_columns: &[u32],
+    tables: &BlockTables<'_>,
     entry_ends: &[[u32; 2]],
     flags: &[f32],
-    own_start: usize,
+    difference: bool,
     entries: &mut [f32],
 ) {
     let free = |row: usize| flags[row * 3] != 0.0;
-    for (&[start, end], entry) in entry_ends.iter().zip(entries.as_chunks_mut::<BLOCK>().0) {
-        *entry = [0.0; BLOCK];
+    for (&[start, end], entry) in entry_ends.iter().zip(entries.as_chunks_mut::<ENTRY>().0) {
+        *entry = [0.0; ENTRY];
         for k in start as usize..end as usize {
-            if free(own_start + block_rows[k] as usize) && free(block_columns[k] as usize) {
-                entry.iter_mut().zip(&blocks[k * BLOCK..]).for_each(|(sum, v)| *sum += v);
+            let (row, column) = (block_rows[k] as usize, tables.block_columns[k] as usize);
+            if !free(tables.own_start + row) {
+                continue;
             }
+            let own = column.wrapping_sub(tables.own_start);
+            let inside = own < tables.rows && own / tables.chunk_rows == row / tables.chunk_rows;
+            let to = match free(column) {
+                false => BLOCK,
+                true if !difference || !inside || own == row => 0,
+                true => continue,
+            };
+            entry[to..].iter_mut().zip(&blocks[k * BLOCK..(k + 1) * BLOCK]).for_each(|(sum, v)| *sum += v);
         }
     }
 }

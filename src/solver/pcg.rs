@@ -18,6 +18,8 @@ use crate::transport::TransportError;
 const ROUNDING: f64 = 1e-4;
 /// Down to this fraction of its start the recursive residual follows the true one; below it is rounding error.
 const FOLLOWED: f64 = 1e-5;
+/// Minimum number of iterations whose gain estimates the energy of the error.
+const WINDOW: usize = 8;
 /// A descent that breaks off is restarted with the same preconditioner only if it reduced the residual to this fraction
 /// of its start.
 const PROGRESS: f64 = 0.1;
@@ -27,6 +29,9 @@ const PROGRESS: f64 = 0.1;
 pub struct PcgParams {
     /// Stop when |r| <= relative_tolerance * |b - A x0| (2-norms over free rows).
     pub relative_tolerance: f64,
+    /// True: besides, stop only when the energy norm of the error has fallen to `relative_tolerance` of its start. The
+    /// 2-norm of a residual of stiff systems is that of forces within the cloth, which hide the forces that move it.
+    pub energy: bool,
     /// Stop after this many iterations, converged or not.
     pub max_iterations: u32,
     /// True if x0 may differ from zero on some rank.
@@ -82,12 +87,14 @@ pub struct Pcg {
     sums: IterationSums,
     /// Progress of the current solve over all its descents.
     reached: Option<PcgInfo>,
+    /// Squared energy norms by which the iterations of the current solve have reduced the error: running sums.
+    gained: Vec<f64>,
 }
 
 impl Pcg {
     /// A solver for the ranks of `partition`.
     pub fn new(partition: &RowPartition) -> Pcg {
-        Pcg { sums: IterationSums::new(partition), reached: None }
+        Pcg { sums: IterationSums::new(partition), reached: None, gained: Vec::new() }
     }
 
     /// Solves A x = b for x = `vectors.x`. Pinned rows keep their start value.
@@ -111,6 +118,7 @@ impl Pcg {
     ) -> Result<PcgInfo, PcgError> {
         let mut chosen = 0;
         self.reached = None;
+        self.gained.clear();
         loop {
             let preconditioner = &mut *preconditioners[chosen];
             match self.descend(rank, operator, preconditioner, b, vectors, params)? {
@@ -155,7 +163,7 @@ impl Pcg {
         v: &mut PcgVectors,
         params: &PcgParams,
     ) -> Result<Descent, PcgError> {
-        let (sums, before) = (&mut self.sums, self.reached);
+        let (sums, before, gained) = (&mut self.sums, self.reached, &mut self.gained);
         let (mut iteration, mut products) = before.map_or((0, 0), |info| (info.iterations, info.products));
         if params.nonzero_start || before.is_some() {
             // w = A x0, through u because only u has halo rows
@@ -189,7 +197,8 @@ impl Pcg {
             let first = *first_residual.get_or_insert(residual);
             let start_residual = before.map_or(first, |info| info.start_residual);
             let relative_residual = if start_residual > 0.0 { residual / start_residual } else { 0.0 };
-            let converged = relative_residual <= params.relative_tolerance;
+            let converged = relative_residual <= params.relative_tolerance
+                && (!params.energy || energy_converged(gained, params.relative_tolerance));
             let info = PcgInfo { iterations: iteration, relative_residual, converged, start_residual, products };
             if converged || iteration >= params.max_iterations {
                 return Ok(Descent::Done(info));
@@ -211,6 +220,35 @@ impl Pcg {
             preconditioner.advance(rank, Scalars { alpha, beta }, sums, v);
             last = Some((gamma, alpha));
             iteration += 1;
+            // |e|_A^2 falls by alpha gamma [Hestenes and Stiefel 1952].
+            gained.push(gained.last().unwrap_or(&0.0) + alpha * gamma);
         }
+    }
+}
+
+/// True if the last quarter of the iterations, at least [`WINDOW`], has reduced the squared energy norm of the error by
+/// at most `tolerance`^2 of what all have: an estimate of the error at the start of the window [Strakos and Tichy 2002].
+fn energy_converged(gained: &[f64], tolerance: f64) -> bool {
+    let window = (gained.len() / 4).max(WINDOW);
+    let Some(before) = gained.len().checked_sub(window + 1) else { return gained.last().is_none_or(|&all| all == 0.0) };
+    let all = gained[gained.len() - 1];
+    all - gained[before] <= tolerance * tolerance * all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_energy_of_the_error_is_told_by_the_last_iterations() {
+        let sums = |ratio: f64, iterations: i32| -> Vec<f64> {
+            (1..=iterations).map(|i| (1.0 - ratio.powi(i)) / (1.0 - ratio)).collect()
+        };
+        assert!(energy_converged(&[], 0.01) && energy_converged(&[0.0], 0.01));
+        assert!(!energy_converged(&sums(0.1, WINDOW as i32), 0.01), "too early to tell");
+        // 1 % in the norm is 1e-4 in its square: 0.5^14.
+        let at = (1..100).find(|&i| energy_converged(&sums(0.5, i), 0.01)).expect("ends");
+        assert_eq!(at, 14 + WINDOW as i32);
+        assert!(!energy_converged(&sums(0.99, 100), 0.01));
     }
 }

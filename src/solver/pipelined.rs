@@ -17,7 +17,7 @@ use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Pattern, Transport, TransportError};
 
 use super::exchange::{ExchangeMode, HaloExchange, TrafficCounter};
-use super::spmv::Spmv;
+use super::spmv::{NO_DIAGONAL, OwnRows, Spmv};
 
 /// y = A u over all ranks, with the data that stays fixed between changes of the halo.
 pub struct PipelinedSpmv {
@@ -150,9 +150,10 @@ impl PipelinedSpmv {
         y: &mut DeviceVec<f32>,
     ) {
         let start = rank.recorder.before_kernels();
-        self.kernel.apply(rank.executor, matrix.elastic, section, accumulate, u, y);
+        let own_start = self.halo.plan().own.start;
+        self.kernel.apply(rank.executor, matrix.elastic, section, accumulate, u, own_start, y);
         if let Some(contact) = matrix.contact {
-            self.kernel.apply(rank.executor, contact, section, true, u, y);
+            self.kernel.apply(rank.executor, contact, section, true, u, own_start, y);
         }
         let name = match section {
             0 => {
@@ -175,11 +176,12 @@ impl PipelinedSpmv {
         y: &mut DeviceVec<f32>,
     ) -> Result<(), TransportError> {
         self.publish_sub_vector(rank, matrix.elastic.rows, u)?;
-        self.multiply_own_block(rank, matrix, accumulate, y);
+        self.multiply_own_block(rank, matrix, accumulate, u, y);
+        let own = OwnRows { x: u, start: self.halo.plan().own.start, diagonal: NO_DIAGONAL };
         for stage in 0..self.queue.len() {
             let (kernel, route, executor) = (&self.kernel, self.route(stage), rank.executor);
             receive_whole(rank.transport, route, &mut self.traffic, rank.recorder, |recorder, v_j| {
-                multiply_block(kernel, executor, recorder, matrix, route, v_j, y);
+                multiply_block(kernel, executor, recorder, matrix, route, v_j, own, y);
             })?;
         }
         Ok(())
@@ -207,34 +209,38 @@ impl PipelinedSpmv {
         Ok(())
     }
 
-    /// y = A_ii v_i, or y += A_ii v_i, with the published sub-vector.
+    /// y = A_ii v_i, or y += A_ii v_i, with the published sub-vector, the own rows of `u`.
     pub(super) fn multiply_own_block(
         &self,
         rank: &mut RankContext<'_>,
         matrix: &SystemMatrix<'_>,
         accumulate: bool,
+        u: &DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
     ) {
         let own = rank.transport.rank() as u32;
         let start = rank.recorder.before_kernels();
-        self.kernel.apply_host(rank.executor, matrix.elastic, 0, accumulate, &self.staging, y);
+        let own_rows = OwnRows { x: u, start: self.halo.plan().own.start, diagonal: 0 };
+        self.kernel.apply_host(rank.executor, matrix.elastic, 0, accumulate, &self.staging, own_rows, y);
         if let Some(contact) = matrix.contact {
-            self.kernel.apply_host(rank.executor, contact, 0, true, &self.staging, y);
+            self.kernel.apply_host(rank.executor, contact, 0, true, &self.staging, own_rows, y);
         }
         let (bytes, flops) = (matrix.section_bytes(0), matrix.section_flops(0));
         rank.recorder.end_transfer(EventName::SpmvBlock, Activity::Compute, start, (0, own, own), bytes, flops);
     }
 
-    /// y += A_ij v_j with the sub-vector that arrives in stage `stage`.
+    /// y += A_ij v_j with the sub-vector that arrives in stage `stage`; the own rows of `u` are v_i.
     pub(super) fn add_block(
         &self,
         rank: &mut RankContext<'_>,
         matrix: &SystemMatrix<'_>,
         stage: usize,
         v_j: &[f32],
+        u: &DeviceVec<f32>,
         y: &mut DeviceVec<f32>,
     ) {
-        multiply_block(&self.kernel, rank.executor, rank.recorder, matrix, self.route(stage), v_j, y);
+        let own = OwnRows { x: u, start: self.halo.plan().own.start, diagonal: NO_DIAGONAL };
+        multiply_block(&self.kernel, rank.executor, rank.recorder, matrix, self.route(stage), v_j, own, y);
     }
 
     /// Copies the sub-vector that arrives in stage `stage` to `to`.
@@ -264,6 +270,7 @@ impl PipelinedSpmv {
 }
 
 /// y += A_ij v_j for the sub-vector j of `route`.
+#[expect(clippy::too_many_arguments, reason = "the operands of one product and where it is recorded")]
 fn multiply_block(
     kernel: &Spmv,
     executor: &Executor,
@@ -271,12 +278,13 @@ fn multiply_block(
     matrix: &SystemMatrix<'_>,
     route: (u32, u32, u32),
     v_j: &[f32],
+    own: OwnRows<'_>,
     y: &mut DeviceVec<f32>,
 ) {
     let section = route.0 as usize;
     let start = recorder.before_kernels();
     for part in matrix.parts() {
-        kernel.apply_host(executor, part, section, true, v_j, y);
+        kernel.apply_host(executor, part, section, true, v_j, own, y);
     }
     let (bytes, flops) = (matrix.section_bytes(section), matrix.section_flops(section));
     recorder.end_transfer(EventName::SpmvBlock, Activity::Compute, start, route, bytes, flops);

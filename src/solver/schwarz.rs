@@ -139,9 +139,7 @@ impl Schwarz {
         halo.start(executor, rank.transport, &[&*flags], rank.recorder)?;
         halo.finish(executor, rank.transport, &mut [flags], rank.recorder, &mut traffic)?;
         let mut entries = match &mut self.smoother {
-            Smoother::Chain(sweeps) => {
-                sweeps.set_values(native(executor), matrix.elastic.values.as_slice(), flags.as_slice())
-            }
+            Smoother::Chain(sweeps) => sweeps.set_values(native(executor), matrix.elastic, flags.as_slice()),
             Smoother::Colors(colored) => colored.set_values(executor, matrix.elastic, flags),
         };
         if let Some(contact) = matrix.contact {

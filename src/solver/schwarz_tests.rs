@@ -85,8 +85,20 @@ impl By {
     }
 }
 
-/// Runs `work` on every rank with its matrix, inverse diagonal blocks, tables after setup, and transport.
+/// [`on_ranks_in`] with a matrix that is not in difference form.
 fn on_ranks<T: Send>(
+    ranks: usize,
+    mode: ExchangeMode,
+    by: By,
+    work: impl Fn(&Executor, &mut InProcessTransport, &mut Rank) -> T + Sync,
+) -> Vec<T> {
+    on_ranks_in(false, ranks, mode, by, work)
+}
+
+/// Runs `work` on every rank with its matrix, inverse diagonal blocks, tables after setup, and transport. `difference`:
+/// the same matrix in difference form.
+fn on_ranks_in<T: Send>(
+    difference: bool,
     ranks: usize,
     mode: ExchangeMode,
     by: By,
@@ -114,7 +126,7 @@ fn on_ranks<T: Send>(
             .map(|((plan, mut transport), queue)| {
                 scope.spawn(move || {
                     let executor = by.executor();
-                    let mut rank = Rank::new(&executor, system, partition, plan, mode, queue, by);
+                    let mut rank = Rank::new(&executor, system, partition, plan, mode, queue, by, difference);
                     rank.set_up(&executor, &mut transport);
                     work(&executor, &mut transport, &mut rank)
                 })
@@ -136,6 +148,7 @@ struct Rank {
 }
 
 impl Rank {
+    #[expect(clippy::too_many_arguments, reason = "the parts of a rank")]
     fn new(
         executor: &Executor,
         system: &[Vec<(usize, [f32; BLOCK])>],
@@ -144,6 +157,7 @@ impl Rank {
         mode: ExchangeMode,
         queue: &[QueueNode],
         by: By,
+        difference: bool,
     ) -> Rank {
         let own = partition.rows_of(plan.rank);
         let (mut offsets, mut columns) = (vec![0u32], Vec::new());
@@ -162,7 +176,9 @@ impl Rank {
         for row in own.clone() {
             for (column, block) in &system[row] {
                 for (c, &v) in block.iter().enumerate() {
-                    values[value_index(layout.block_address[k], c)] = v;
+                    let of_row = || system[row].iter().map(|(_, block)| block[c] as f64).sum::<f64>() as f32;
+                    values[value_index(layout.block_address[k], c)] =
+                        if difference && *column == row { of_row() } else { v };
                 }
                 if *column == row {
                     let inverted = crate::assembly::fill::inverse_symmetric(block);
@@ -172,6 +188,7 @@ impl Rank {
             }
         }
         matrix.values.write_range(executor, 0, &values);
+        matrix.difference = difference;
         let pattern = RankPattern { offsets: &offsets, columns: &columns, block_address: &layout.block_address };
         let b: Vec<f32> = own.clone().flat_map(right_hand_side).collect();
         Rank {
@@ -210,7 +227,7 @@ impl Rank {
 
     fn solve(&mut self, executor: &Executor, transport: &mut dyn Transport, sweep: bool) -> Solved {
         self.vectors.x.fill_zero(executor);
-        let params = PcgParams { relative_tolerance: 1e-3, max_iterations: 2000, nonzero_start: false };
+        let params = PcgParams { relative_tolerance: 1e-3, energy: false, max_iterations: 2000, nonzero_start: false };
         let mut rank = RankContext { executor, transport, recorder: &mut Recorder::new(None) };
         let mut operator = StoredMatrix { spmv: &mut self.spmv, matrix: (&self.matrix).into() };
         let mut schwarz = self.schwarz.of(executor, &self.inverse);
@@ -313,8 +330,8 @@ fn a_device_sweeps_and_sums_as_the_native_twin() {
     if device::executor().is_none() {
         return;
     }
-    let run = |by: By| {
-        let mut of_ranks = on_ranks(3, ExchangeMode::Halo, by, |executor, transport, rank| {
+    let run = |by: By, difference: bool| {
+        let mut of_ranks = on_ranks_in(difference, 3, ExchangeMode::Halo, by, |executor, transport, rank| {
             let rows = rank.b.len();
             let Smoother::Colors(colored) = &mut rank.schwarz.smoother else { panic!("by color") };
             let flags = &rank.vectors.u;
@@ -337,7 +354,8 @@ fn a_device_sweeps_and_sums_as_the_native_twin() {
         });
         of_ranks.pop().expect("three ranks")
     };
-    for (device, twin) in run(By::Device).iter().zip(&run(By::Colors)) {
+    let both = |by: By| [run(by, false), run(by, true)].concat();
+    for (device, twin) in both(By::Device).iter().zip(&both(By::Colors)) {
         let size = twin.iter().map(|v| v.abs()).fold(0.0, f64::max);
         assert!(size > 0.1 && device.len() == twin.len());
         for (at, (a, b)) in device.iter().zip(twin).enumerate() {
@@ -433,6 +451,42 @@ fn the_bits_are_those_of_one_rank_whatever_the_ranks_and_threads() {
         assert!(device.1.abs_diff(one.1) <= 2, "{} and {} iterations", device.1, one.1);
         for ranks in [2, 3] {
             assert!(solve(ranks, By::Device) == device, "{ranks} ranks on devices");
+        }
+    }
+}
+
+#[test]
+fn the_difference_form_is_the_same_matrix() {
+    let solve = |difference, mode, ranks, by| {
+        let solved = on_ranks_in(difference, ranks, mode, by, |executor, transport, rank| {
+            // The coarse matrix, entry by entry.
+            let Executor::Cpu(cpu) = executor else { panic!("native") };
+            let flags: Vec<f32> = (0..ROWS * 3).map(|at| f32::from(u8::from(!pinned(at / 3)))).collect();
+            let entries: Vec<f64> = match &mut rank.schwarz.smoother {
+                Smoother::Chain(sweeps) if ranks == 1 => {
+                    sweeps.set_values(cpu, &rank.matrix, &flags).concat().iter().flat_map(|e| e.1).collect()
+                }
+                Smoother::Colors(colored) if ranks == 1 => {
+                    let flags = DeviceVec::upload(executor, &flags);
+                    let sums = colored.set_values(executor, &rank.matrix, &flags);
+                    sums.concat().iter().flat_map(|e| e.1).collect()
+                }
+                _ => Vec::new(),
+            };
+            (entries, rank.solve(executor, transport, true))
+        });
+        let entries = solved[0].0.clone();
+        (entries, solved.iter().flat_map(|s| s.1.x.clone()).collect::<Vec<f32>>(), solved[0].1.iterations)
+    };
+    for by in [By::Chain(1), By::Colors] {
+        let (entries, x, iterations) = solve(false, ExchangeMode::Halo, 1, by);
+        for (mode, ranks) in [(ExchangeMode::Halo, 1), (ExchangeMode::Halo, 3), (ExchangeMode::Full, 3)] {
+            let (found, y, steps) = solve(true, mode, ranks, by);
+            let size = entries.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            assert!(found.iter().zip(&entries).all(|(a, b)| (a - b).abs() < 1e-5 * size), "{found:?} {entries:?}");
+            let difference: Vec<f32> = x.iter().zip(&y).map(|(a, b)| a - b).collect();
+            assert!(dot(&difference, &difference) < 1e-4 * dot(&x, &x));
+            assert!(steps.abs_diff(iterations) <= 2, "{steps} {iterations}");
         }
     }
 }

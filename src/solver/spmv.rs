@@ -13,7 +13,30 @@ static SPMV: KernelSource = KernelSource::new::<SpmvParams>("solver/spmv.wgsl", 
 const TURNS_MAX: usize = 60_000;
 
 gpu_struct! {
-    struct SpmvParams { first_slice: u32, lanes: u32, first_slot: u32, accumulate: u32 }
+    struct SpmvParams {
+        first_slice: u32,
+        lanes: u32,
+        first_slot: u32,
+        accumulate: u32,
+        difference: u32,
+        own_start: u32,
+        diagonal: u32,
+        padding: u32,
+    }
+}
+
+/// `diagonal` of a section without diagonal blocks: no column is reached.
+pub const NO_DIAGONAL: u32 = 1 << 31;
+
+/// The vector that holds the rows' own values; matrices in difference form ([`SellMatrix::difference`]) read it.
+#[derive(Clone, Copy)]
+pub struct OwnRows<'a> {
+    /// xyz per row.
+    pub x: &'a DeviceVec<f32>,
+    /// Position of row 0 in `x`.
+    pub start: usize,
+    /// Column of the diagonal block of row 0 in the section, or [`NO_DIAGONAL`].
+    pub diagonal: u32,
 }
 
 /// The SpMV kernel on one executor.
@@ -28,7 +51,9 @@ impl Spmv {
         Spmv { upload: RefCell::new(None) }
     }
 
-    /// y = A x, or y += A x with `accumulate`, for the rows of `section`. `x`: xyz per column; `y`: xyz per own row.
+    /// y = A x, or y += A x with `accumulate`, for the rows of `section`. `x`: xyz per column, with the own rows from row
+    /// `own_start` on; `y`: xyz per own row.
+    #[expect(clippy::too_many_arguments, reason = "as `apply_host`, with x on the executor")]
     pub fn apply(
         &self,
         executor: &Executor,
@@ -36,16 +61,19 @@ impl Spmv {
         section: usize,
         accumulate: bool,
         x: &DeviceVec<f32>,
+        own_start: usize,
         y: &mut DeviceVec<f32>,
     ) {
+        let own = OwnRows { x, start: own_start, diagonal: own_start as u32 };
         match executor {
-            Executor::Cpu(_) => self.apply_host(executor, matrix, section, accumulate, x.as_slice(), y),
-            Executor::Gpu(gpu) => multiply(gpu, matrix, section, accumulate, x.binding(), y),
+            Executor::Cpu(_) => self.apply_host(executor, matrix, section, accumulate, x.as_slice(), own, y),
+            Executor::Gpu(gpu) => multiply(gpu, matrix, section, accumulate, x.binding(), own, y),
         }
     }
 
     /// As [`Spmv::apply`] with x in host memory, for example a sub-vector in a received message. The cpu executor reads
     /// it in place; a device uploads it.
+    #[expect(clippy::too_many_arguments, reason = "the operands of one product")]
     pub fn apply_host(
         &self,
         executor: &Executor,
@@ -53,6 +81,7 @@ impl Spmv {
         section: usize,
         accumulate: bool,
         x: &[f32],
+        own: OwnRows<'_>,
         y: &mut DeviceVec<f32>,
     ) {
         assert_eq!(y.len(), matrix.rows * 3);
@@ -66,6 +95,10 @@ impl Spmv {
                 matrix.columns.as_slice(),
                 matrix.values.as_slice(),
                 x,
+                matrix.difference.then(|| {
+                    let values = own.start * 3..own.start * 3 + matrix.rows * 3;
+                    spmv_cpu::Own { x: &own.x.as_slice()[values], diagonal: own.diagonal }
+                }),
                 y.as_mut_slice(),
             ),
             Executor::Gpu(gpu) => {
@@ -75,7 +108,7 @@ impl Spmv {
                     other => other.insert(DeviceVec::zeros(executor, x.len())),
                 };
                 device.write_range(executor, 0, x);
-                multiply(gpu, matrix, section, accumulate, device.binding(), y);
+                multiply(gpu, matrix, section, accumulate, device.binding(), own, y);
             }
         }
     }
@@ -87,6 +120,7 @@ fn multiply(
     section: usize,
     accumulate: bool,
     x: Binding<'_>,
+    own: OwnRows<'_>,
     y: &mut DeviceVec<f32>,
 ) {
     assert_eq!(y.len(), matrix.rows * 3);
@@ -104,6 +138,7 @@ fn multiply(
             matrix.columns.window(first * LANES, slots * LANES),
             matrix.values.window(first * LANES * BLOCK, slots * LANES * BLOCK),
             x,
+            own.x.binding(),
             y.binding_mut(),
         ];
         let lanes = part.slices.len() * LANES;
@@ -112,6 +147,10 @@ fn multiply(
             lanes: lanes as u32,
             first_slot: first as u32,
             accumulate: accumulate.into(),
+            difference: matrix.difference.into(),
+            own_start: own.start as u32,
+            diagonal: own.diagonal,
+            padding: 0,
         };
         gpu.run(&SPMV, &bindings, &params, lanes as u64);
     }

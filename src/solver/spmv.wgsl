@@ -1,5 +1,6 @@
 // Sparse matrix-vector product of slices of a sliced block-ELL matrix: one invocation per row. Neighboring lanes read
-// neighboring words. Each row adds its blocks in stored order, so its lane does not change its bits.
+// neighboring words. Each row adds its blocks in stored order, so its lane does not change its bits. In difference form
+// a block off the diagonal multiplies x_j - x_i.
 
 struct SpmvParams {
     first_slice: u32,
@@ -9,6 +10,13 @@ struct SpmvParams {
     first_slot: u32,
     // 1: add to y.
     accumulate: u32,
+    // 1: difference form.
+    difference: u32,
+    // Position of row 0 in own_x.
+    own_start: u32,
+    // Column of the diagonal block of row 0.
+    diagonal: u32,
+    padding0: u32,
 }
 
 const LANES: u32 = 16u;
@@ -20,8 +28,9 @@ const NO_ROW: u32 = 0xffffffffu;
 @group(0) @binding(2) var<storage, read> columns: array<u32>;
 @group(0) @binding(3) var<storage, read> values: array<f32>;
 @group(0) @binding(4) var<storage, read> x: array<Packed3>;
-@group(0) @binding(5) var<storage, read_write> y: array<Packed3>;
-@group(0) @binding(6) var<uniform> params: SpmvParams;
+@group(0) @binding(5) var<storage, read> own_x: array<Packed3>;
+@group(0) @binding(6) var<storage, read_write> y: array<Packed3>;
+@group(0) @binding(7) var<uniform> params: SpmvParams;
 
 @compute @workgroup_size(WORKGROUP)
 fn spmv(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -39,9 +48,14 @@ fn spmv(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     if (params.accumulate != 0u) {
         sum = unpacked(y[row]);
     }
+    var own = vec3<f32>(0.0);
+    if (params.difference != 0u) {
+        own = unpacked(own_x[params.own_start + row]);
+    }
     let end = slice_offsets[slice + 1u] - params.first_slot;
     for (var slot = slice_offsets[slice] - params.first_slot; slot < end; slot++) {
-        let v = unpacked(x[columns[slot * LANES + lane]]);
+        let column = columns[slot * LANES + lane];
+        let v = unpacked(x[column]) - select(own, vec3<f32>(0.0), column == params.diagonal + row);
         let at = slot * BLOCK * LANES + lane;
         sum.x += values[at] * v.x;
         sum.x += values[at + LANES] * v.y;

@@ -1,6 +1,9 @@
 //! CPU twin of `spmv.wgsl`. Every row adds its blocks in stored (ascending column) order, starting from +0, so padding
 //! (zero values) and the lane of a row never change its bits. Fused multiply-add is not used, because some machines
 //! lack it and results must not differ between machines.
+//!
+//! In difference form (`Own` is given) a block off the diagonal multiplies x_j - x_i. An equal displacement of all rows
+//! then gives exactly the product of the stored diagonal blocks, however large the other blocks are.
 
 use std::ops::Range;
 
@@ -21,6 +24,16 @@ struct Tables<'a> {
     columns: &'a [u32],
     values: &'a [f32],
     x: &'a [f32],
+    own: Option<Own<'a>>,
+}
+
+/// The rows' own values, for products in difference form.
+#[derive(Clone, Copy)]
+pub(super) struct Own<'a> {
+    /// xyz per row of y.
+    pub x: &'a [f32],
+    /// Column of row 0; row i has its diagonal block in column `diagonal` + i.
+    pub diagonal: u32,
 }
 
 /// y = A x (or y += A x with `accumulate`) for the rows in `slices`. Bytes: 40 per slot, 12 per row written, and the
@@ -35,12 +48,14 @@ pub(super) fn spmv(
     columns: &[u32],
     values: &[f32],
     x: &[f32],
+    own: Option<Own<'_>>,
     y: &mut [f32],
 ) {
+    assert!(own.is_none_or(|own| own.x.len() >= y.len()));
     // The gathers below are unchecked in release builds. With debug assertions this finds a column beyond the end of x,
     // which would be an error of the layout.
     debug_assert!(columns.iter().all(|&c| (c as usize + 1) * 3 <= x.len() || slices.is_empty()));
-    let tables = Tables { row_of_lane, slice_offsets, columns, values, x };
+    let tables = Tables { row_of_lane, slice_offsets, columns, values, x, own };
     let rows = Rows(y.as_mut_ptr(), y.len());
     let first = slices.start as usize;
     cpu.for_ranges(slices.len(), 4, |range| {
@@ -48,7 +63,12 @@ pub(super) fn spmv(
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the feature is there; the layout's columns and rows are within x and y.
-            unsafe { avx2::multiply(slices, accumulate, &tables, rows) };
+            unsafe {
+                match own {
+                    None => avx2::multiply::<false>(slices, accumulate, &tables, rows),
+                    Some(_) => avx2::multiply::<true>(slices, accumulate, &tables, rows),
+                }
+            }
             return;
         }
         multiply(slices, accumulate, &tables, rows);
@@ -70,7 +90,12 @@ mod avx2 {
     /// The processor has AVX2. Columns of the slices are within x. Rows are within y, and no other thread works on
     /// them.
     #[target_feature(enable = "avx2")]
-    pub(super) unsafe fn multiply(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
+    pub(super) unsafe fn multiply<const DIFFERENCE: bool>(
+        slices: Range<usize>,
+        accumulate: bool,
+        tables: &Tables,
+        y: Rows,
+    ) {
         // A gather reads four floats per column; for the last column the fourth would lie beyond the end of x.
         let last = (tables.x.len() / 3).saturating_sub(1) as u32;
         for slice in slices {
@@ -90,8 +115,9 @@ mod avx2 {
             let values = tables.values[slots.start * LANES * BLOCK..slots.end * LANES * BLOCK]
                 .as_chunks::<{ LANES * BLOCK }>()
                 .0;
+            let own = if DIFFERENCE { own_values(lanes, tables) } else { ([[0.0; LANES]; 3], [0; LANES]) };
             // SAFETY: contract.
-            let sum = unsafe { slice_product(columns, values, tables.x, last, &start) };
+            let sum = unsafe { slice_product::<DIFFERENCE>(columns, values, tables.x, last, &own, &start) };
             for (lane, &row) in lanes.iter().enumerate().filter(|(_, row)| **row != NO_ROW) {
                 debug_assert!((row as usize * 3 + 2) < y.1);
                 for i in 0..3 {
@@ -102,17 +128,33 @@ mod avx2 {
         }
     }
 
-    /// Adds the slots of one slice to `start`.
+    /// x of the rows of a slice, and the columns of their diagonal blocks.
+    #[inline]
+    fn own_values(lanes: &[u32; LANES], tables: &Tables) -> ([[f32; LANES]; 3], [u32; LANES]) {
+        let (mut x, mut columns) = ([[0.0f32; LANES]; 3], [NO_ROW; LANES]);
+        let Some(own) = tables.own else { return (x, columns) };
+        for (lane, &row) in lanes.iter().enumerate().filter(|(_, row)| **row != NO_ROW) {
+            let of_row = &own.x[row as usize * 3..][..3];
+            for i in 0..3 {
+                x[i][lane] = of_row[i];
+            }
+            columns[lane] = own.diagonal.wrapping_add(row);
+        }
+        (x, columns)
+    }
+
+    /// Adds the slots of one slice to `start`. `own`: x and diagonal column of every lane.
     ///
     /// # Safety
     /// AVX2; columns are within x, whose last column is `last`.
     #[target_feature(enable = "avx2")]
     #[inline]
-    unsafe fn slice_product(
+    unsafe fn slice_product<const DIFFERENCE: bool>(
         columns: &[[u32; LANES]],
         values: &[[f32; LANES * BLOCK]],
         x: &[f32],
         last: u32,
+        own: &([[f32; LANES]; 3], [u32; LANES]),
         start: &[[f32; LANES]; 3],
     ) -> [[f32; LANES]; 3] {
         // SAFETY: loads and stores of LANES floats each; contract for the gathers.
@@ -120,16 +162,26 @@ mod avx2 {
             let half = |i: usize, h: usize| _mm256_loadu_ps(start[i].as_ptr().add(h * WIDTH));
             let mut sum = [[half(0, 0), half(0, 1)], [half(1, 0), half(1, 1)], [half(2, 0), half(2, 1)]];
             let last_columns = _mm256_set1_epi32(last as i32);
+            let own_half = |i: usize, h: usize| _mm256_loadu_ps(own.0[i].as_ptr().add(h * WIDTH));
+            let own_x = [0, 1].map(|h| [own_half(0, h), own_half(1, h), own_half(2, h)]);
+            let diagonal = [0, 1].map(|h| _mm256_loadu_si256(own.1.as_ptr().add(h * WIDTH).cast()));
             for (columns, values) in columns.iter().zip(values) {
                 let values = values.as_ptr();
                 for h in 0..2 {
                     let columns = columns.as_ptr().add(h * WIDTH);
                     let ends = _mm256_cmpeq_epi32(_mm256_loadu_si256(columns.cast()), last_columns);
-                    let x = if _mm256_testz_si256(ends, ends) != 0 {
+                    let mut x = if _mm256_testz_si256(ends, ends) != 0 {
                         gather(columns, x.as_ptr())
                     } else {
                         gather_last(columns, x.as_ptr())
                     };
+                    if DIFFERENCE {
+                        let own_column = _mm256_cmpeq_epi32(_mm256_loadu_si256(columns.cast()), diagonal[h]);
+                        let own_column = _mm256_castsi256_ps(own_column);
+                        for j in 0..3 {
+                            x[j] = _mm256_sub_ps(x[j], _mm256_andnot_ps(own_column, own_x[h][j]));
+                        }
+                    }
                     for i in 0..3 {
                         for j in 0..3 {
                             let a = _mm256_loadu_ps(values.add((i * 3 + j) * LANES + h * WIDTH));
@@ -212,6 +264,15 @@ fn multiply(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
                 }
             }
         }
+        let mut own = ([[0.0f32; LANES]; 3], [NO_ROW; LANES]);
+        if let Some(Own { x, diagonal }) = tables.own {
+            for (lane, &row) in lanes.iter().enumerate().filter(|(_, row)| **row != NO_ROW) {
+                for i in 0..3 {
+                    own.0[i][lane] = x[row as usize * 3 + i];
+                }
+                own.1[lane] = diagonal.wrapping_add(row);
+            }
+        }
         let columns = &tables.columns[slots.start * LANES..slots.end * LANES];
         let values = &tables.values[slots.start * LANES * BLOCK..slots.end * LANES * BLOCK];
         for (columns, values) in columns.as_chunks::<LANES>().0.iter().zip(values.as_chunks::<{ LANES * BLOCK }>().0) {
@@ -221,6 +282,9 @@ fn multiply(slices: Range<usize>, accumulate: bool, tables: &Tables, y: Rows) {
                 for j in 0..3 {
                     // SAFETY: columns of the layout are within x (asserted by the wrapper).
                     x[j][lane] = unsafe { *tables.x.get_unchecked(at + j) };
+                    if tables.own.is_some() && columns[lane] != own.1[lane] {
+                        x[j][lane] -= own.0[j][lane];
+                    }
                 }
             }
             for i in 0..3 {
@@ -275,14 +339,16 @@ mod tests {
     #[test]
     fn explicit_vectors_give_the_bits_of_the_plain_loops() {
         let (layout, values, x) = system();
-        let tables = Tables {
-            row_of_lane: &layout.row_of_lane,
-            slice_offsets: &layout.slice_offsets,
-            columns: &layout.columns,
-            values: &values,
-            x: &x,
-        };
-        for accumulate in [false, true] {
+        let own = Some(Own { x: &x[21..], diagonal: 7 });
+        for (accumulate, own) in [(false, None), (true, None), (false, own), (true, own)] {
+            let tables = Tables {
+                row_of_lane: &layout.row_of_lane,
+                slice_offsets: &layout.slice_offsets,
+                columns: &layout.columns,
+                values: &values,
+                x: &x,
+                own,
+            };
             let (mut plain, mut chosen) = (vec![0.25f32; 77 * 3], vec![0.25f32; 77 * 3]);
             for section in &layout.sections {
                 multiply(
@@ -300,6 +366,7 @@ mod tests {
                     &layout.columns,
                     &values,
                     &x,
+                    own,
                     &mut chosen,
                 );
             }
@@ -323,8 +390,48 @@ mod tests {
             &layout.columns,
             &values,
             &[1.0, 10.0, 100.0],
+            None,
             &mut y,
         );
         assert_eq!(y, [321.0, 654.0, 987.0]);
+    }
+
+    /// Three rows with masses on the diagonal and couplings of 1e9 between them.
+    #[test]
+    fn the_difference_form_keeps_translations_exactly() {
+        let layout = SellLayout::halo(&[0, 3, 6, 9], &[0, 1, 2, 0, 1, 2, 0, 1, 2], 0..3);
+        let mut values = vec![0.0; layout.slots() * BLOCK];
+        for (k, &address) in layout.block_address.iter().enumerate() {
+            for c in 0..BLOCK {
+                let diagonal = k / 3 == k % 3;
+                let mass = if c % 4 == 0 { 0.125 * (1 + k / 3) as f32 } else { 0.0 };
+                values[value_index(address, c)] = if diagonal { mass } else { -1e9 / (1 + c) as f32 };
+            }
+        }
+        let product = |x: &[f32]| {
+            let mut y = [0.0; 9];
+            let [sections, ..] = &layout.sections[..] else { panic!("sections") };
+            spmv(
+                &CpuExecutor::new(1),
+                sections.clone(),
+                false,
+                &layout.row_of_lane,
+                &layout.slice_offsets,
+                &layout.columns,
+                &values,
+                x,
+                Some(Own { x, diagonal: 0 }),
+                &mut y,
+            );
+            y
+        };
+        let t = [0.3f32, -7.0, 1e-3];
+        let moved: Vec<f32> = (0..9).map(|i| t[i % 3]).collect();
+        let expected: [f32; 9] = std::array::from_fn(|i| 0.125 * (1 + i / 3) as f32 * t[i % 3]);
+        assert_eq!(product(&moved), expected);
+        // One row alone moves: every other row gets its block times the difference.
+        let y = product(&[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(y[3..6], [-1e9, -1e9 / 4.0, -1e9 / 7.0]);
+        assert_eq!(y[0], 0.125 + 2e9);
     }
 }

@@ -27,7 +27,7 @@ pub(super) struct Sweeps {
     upper: Vec<f32>,
     diagonal_source: Vec<u32>,
     diagonal: Vec<f32>,
-    /// Blocks that couple chunks.
+    /// Blocks that couple chunks, in the form of the matrix ([`SellMatrix::difference`]).
     outer: SellMatrix,
     outer_blocks: Vec<OuterBlock>,
     /// Start of each own chunk's blocks to other chunks; one more than chunks.
@@ -120,7 +120,9 @@ impl Sweeps {
     }
 
     /// Copies the values of the matrix and sums them by chunk and group.
-    pub(super) fn set_values(&mut self, cpu: &CpuExecutor, values: &[f32], flags: &[f32]) -> Vec<GroupSums> {
+    pub(super) fn set_values(&mut self, cpu: &CpuExecutor, matrix: &SellMatrix, flags: &[f32]) -> Vec<GroupSums> {
+        let values = matrix.values.as_slice();
+        self.outer.difference = matrix.difference;
         self.pinned.clear();
         self.pinned.extend((0..self.rows as u32).filter(|&row| flags[(self.own_start + row as usize) * 3] == 0.0));
         let mut entries: Vec<GroupSums> = vec![Vec::new(); self.residual_sums.len()];
@@ -146,7 +148,8 @@ impl Sweeps {
         entries
     }
 
-    /// Copies the blocks inside a chunk; returns their sum over rows that are not pinned.
+    /// Copies the blocks inside a chunk; returns their sum over rows that are not pinned. In difference form the blocks
+    /// between free rows cancel each other, and a block of a free row in a pinned column counts with a minus.
     fn take_inner(
         &self,
         rows: Range<usize>,
@@ -166,8 +169,15 @@ impl Sweeps {
             for k in self.upper_offsets[row] as usize..self.upper_offsets[row + 1] as usize {
                 let Some(to) = upper.next() else { return sum };
                 *to = of(self.upper_source[k]);
-                if free(rows.start + self.upper_columns[k] as usize) {
-                    of_row.iter_mut().zip(&*to).for_each(|(sum, v)| *sum += v);
+                match (free(row), free(rows.start + self.upper_columns[k] as usize)) {
+                    (true, true) if !self.outer.difference => {
+                        of_row.iter_mut().zip(&*to).for_each(|(sum, v)| *sum += v);
+                    }
+                    (true, false) if self.outer.difference => (0..BLOCK).for_each(|c| sum[c] -= f64::from(to[c])),
+                    (false, true) if self.outer.difference => {
+                        (0..BLOCK).for_each(|c| sum[c] -= f64::from(to[c % 3 * 3 + c / 3]));
+                    }
+                    _ => {}
                 }
             }
             if free(row) {
@@ -179,7 +189,7 @@ impl Sweeps {
         sum
     }
 
-    /// Copies the blocks between chunk `chunk` and others.
+    /// Copies the blocks between chunk `chunk` and others. `entries`: that of the chunk itself is the first.
     fn take_outer(&self, chunk: usize, values: &[f32], flags: &[f32], outer: Shared, entries: &mut GroupSums) {
         for block in &self.outer_blocks[self.outer_offsets[chunk]..self.outer_offsets[chunk + 1]] {
             let of: [f32; BLOCK] = std::array::from_fn(|c| values[value_index(block.source, c)]);
@@ -187,7 +197,13 @@ impl Sweeps {
                 // SAFETY: every block has its own address.
                 unsafe { outer.part(value_index(block.target, c), 1)[0] = v };
             }
-            if flags[(self.own_start + block.row as usize) * 3] != 0.0 && flags[block.column as usize * 3] != 0.0 {
+            if flags[(self.own_start + block.row as usize) * 3] == 0.0 {
+                continue;
+            }
+            if self.outer.difference {
+                entries[0].1.iter_mut().zip(of).for_each(|(sum, v)| *sum -= f64::from(v));
+            }
+            if flags[block.column as usize * 3] != 0.0 {
                 add_block(entries, block.group, of);
             }
         }
@@ -211,6 +227,7 @@ impl Sweeps {
         let own = *own_start..*own_start + w.len();
         let blocks = Blocks {
             chunk_rows: self.chunk_rows,
+            difference: self.outer.difference,
             upper_offsets: &self.upper_offsets,
             upper_columns: &self.upper_columns,
             upper: &self.upper,

@@ -5,6 +5,9 @@
 //! v = (D' + U)^-1 D' (D' + L)^-1 r, u = SCALE v + z (z: the coarse correction, one vector per chunk), w = (L + D + U) u.
 //! A is symmetric, so only U is stored: each row adds the products with its transposed blocks to the rows below it. A
 //! chunk's blocks (about 260 bytes per row) are read from memory once and from the second-level cache twice.
+//!
+//! In difference form (`SellMatrix::difference`) D holds what acts on absolute velocity, and a block couples with
+//! u_j - u_i in w. The solves with D' + L and D' + U take the inverses of the whole diagonal blocks in either form.
 
 use std::ops::Range;
 
@@ -25,6 +28,8 @@ const LINE: usize = 16;
 pub(super) struct Blocks<'a> {
     /// Rows per chunk.
     pub chunk_rows: usize,
+    /// The form of the product w.
+    pub difference: bool,
     /// Start of each row's blocks above the diagonal; one more than rows.
     pub upper_offsets: &'a [u32],
     /// Column of each block, counted from the chunk's first row, ascending in a row.
@@ -133,7 +138,10 @@ pub(super) fn sweep(
                 *sum = unsafe { sweep_avx2(blocks, rows, update, correction, parts, &ahead, &mut scratch) };
                 continue;
             }
-            *sum = sweep_chunk::<Plain>(blocks, rows, update, correction, parts, &ahead, &mut scratch);
+            *sum = match blocks.difference {
+                false => sweep_chunk::<Plain, false>(blocks, rows, update, correction, parts, &ahead, &mut scratch),
+                true => sweep_chunk::<Plain, true>(blocks, rows, update, correction, parts, &ahead, &mut scratch),
+            };
         }
     });
 }
@@ -150,7 +158,10 @@ fn sweep_avx2(
     ahead: &Ahead,
     scratch: &mut Scratch,
 ) -> [f64; 2] {
-    sweep_chunk::<avx2::Vectors>(blocks, rows, update, correction, parts, ahead, scratch)
+    match blocks.difference {
+        false => sweep_chunk::<avx2::Vectors, false>(blocks, rows, update, correction, parts, ahead, scratch),
+        true => sweep_chunk::<avx2::Vectors, true>(blocks, rows, update, correction, parts, ahead, scratch),
+    }
 }
 
 /// Operations of a row on its blocks above the diagonal.
@@ -159,6 +170,11 @@ trait RowKernel {
     fn scatter(columns: &[u16], values: &[f32], sign: f32, v: [f32; 3], to: &mut [[f32; 4]]);
     /// Sums of block * v and block * u over the blocks of the row: three values each, padded to four.
     fn gather(columns: &[u16], values: &[f32], vu: &[[f32; 8]]) -> [f32; 8];
+    /// Sum of block * v over the blocks of the row, padded to four.
+    fn gather_v(columns: &[u16], values: &[f32], vu: &[[f32; 8]]) -> [f32; 4];
+    /// With d = u[column] - u of the row, for every block of the row: to[column] -= block' * d. Returns the sum of
+    /// block * d, padded to four.
+    fn couple(columns: &[u16], values: &[f32], u: [f32; 3], vu: &[[f32; 8]], to: &mut [[f32; 4]]) -> [f32; 4];
 }
 
 /// Scalar variant, for processors without wide vectors.
@@ -191,6 +207,36 @@ impl RowKernel for Plain {
         let [a, b, c] = sums;
         let of = |s: &[f32; 8], h: usize| s[h] + s[h + 1] + s[h + 2];
         [of(&a, 0), of(&b, 0), of(&c, 0), 0.0, of(&a, 4), of(&b, 4), of(&c, 4), 0.0]
+    }
+
+    #[inline(always)]
+    fn gather_v(columns: &[u16], values: &[f32], vu: &[[f32; 8]]) -> [f32; 4] {
+        let mut sums = [[0.0f32; 3]; 3];
+        for (&column, block) in columns.iter().zip(values.as_chunks::<9>().0) {
+            let known = &vu[column as usize];
+            for (row, sum) in sums.iter_mut().enumerate() {
+                (0..3).for_each(|l| sum[l] += block[row * 3 + l] * known[l]);
+            }
+        }
+        let [a, b, c] = sums.map(|s| s[0] + s[1] + s[2]);
+        [a, b, c, 0.0]
+    }
+
+    #[inline(always)]
+    fn couple(columns: &[u16], values: &[f32], u: [f32; 3], vu: &[[f32; 8]], to: &mut [[f32; 4]]) -> [f32; 4] {
+        let mut sums = [[0.0f32; 3]; 3];
+        for (&column, block) in columns.iter().zip(values.as_chunks::<9>().0) {
+            let (known, to) = (&vu[column as usize], &mut to[column as usize]);
+            let d: [f32; 3] = std::array::from_fn(|l| known[4 + l] - u[l]);
+            for (row, sum) in sums.iter_mut().enumerate() {
+                (0..3).for_each(|l| sum[l] += block[row * 3 + l] * d[l]);
+            }
+            for l in 0..3 {
+                to[l] -= block[l] * d[0] + block[3 + l] * d[1] + block[6 + l] * d[2];
+            }
+        }
+        let [a, b, c] = sums.map(|s| s[0] + s[1] + s[2]);
+        [a, b, c, 0.0]
     }
 }
 
@@ -248,11 +294,68 @@ mod avx2 {
                 out
             }
         }
+
+        #[inline(always)]
+        fn gather_v(columns: &[u16], values: &[f32], vu: &[[f32; 8]]) -> [f32; 4] {
+            assert!(values.len() >= columns.len() * 9 + 3);
+            // SAFETY: as in `scatter`.
+            unsafe {
+                let mut sums = [_mm_setzero_ps(); 3];
+                for (k, &column) in columns.iter().enumerate() {
+                    let known = _mm_loadu_ps(vu[column as usize].as_ptr());
+                    let block = values.as_ptr().add(k * 9);
+                    for (row, sum) in sums.iter_mut().enumerate() {
+                        // The fourth value is multiplied by zero.
+                        *sum = _mm_add_ps(*sum, _mm_mul_ps(_mm_loadu_ps(block.add(row * 3)), known));
+                    }
+                }
+                add_components(sums)
+            }
+        }
+
+        #[inline(always)]
+        fn couple(columns: &[u16], values: &[f32], u: [f32; 3], vu: &[[f32; 8]], to: &mut [[f32; 4]]) -> [f32; 4] {
+            assert!(values.len() >= columns.len() * 9 + 3);
+            // SAFETY: as in `scatter`.
+            unsafe {
+                let u = _mm_setr_ps(u[0], u[1], u[2], 0.0);
+                let mut sums = [_mm_setzero_ps(); 3];
+                for (k, &column) in columns.iter().enumerate() {
+                    // The fourth component is zero.
+                    let d = _mm_sub_ps(_mm_loadu_ps(vu[column as usize].as_ptr().add(4)), u);
+                    let block = values.as_ptr().add(k * 9);
+                    let rows = [0, 3, 6].map(|at| _mm_loadu_ps(block.add(at)));
+                    for (sum, row) in sums.iter_mut().zip(rows) {
+                        *sum = _mm_add_ps(*sum, _mm_mul_ps(row, d));
+                    }
+                    let [x, y, z] = [
+                        _mm_shuffle_ps::<0b00_00_00_00>(d, d),
+                        _mm_shuffle_ps::<0b01_01_01_01>(d, d),
+                        _mm_shuffle_ps::<0b10_10_10_10>(d, d),
+                    ];
+                    let [a, b, c] = rows;
+                    let sum = _mm_add_ps(_mm_mul_ps(a, x), _mm_mul_ps(b, y));
+                    let sum = _mm_add_ps(sum, _mm_mul_ps(c, z));
+                    let to = to[column as usize].as_mut_ptr();
+                    _mm_storeu_ps(to, _mm_sub_ps(_mm_loadu_ps(to), sum));
+                }
+                add_components(sums)
+            }
+        }
+    }
+
+    /// Sums of the first three components of each vector, and a zero.
+    #[inline(always)]
+    fn add_components(sums: [__m128; 3]) -> [f32; 4] {
+        // SAFETY: arrays of four floats.
+        let [a, b, c]: [[f32; 4]; 3] = unsafe { std::mem::transmute(sums) };
+        let of = |s: [f32; 4]| s[0] + s[1] + s[2];
+        [of(a), of(b), of(c), 0.0]
     }
 }
 
 #[inline(always)]
-fn sweep_chunk<K: RowKernel>(
+fn sweep_chunk<K: RowKernel, const DIFFERENCE: bool>(
     blocks: &Blocks,
     rows: Range<usize>,
     update: Option<(f32, f32)>,
@@ -282,7 +385,7 @@ fn sweep_chunk<K: RowKernel>(
     scratch.vu.resize(rows.len(), [0.0; 8]);
     scratch.w.clear();
     scratch.w.resize(rows.len(), [0.0; 4]);
-    backward::<K>(blocks, rows, inverses, correction, ahead, scratch);
+    backward::<K, DIFFERENCE>(blocks, rows, inverses, correction, ahead, scratch);
     for ((w, u), (new_w, new_vu)) in
         w.as_chunks_mut::<3>().0.iter_mut().zip(u.as_chunks_mut::<3>().0).zip(scratch.w.iter().zip(&scratch.vu))
     {
@@ -310,7 +413,7 @@ fn forward<K: RowKernel>(blocks: &Blocks, rows: Range<usize>, inverses: &[[f32; 
 
 /// Computes v, u and w of every row, from the last to the first.
 #[inline(always)]
-fn backward<K: RowKernel>(
+fn backward<K: RowKernel, const DIFFERENCE: bool>(
     blocks: &Blocks,
     rows: Range<usize>,
     inverses: &[[f32; 6]],
@@ -323,7 +426,13 @@ fn backward<K: RowKernel>(
     for (i, row) in rows.enumerate().rev() {
         ahead.fetch(blocks, last - i);
         let (columns, values) = blocks.above(row);
-        let sums = K::gather(columns, values, vu);
+        let sums = match DIFFERENCE {
+            false => K::gather(columns, values, vu),
+            true => {
+                let [x, y, z, _] = K::gather_v(columns, values, vu);
+                [x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0]
+            }
+        };
         let change = relaxed(&inverses[i], &[sums[0], sums[1], sums[2], 0.0]);
         let mut out = [0.0f32; 8];
         if inverses[i][0] != 0.0 {
@@ -335,6 +444,13 @@ fn backward<K: RowKernel>(
         vu[i] = out;
         let (a, b, c) = (out[4], out[5], out[6]);
         let own = times(&blocks.diagonal.as_chunks::<6>().0[row], &[a, b, c, 0.0]);
+        if DIFFERENCE {
+            let coupled = K::couple(columns, values, [a, b, c], vu, w);
+            for c in 0..3 {
+                w[i][c] += coupled[c] + own[c];
+            }
+            continue;
+        }
         for c in 0..3 {
             w[i][c] += sums[4 + c] + own[c];
         }
@@ -377,16 +493,13 @@ pub(super) fn product_sums(
             }
             *sum = [0.0; 4];
             for (w, u) in w.chunks(TILE * 3).zip(u[rows.start * 3..rows.end * 3].chunks(TILE * 3)) {
-                let mut of_tile = [0.0f32; 3];
+                // In f64: internal forces cancel in these sums.
                 for w in w.as_chunks::<3>().0 {
                     for c in 0..3 {
-                        of_tile[c] += w[c];
+                        sum[1 + c] += f64::from(w[c]);
                     }
                 }
                 sum[0] += dot_tile(w, u);
-                for c in 0..3 {
-                    sum[1 + c] += of_tile[c] as f64;
-                }
             }
         }
     });

@@ -39,15 +39,22 @@ impl Elements {
         }
     }
 
-    /// The records of `state` for a step over `span`.
-    pub(super) fn fill_records(&mut self, executor: &Executor, settings: &Settings, span: Span, state: &StateVectors) {
+    /// The records of `state` for a step over `span`. `ahead_s`: see [`StepParams::ahead_s`].
+    pub(super) fn fill_records(
+        &mut self,
+        executor: &Executor,
+        settings: &Settings,
+        span: Span,
+        ahead_s: f64,
+        state: &StateVectors,
+    ) {
         let params = |count: usize| StepParams {
             step_s: span.length_s as f32,
             air_density: settings.air_density_kg_m3 as f32,
             air_drag: settings.air_drag_kg_m2_s as f32,
             count: count as u32,
             wind: settings.wind_m_s.to_array(),
-            padding: 0.0,
+            ahead_s: ahead_s as f32,
         };
         let (x, v) = (&state.positions, &state.velocities);
         let (triangles, hinges) = (params(self.triangles.len()), params(self.hinges.len()));

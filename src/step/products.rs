@@ -24,7 +24,7 @@ impl Simulation {
         cloth.move_pins(&mut rank, span);
         cloth.find_contacts(&mut rank, span, &mut stats)?;
         cloth.state.exchange(&mut rank, cloth.solver.spmv.halo())?;
-        cloth.element_records(&mut rank, span);
+        cloth.element_records(&mut rank, span, span.length_s);
         cloth.fill_matrix(&mut rank, span);
         match self.executor.take_fault() {
             Some(fault) => Err(Failure::in_step(step, fault)),

@@ -121,6 +121,8 @@ pub struct StepStats {
     pub residual: f64,
     /// True if PCG met its tolerance.
     pub converged: bool,
+    /// Solves that broke off because p'Ap <= 0 beyond rounding, or because a value was not finite.
+    pub breakdowns: u32,
     /// Matrix-vector products.
     pub products: u32,
     /// Bytes this rank received for matrix-vector products.

@@ -12,7 +12,7 @@ use loomtree::integrator::scatter::Scatter;
 use loomtree::math::Vec3;
 use loomtree::model::{GlobalModel, RankModel};
 use loomtree::partition::RowPartition;
-use loomtree::solver::spmv::Spmv;
+use loomtree::solver::spmv::{OwnRows, Spmv};
 use loomtree::solver::vector::VectorOps;
 use support::device;
 use support::seeded::Seeded;
@@ -94,7 +94,7 @@ fn assemble(executor: &Executor, part: &RankModel) -> Assembled {
         air_drag: 0.1,
         count: count as u32,
         wind: [3.0, -1.0, 2.0],
-        padding: 0.0,
+        ahead_s: 0.004,
     };
     Stretch::new(executor).apply(
         executor,
@@ -202,9 +202,11 @@ fn products(executor: &Executor, part: &RankModel, values: &[f32], x: &[f32]) ->
     matrix.values.write_range(executor, 0, values);
     let (spmv, device_x, mut y) =
         (Spmv::new(executor), DeviceVec::upload(executor, x), DeviceVec::zeros(executor, rows * 3));
+    let start = part.plan.own.start;
+    let own = OwnRows { x: &device_x, start, diagonal: start as u32 };
     for section in 0..2 {
-        spmv.apply(executor, &matrix, section, false, &device_x, &mut y);
-        spmv.apply_host(executor, &matrix, section, true, x, &mut y);
+        spmv.apply(executor, &matrix, section, false, &device_x, start, &mut y);
+        spmv.apply_host(executor, &matrix, section, true, x, own, &mut y);
     }
     let found = y.read(executor);
     assert_eq!(executor.take_fault(), None);

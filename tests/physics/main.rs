@@ -8,5 +8,6 @@ mod contact_scenes;
 mod motion;
 mod pins;
 mod rest;
+mod stiff;
 mod substeps;
 mod system;

@@ -224,7 +224,7 @@ fn rank_rows(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement])
         air_drag: DRAG_KG_M2_S as f32,
         count: count as u32,
         wind: WIND.as_vec3().to_array(),
-        padding: 0.0,
+        ahead_s: STEP_S as f32,
     };
     let fabrics = DeviceVec::upload(&ex, &arrays.fabrics);
     let (x, v) = (DeviceVec::upload(&ex, &arrays.positions), DeviceVec::upload(&ex, &arrays.velocities));
@@ -259,15 +259,17 @@ fn rank_rows(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement])
     );
 
     let mut a = vec![vec![0.0; model.rows() * 3]; own.len() * 3];
-    add_blocks(&ex, &matrix, &global_from_local, &mut a);
+    let first = plan.global_from_local[own.start] as usize;
+    add_blocks(&ex, &matrix, &global_from_local, first, &mut a);
     if let Some(matrix) = system.matrix() {
-        add_blocks(&ex, matrix, &global_from_local, &mut a);
+        add_blocks(&ex, matrix, &global_from_local, first, &mut a);
     }
-    RankRows { first: plan.global_from_local[own.start] as usize, a, b: b.read(&ex) }
+    RankRows { first, a, b: b.read(&ex) }
 }
 
-/// Adds what a matrix stores to rows over all global columns.
-fn add_blocks(ex: &Executor, matrix: &SellMatrix, global_from_local: &[u32], a: &mut [Vec<f32>]) {
+/// Adds what a matrix stores to rows over all global columns; `first`: global row of the first own row. In difference
+/// form a block off the diagonal also counts in the diagonal block, with a minus.
+fn add_blocks(ex: &Executor, matrix: &SellMatrix, global_from_local: &[u32], first: usize, a: &mut [Vec<f32>]) {
     let (rows, slices) = (matrix.row_of_lane.read(ex), matrix.slice_offsets.read(ex));
     let (columns, values) = (matrix.columns.read(ex), matrix.values.read(ex));
     for (i, &row) in rows.iter().enumerate().filter(|(_, row)| **row != NO_ROW) {
@@ -275,7 +277,12 @@ fn add_blocks(ex: &Executor, matrix: &SellMatrix, global_from_local: &[u32], a: 
             let address = slot * LANES as u32 + (i % LANES) as u32;
             let column = global_from_local[columns[address as usize] as usize] as usize;
             for c in 0..9 {
-                a[row as usize * 3 + c / 3][column * 3 + c % 3] += values[value_index(address, c)];
+                let (value, of_row) = (values[value_index(address, c)], &mut a[row as usize * 3 + c / 3]);
+                of_row[column * 3 + c % 3] += value;
+                let diagonal = first + row as usize;
+                if matrix.difference && column != diagonal {
+                    of_row[diagonal * 3 + c % 3] -= value;
+                }
             }
         }
     }

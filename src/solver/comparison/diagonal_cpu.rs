@@ -19,12 +19,12 @@ pub(super) fn fill_diagonal(
     cpu.for_ranges_mut(inverse_diagonal, 6, 64, |range, inverse| {
         for (row, inverse) in range.zip(inverse.chunks_exact_mut(6)) {
             // The diagonal block, and a scratch block that receives all other contributions.
-            let mut blocks = [[0.0; BLOCK]; 2];
+            let (mut blocks, mut absolute) = ([[0.0; BLOCK]; 2], [0.0; BLOCK]);
             let mut force = Vec3::from(params.gravity) * inputs.masses[row];
             let positions = |entry: u32| std::array::from_fn(|corner| u16::from(corner as u32 != entry & 3));
             for i in inputs.triangle_offsets[row] as usize..inputs.triangle_offsets[row + 1] as usize {
                 let entry = inputs.triangle_entries[i];
-                add_triangle(inputs, entry, positions(entry), &mut blocks, &mut force);
+                add_triangle(inputs, entry, positions(entry), &mut blocks, &mut absolute, &mut force);
             }
             for i in inputs.hinge_offsets[row] as usize..inputs.hinge_offsets[row + 1] as usize {
                 let entry = inputs.hinge_entries[i];
@@ -38,7 +38,7 @@ pub(super) fn fill_diagonal(
             if let Some(&slot) = inputs.contact_slots.get(row)
                 && slot != NO_SLOT
             {
-                add_contacts(inputs, slot as usize, &mut diagonal, &mut impulse);
+                add_contacts(inputs, slot as usize, [&mut diagonal], &mut impulse);
             }
             // SAFETY: the row's own entries.
             unsafe { rhs.part(row * 3, 3) }.copy_from_slice(&impulse);

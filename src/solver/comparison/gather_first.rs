@@ -34,9 +34,9 @@ impl Operator for GatherFirst<'_> {
         for (stage, v_j) in self.gathered.iter_mut().enumerate() {
             self.spmv.receive_sub_vector(rank, stage, v_j)?;
         }
-        self.spmv.multiply_own_block(rank, &self.matrix, false, w);
+        self.spmv.multiply_own_block(rank, &self.matrix, false, u, w);
         for (stage, v_j) in self.gathered.iter().enumerate() {
-            self.spmv.add_block(rank, &self.matrix, stage, v_j, w);
+            self.spmv.add_block(rank, &self.matrix, stage, v_j, u, w);
         }
         Ok(())
     }

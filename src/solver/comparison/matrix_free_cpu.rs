@@ -71,14 +71,15 @@ pub(super) fn triangle_terms(
     });
 }
 
-/// h k sum(g_b . x_b) of every hinge, with g of its record. Bytes per hinge: 48 + 64 read, 4 written.
+/// h k sum(g_b . (x_b - x_0)) of every hinge, with g of its record: the g_b sum to zero. Bytes per hinge: 48 + 64 read, 4 written.
 pub(super) fn hinge_terms(cpu: &CpuExecutor, hinges: &[HingeElement], records: &[f32], x: &[f32], terms: &mut [f32]) {
     cpu.for_ranges_mut(terms, 1, 64, |range, terms| {
         let records = records[range.start * HINGE_RECORD_FLOATS..].as_chunks::<HINGE_RECORD_FLOATS>().0;
         for ((hinge, r), term) in hinges[range].iter().zip(records).zip(terms) {
-            let mut sum = 0.0;
-            for (corner, &v) in hinge.vertices.iter().enumerate() {
-                sum += Vec3::new(r[corner * 4], r[corner * 4 + 1], r[corner * 4 + 2]).dot(at(x, v as usize));
+            let (mut sum, first) = (0.0, at(x, hinge.vertices[0] as usize));
+            for (corner, &v) in hinge.vertices.iter().enumerate().skip(1) {
+                let g = Vec3::new(r[corner * 4], r[corner * 4 + 1], r[corner * 4 + 2]);
+                sum += g.dot(at(x, v as usize) - first);
             }
             *term = sum * r[3];
         }
