@@ -36,6 +36,7 @@ use own_state::StateVectors;
 use span::Span;
 pub use stats::{QueryStats, StageSeconds, StepStats};
 use stats::{StageClock, peak_resident_bytes};
+pub use substeps::parts_of_step;
 pub use system::ExchangePlan;
 use system::{Assembled, ColumnOrder, StepMatrix, System};
 
@@ -92,6 +93,8 @@ struct RankCloth {
     pins_move: bool,
     /// See [`STIFF`].
     stiff: bool,
+    /// See [`crate::model::GlobalModel::stiffness_ratio`].
+    stiffness_ratio: f64,
     /// True until the first step from the start state or from a state that was set.
     state_is_new: bool,
     motions: Vec<Motion>,
@@ -184,6 +187,7 @@ impl RankCloth {
             pins: Pins::new(pins),
             pins_move,
             stiff: stiffness_ratio >= STIFF,
+            stiffness_ratio,
             state_is_new: true,
             motions,
             state: StateVectors::new(executor, &arrays, plan.own.clone()),

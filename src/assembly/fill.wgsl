@@ -84,16 +84,21 @@ fn triangle_force(e: u32, a: u32) -> vec3<f32> {
     return vec3<f32>(r3.w, r4.w, r5.w) - (r4.xyz * w.x + r5.xyz * w.y);
 }
 
-// Sum of the air blocks of triangle e over its corners: 3 ((normal - tangent) n n' + tangent I).
+// Sum of the air blocks of triangle e over its corners: 3 ((normal - tangent) n n' + tangent I), symmetric bit for bit.
 fn air_sum(e: u32) -> mat3x3<f32> {
     let r3 = triangle_records[e * 6u + 3u];
     let normal = cross(triangle_records[e * 6u].xyz, triangle_records[e * 6u + 1u].xyz);
     let n = normal * (1.0 / max(sqrt(dot(normal, normal)), 1e-30));
-    var block = outer(n * (3.0 * (r3.y - r3.z)), n);
-    block[0].x += 3.0 * r3.z;
-    block[1].y += 3.0 * r3.z;
-    block[2].z += 3.0 * r3.z;
-    return block;
+    let scaled = n * (3.0 * (r3.y - r3.z));
+    let tangent = 3.0 * r3.z;
+    let xy = scaled.x * n.y;
+    let xz = scaled.x * n.z;
+    let yz = scaled.y * n.z;
+    return mat3x3<f32>(
+        scaled.x * n.x + tangent, xy, xz,
+        xy, scaled.y * n.y + tangent, yz,
+        xz, yz, scaled.z * n.z + tangent,
+    );
 }
 
 // Block (a, b) of triangle e.

@@ -1,7 +1,8 @@
 //! CPU twin of `fill.wgsl`: one row at a time, contributions in ascending element order, triangles before hinges.
 //!
-//! The matrix is stored in difference form (`SellMatrix::difference`): the blocks of an internal element sum to zero over
-//! its corners, so their part of the diagonal block is minus the sum of the other blocks of the row and is not stored.
+//! The matrix is stored in difference form (`SellMatrix::difference`): the blocks of an internal element sum to zero
+//! over its corners, so their part of the diagonal block is minus the sum of the other blocks of the row and is not
+//! stored.
 //! Mass, air drag and contacts act on absolute velocity and remain. In f32 a whole diagonal block loses the mass where
 //! stiffness dt^2 / mass passes 1e5.
 

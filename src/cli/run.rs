@@ -6,9 +6,12 @@ use super::CliError;
 use super::far::far_line;
 use super::start_state::{Places, untangled_line};
 use crate::coordinator::{GivenOptions, Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan};
+use crate::model::stiffness_ratio;
 use crate::os::console::note;
 use crate::os::signals;
 use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest};
+use crate::scene::Substeps;
+use crate::step::parts_of_step;
 use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
@@ -55,6 +58,13 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     }
     for line in &plan.scene.warnings {
         note(format_args!("warning: {line}"));
+    }
+    let (ratio, parts) = (stiffness_ratio(&plan.scene), parts_of_step(stiffness_ratio(&plan.scene)));
+    if parts > 1 && plan.scene.settings.substeps == Substeps::Auto {
+        note(format_args!(
+            "every step is made in {parts} parts: the cloth is too stiff or its cells are too small for single \
+             precision (k dt^2 / (rho h^2) = {ratio:.1e})"
+        ));
     }
     for line in &plan.scene.left_out {
         note(format_args!("left out: {line}"));

@@ -54,15 +54,10 @@ impl GlobalModel {
         let mut masses = vec![0.0f64; mesh.positions.len()];
         let mut areas = vec![0.0f64; mesh.triangles.len()];
         let mut triangles = Vec::with_capacity(mesh.triangles.len());
-        let mut stiffness_ratio = 0.0f64;
         for (t, (corners, uv)) in mesh.triangles.iter().zip(&mesh.material_uv).enumerate() {
             let fabric = scene.fabric_of_triangle[t];
             let element = triangle_element(corners.map(map), fabric as u32, *uv);
             areas[t] = rest_area(uv);
-            let [warp, _, weft, shear] = scene.fabrics[fabric as usize].stretching_n_m[0];
-            let (k, rho) = (warp.max(weft).max(shear), scene.fabrics[fabric as usize].density_kg_m2);
-            let ratio = k / rho * (scene.settings.step_s / f64::from(element.smallest_altitude_m())).powi(2);
-            stiffness_ratio = stiffness_ratio.max(ratio);
             for &v in corners {
                 masses[map(v) as usize] += areas[t] * scene.fabrics[fabric as usize].density_kg_m2 / 3.0;
             }
@@ -108,7 +103,7 @@ impl GlobalModel {
             motions: scene.motions.clone(),
             friction: original_from_global.iter().map(|&v| scene.friction_of_vertex(v) as f32).collect(),
             obstacles: Obstacles::new(&scene.obstacles),
-            stiffness_ratio,
+            stiffness_ratio: stiffness_ratio(scene),
             settings: scene.settings.clone(),
             original_from_global,
         }
@@ -130,6 +125,17 @@ impl GlobalModel {
     pub fn rows(&self) -> usize {
         self.masses.len()
     }
+}
+
+/// [`GlobalModel::stiffness_ratio`] of a scene.
+pub fn stiffness_ratio(scene: &Scene) -> f64 {
+    let of_triangle = |(&fabric, uv): (&u16, &[Vec2; 3])| {
+        let (fabric, element) = (&scene.fabrics[usize::from(fabric)], triangle_element([0, 1, 2], 0, *uv));
+        let [warp, _, weft, shear] = fabric.stretching_n_m[0];
+        let steps_per_cell = scene.settings.step_s / f64::from(element.smallest_altitude_m());
+        warp.max(weft).max(shear) / fabric.density_kg_m2 * steps_per_cell.powi(2)
+    };
+    scene.fabric_of_triangle.iter().zip(&scene.mesh.material_uv).map(of_triangle).fold(0.0, f64::max)
 }
 
 fn rest_area(uv: &[Vec2; 3]) -> f64 {

@@ -8,6 +8,6 @@ mod rank;
 mod state;
 
 pub use collision::{CollisionArrays, CollisionModel, PinSpan};
-pub use global::GlobalModel;
+pub use global::{GlobalModel, stiffness_ratio};
 pub use rank::{RankArrays, RankModel, RankModelError};
 pub use state::{NotFinite, RankState, RankStateError, State, hash_words};

@@ -205,7 +205,7 @@ pub struct StepRecord {
     pub residual: f64,
     /// True if the requested residual was reached.
     pub converged: bool,
-    /// Solves that broke off; omitted if none did. `halvings` counts the steps that were made in two for this reason, too.
+    /// Solves that broke off; omitted if none did. `halvings` also counts the steps that were halved for this reason.
     #[serde(skip_serializing_if = "is_none")]
     pub breakdowns: u32,
     /// Seconds per stage of the slowest rank. `total` is measured by the coordinator.

@@ -51,8 +51,8 @@ impl Spmv {
         Spmv { upload: RefCell::new(None) }
     }
 
-    /// y = A x, or y += A x with `accumulate`, for the rows of `section`. `x`: xyz per column, with the own rows from row
-    /// `own_start` on; `y`: xyz per own row.
+    /// y = A x, or y += A x with `accumulate`, for the rows of `section`. `x`: xyz per column, with the own rows from
+    /// row `own_start` on; `y`: xyz per own row.
     #[expect(clippy::too_many_arguments, reason = "as `apply_host`, with x on the executor")]
     pub fn apply(
         &self,

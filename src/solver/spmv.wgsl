@@ -16,7 +16,7 @@ struct SpmvParams {
     own_start: u32,
     // Column of the diagonal block of row 0.
     diagonal: u32,
-    padding0: u32,
+    padding: u32,
 }
 
 const LANES: u32 = 16u;

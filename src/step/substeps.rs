@@ -20,6 +20,12 @@ const SHORTEST_S: f64 = 0.004;
 /// Farthest relative motion within a sub-step, in cells of the mesh.
 const CELLS_MOST: f64 = 0.25;
 
+/// Largest k dt^2 / (rho h^2) of one solve: f32 keeps the rotation of a sheet to eps k dt^2 / (rho h L), which is 2 % in
+/// cells of L / 30.
+const STIFFEST: f64 = 1e7;
+/// Maximum number of equal parts of a step.
+const PARTS_MAX: f64 = 64.0;
+
 impl RankCloth {
     /// Advances over a step, in the sub-steps that `simulation.substeps` asks for.
     pub(super) fn advance_in_parts(
@@ -38,11 +44,20 @@ impl RankCloth {
                 true => done + self.part(rank, step, done, parts)?,
                 false => done + 1,
             };
-            self.advance_over(rank, step.part(done..next, parts), 0, stats)?;
-            stats.substeps += 1;
+            let part = step.part(done..next, parts);
+            let pieces = if chosen { self.pieces(part) } else { 1 };
+            for piece in 0..pieces {
+                self.advance_over(rank, part.part(piece..piece + 1, pieces), 0, stats)?;
+            }
+            stats.substeps += pieces;
             done = next;
         }
         Ok(())
+    }
+
+    /// Equal pieces in which extremely stiff cloth is advanced over `part`.
+    fn pieces(&self, part: Span) -> u32 {
+        parts_of_step(self.stiffness_ratio * (part.length_s / self.settings.step_s).powi(2))
     }
 
     /// Length of the next part in units of the step / `parts`, where `done` of them are behind: a power of two that
@@ -78,6 +93,12 @@ impl RankCloth {
         let (low, high) = bounds(of_ranks.chain(obstacles));
         Ok((high - low).length())
     }
+}
+
+/// Equal parts in which a step is made so that single precision can tell the motion of cloth of this
+/// [`crate::model::GlobalModel::stiffness_ratio`]; 1 for all but extremely stiff or finely graded cloth.
+pub fn parts_of_step(stiffness_ratio: f64) -> u32 {
+    (stiffness_ratio / STIFFEST).sqrt().ceil().clamp(1.0, PARTS_MAX) as u32
 }
 
 /// The most sub-steps that the program chooses for a step of this length, a power of two.

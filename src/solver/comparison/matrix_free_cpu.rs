@@ -71,7 +71,8 @@ pub(super) fn triangle_terms(
     });
 }
 
-/// h k sum(g_b . (x_b - x_0)) of every hinge, with g of its record: the g_b sum to zero. Bytes per hinge: 48 + 64 read, 4 written.
+/// h k sum(g_b . (x_b - x_0)) of every hinge, with g of its record: the g_b sum to zero. Bytes per hinge: 48 + 64
+/// read, 4 written.
 pub(super) fn hinge_terms(cpu: &CpuExecutor, hinges: &[HingeElement], records: &[f32], x: &[f32], terms: &mut [f32]) {
     cpu.for_ranges_mut(terms, 1, 64, |range, terms| {
         let records = records[range.start * HINGE_RECORD_FLOATS..].as_chunks::<HINGE_RECORD_FLOATS>().0;
