@@ -52,7 +52,7 @@ fn fill_point_cache(directory: &RunDirectory, mesh: &TriangleMesh, frames: u32) 
         return Err(Pc2Error::Gap { path, frame: frames, samples: whole }.into());
     }
     // A killed conversion leaves a file that the next start sweeps.
-    let new = path.with_extension("pc2.part");
+    let new = path.with_file_name(".cloth.pc2.part");
     let fill = || -> Result<(), FramesError> {
         let mut cache = Pc2Writer::open(&new, mesh.positions.len(), 0)?;
         for frame in 0..frames {

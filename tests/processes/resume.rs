@@ -149,5 +149,5 @@ fn a_resumed_run_takes_up_other_formats() {
     place.write("turned/frames/frame_000002.ply", frame);
     let ended = place.run("run --resume --out turned --frames 5 --format pc2").expect(1);
     assert!(ended.error().contains("frame 2 in turned/frames is of another mesh than the run"), "{}", ended.story);
-    assert!(!place.path("turned/cloth.pc2").exists() && !place.path("turned/cloth.pc2.part").exists());
+    assert!(!place.path("turned/cloth.pc2").exists() && !place.path("turned/.cloth.pc2.part").exists());
 }
