@@ -7,7 +7,9 @@ mod adjacency;
 mod crossings;
 mod file_mesh;
 mod intersect;
+mod irregular;
 mod material;
+mod nested;
 mod obj;
 mod order;
 mod ply;
@@ -29,6 +31,7 @@ pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection}
 pub use file_mesh::{FileMesh, MaterialSource, MeshOptions, extent};
 pub use intersect::edge_crosses_triangle;
 pub use material::{TextureFit, flatten_triangle, flatten_triangles};
+pub use nested::{LEVELS_MAX, NestedSheet, Outline};
 pub use obj::parse_obj;
 pub(crate) use obj::parse_obj_far;
 pub use order::{locality_order, middle, vertex_order};

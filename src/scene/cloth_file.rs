@@ -1,11 +1,12 @@
 //! `[[cloth]]` and `[[fabric]]` of the TOML scene format.
 
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
 use crate::math::{DQuat, DVec3};
-use crate::mesh::{FileMesh, MaterialSource};
+use crate::mesh::{FileMesh, MaterialSource, Outline};
 
-use super::cloth_source::{ClothSource, Shape, SheetSource, StartVelocity, UnplacedCloth};
+use super::cloth_source::{ClothSource, Shape, SheetKind, SheetSource, StartVelocity, UnplacedCloth};
 use super::fields::{Fields, Value};
 use super::files::find;
 use super::placement::{Placement, unplaced_mesh};
@@ -55,15 +56,18 @@ pub(super) const CLOTH_FIELDS: [&str; 14] = [
     "friction",
 ];
 
+const SHEET_FIELDS: [&str; 4] = ["size_m", "radius_m", "triangles", "mesh"];
+
 /// Triangles of every cloth's sheet (0 for a mesh). Without a count of its own, a sheet gets a share of the scene's
 /// resolution in proportion to its area.
 pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<f64>, SceneError> {
     let mut areas = Vec::new();
     let mut given = Vec::new();
     for cloth in cloths {
-        let sheet = cloth.table("sheet", &["size_m", "triangles"])?;
-        let area = sheet.optional("size_m", |value| Ok(value.numbers::<2>()?.iter().product::<f64>().abs()))?;
-        areas.push(area.unwrap_or(0.0));
+        let sheet = cloth.table("sheet", &SHEET_FIELDS)?;
+        let rectangle = sheet.optional("size_m", |value| Ok(value.numbers::<2>()?.iter().product::<f64>().abs()))?;
+        let disc = sheet.optional("radius_m", |value| Ok(PI * value.positive()?.powi(2)))?;
+        areas.push(rectangle.or(disc).unwrap_or(0.0));
         given.push(sheet.optional("triangles", |value| value.whole(RESOLUTIONS))?);
     }
     let area: f64 = areas.iter().sum();
@@ -152,14 +156,25 @@ fn sheet(fields: &Fields, triangles: f64, placement: Placement) -> Result<SheetS
     if let Some(key) = ["material", "scale", "weld_m"].into_iter().find(|key| fields.get(key).is_some()) {
         return Err(fields.error_at(key, "belongs to a cloth with a `mesh`; this one has a `sheet`"));
     }
-    let size = fields.table("sheet", &["size_m", "triangles"])?.required("size_m")?;
-    let size_m = size.numbers::<2>()?;
-    if size_m.iter().any(|&side| side <= 0.0) {
-        return Err(size.error("both sides must be above 0"));
-    }
+    let sheet = fields.table("sheet", &SHEET_FIELDS)?;
+    let kinds = [("irregular", SheetKind::Irregular), ("grid", SheetKind::Grid)];
+    let kind = sheet.or("mesh", SheetKind::Irregular, |value| value.choice(&kinds))?;
+    let outline = match (sheet.get("size_m"), sheet.get("radius_m")) {
+        (Some(_), Some(radius)) => return Err(radius.error("a sheet has either `size_m` or `radius_m`")),
+        (None, Some(radius)) if kind == SheetKind::Grid => return Err(radius.error("a round sheet has no grid")),
+        (None, Some(radius)) => Outline::Disc(radius.positive()?),
+        _ => {
+            let size = sheet.required("size_m")?;
+            let size_m = size.numbers::<2>()?;
+            if size_m.iter().any(|&side| side <= 0.0) {
+                return Err(size.error("both sides must be above 0"));
+            }
+            Outline::Rectangle(size_m)
+        }
+    };
     let planes = [("xy", [DVec3::X, DVec3::Y]), ("xz", [DVec3::X, DVec3::NEG_Z]), ("yz", [DVec3::Y, DVec3::Z])];
     let axes = fields.or("plane", planes[0].1, |value| value.choice(&planes))?;
-    Ok(SheetSource { size_m, axes, placement, triangles, at: fields.place_at("sheet") })
+    Ok(SheetSource { outline, axes, placement, triangles, kind, at: fields.place_at("sheet") })
 }
 
 fn named_fabric(value: &Value, fabrics: &[Fabric], path: &Path) -> Result<Fabric, SceneError> {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::math::{DVec3, FAR_M, Vec3, bounds, local_origin};
-use crate::mesh::FileMesh;
+use crate::mesh::{FileMesh, Outline};
 
 use super::SceneError;
 use super::error::Place;
@@ -25,23 +25,33 @@ pub(super) struct ClothSource {
 /// Geometry of a piece of cloth.
 #[derive(Clone, Debug)]
 pub(super) enum Shape {
-    /// A rectangle, meshed at the requested resolution.
+    /// A rectangle or disc, meshed at the requested resolution.
     Sheet(SheetSource),
     /// A mesh from a file, placed relative to the scene's local origin; the same at every resolution.
     Mesh(FileMesh),
 }
 
-/// A rectangle of cloth.
+/// A rectangle or disc of cloth.
 #[derive(Clone, Debug)]
 pub(super) struct SheetSource {
-    pub size_m: [f64; 2],
+    pub outline: Outline,
     /// Directions of warp and weft before the placement.
     pub axes: [DVec3; 2],
     /// In coordinates relative to the scene's local origin.
     pub placement: Placement,
     /// Triangles at the scene's own resolution. It is a fraction, so that the shares of several sheets add up.
     pub triangles: f64,
+    pub kind: SheetKind,
     pub at: Place,
+}
+
+/// How a sheet is meshed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum SheetKind {
+    /// Irregular triangles with nested levels.
+    Irregular,
+    /// A regular grid.
+    Grid,
 }
 
 /// Start velocity of the vertices, m/s.
@@ -77,8 +87,10 @@ impl UnplacedCloth {
         match &self.source.shape {
             Shape::Mesh(file) => self.placement.bounds(&file.mesh.positions, file.base),
             Shape::Sheet(sheet) => {
-                let [u, v] = [0, 1].map(|side| sheet.axes[side] * sheet.size_m[side]);
-                bounds([DVec3::ZERO, u, v, u + v].map(|corner| self.placement.point(corner)))
+                let [low, high] = sheet.outline.bounds();
+                let corners = [[low.x, low.y], [high.x, low.y], [low.x, high.y], [high.x, high.y]];
+                let in_space = |[u, v]: [f64; 2]| sheet.axes[0] * u + sheet.axes[1] * v;
+                bounds(corners.map(|corner| self.placement.point(in_space(corner))))
             }
         }
     }

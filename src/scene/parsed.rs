@@ -6,12 +6,13 @@
 use std::path::PathBuf;
 
 use crate::math::DVec3;
-use crate::mesh::extent;
+use crate::mesh::{NestedSheet, extent};
 
 use super::cloth_source::{ClothSource, Shape};
 use super::error::Place;
 use super::pieces::{Piece, merge, obstacle_warning, size_warning};
 use super::pins::{self, PinSource};
+use super::sheet::SheetMesh;
 use super::start::{Start, StartState};
 use super::{Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling};
 
@@ -43,7 +44,33 @@ impl ParsedScene {
     /// # Errors
     /// The resolution is invalid, a pin selects no vertex at it, or the start state crosses itself.
     pub fn at(&self, overrides: &Overrides) -> Result<Scene, SceneError> {
-        self.build(overrides, &mut StartState::default())
+        self.build(overrides, 0, &mut StartState::default())
+    }
+
+    /// Like [`ParsedScene::at`], but every sheet is `coarsenings` levels coarser: it has a fourth of the triangles per
+    /// level, and its vertices are the first ones of the same sheet in the finer scene. [`ParsedScene::nested_at`] tells
+    /// how the others follow from them. Meshes from files stay as they are.
+    ///
+    /// # Errors
+    /// Those of [`ParsedScene::at`], and a sheet that has no such level: a grid, or one of less than 128 triangles.
+    pub fn coarser_at(&self, overrides: &Overrides, coarsenings: usize) -> Result<Scene, SceneError> {
+        self.build(overrides, coarsenings, &mut StartState::default())
+    }
+
+    /// The levels of every piece that [`ParsedScene::at`] makes, in the order of `Scene::cloths`; none for grids and for
+    /// meshes from files.
+    ///
+    /// # Errors
+    /// The resolution or a sheet is invalid.
+    pub fn nested_at(&self, overrides: &Overrides) -> Result<Vec<Option<NestedSheet>>, SceneError> {
+        let factor = self.resolution_factor(overrides.resolution)?;
+        let levels = |cloth| {
+            Ok(match Piece::new(cloth, factor, 0)?.sheet {
+                Some(SheetMesh::Nested { sheet, .. }) => Some(sheet),
+                _ => None,
+            })
+        };
+        self.cloths.iter().map(levels).collect()
     }
 
     /// Like [`ParsedScene::at`], but a start state that crosses is untangled if possible. The scene then starts at the
@@ -53,13 +80,14 @@ impl ParsedScene {
     /// Those of [`ParsedScene::at`]; [`SceneError::Crossing`] then holds the best state that was reached.
     pub fn untangled_at(&self, overrides: &Overrides) -> Result<(Scene, Option<Untangling>), SceneError> {
         let mut start = StartState { untangle: true, untangled: None };
-        let scene = self.build(overrides, &mut start)?;
+        let scene = self.build(overrides, 0, &mut start)?;
         Ok((scene, start.untangled))
     }
 
-    fn build(&self, overrides: &Overrides, start: &mut StartState) -> Result<Scene, SceneError> {
+    fn build(&self, overrides: &Overrides, coarsenings: usize, start: &mut StartState) -> Result<Scene, SceneError> {
         let factor = self.resolution_factor(overrides.resolution)?;
-        let pieces = self.cloths.iter().map(|cloth| Piece::new(cloth, factor)).collect::<Result<Vec<Piece>, _>>()?;
+        let piece = |cloth| Piece::new(cloth, factor, coarsenings);
+        let pieces = self.cloths.iter().map(piece).collect::<Result<Vec<Piece>, _>>()?;
         let settings = Settings { frames: overrides.frames.unwrap_or(self.settings.frames), ..self.settings.clone() };
         let mut merged = merge(&pieces, settings.friction).map_err(|what| self.cloths_at.error(what))?;
         let mut held: Vec<Pin> = Vec::new();
@@ -112,7 +140,10 @@ impl ParsedScene {
                     self.warnings.extend(size_warning(&format!("`{}`", cloth.name), mesh.extent(), thickness_m));
                     mesh.extent()
                 }
-                Shape::Sheet(sheet) => sheet.size_m[0].max(sheet.size_m[1]),
+                Shape::Sheet(sheet) => {
+                    let [low, high] = sheet.outline.bounds();
+                    (high - low).max_element()
+                }
             });
         }
         for (_, obstacle) in self.obstacles.iter().enumerate().filter(|(i, _)| from_file(*i)) {

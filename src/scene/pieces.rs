@@ -3,10 +3,11 @@
 use std::borrow::Cow;
 
 use crate::math::{DVec2, DVec3, Vec3};
-use crate::mesh::{FileMesh, Part, TriangleMesh, validate};
+use crate::mesh::{FileMesh, NestedSheet, Outline, Part, TriangleMesh, validate};
 
-use super::cloth_source::{ClothSource, Shape, StartVelocity};
-use super::{Cloth, Fabric, SceneError, Sheet, sheet_cells};
+use super::cloth_source::{ClothSource, Shape, SheetKind, SheetSource, StartVelocity};
+use super::sheet::SheetMesh;
+use super::{Cloth, Fabric, SceneError, sheet_cells};
 
 /// One piece of cloth in its start state.
 pub(super) struct Piece<'a> {
@@ -14,17 +15,18 @@ pub(super) struct Piece<'a> {
     /// The placed mesh. Pins name vertices by their number in the file.
     pub cloth: Cow<'a, FileMesh>,
     /// Present if the piece is a generated sheet.
-    pub sheet: Option<Sheet>,
+    pub sheet: Option<SheetMesh>,
 }
 
 impl<'a> Piece<'a> {
-    /// Makes the piece; a sheet has `factor` times the triangles that its scene states.
-    pub(super) fn new(source: &'a ClothSource, factor: f64) -> Result<Piece<'a>, SceneError> {
+    /// Makes the piece. A sheet has `factor` times the triangles that its scene states, then it is taken `coarsenings`
+    /// levels coarser.
+    pub(super) fn new(source: &'a ClothSource, factor: f64, coarsenings: usize) -> Result<Piece<'a>, SceneError> {
         let (cloth, sheet) = match &source.shape {
             Shape::Mesh(mesh) => (Cow::Borrowed(mesh), None),
             Shape::Sheet(sheet) => {
-                let cells = sheet_cells(sheet.size_m, (sheet.triangles * factor).round().max(2.0) as u64);
-                let uv = cells.coordinates(sheet.size_m);
+                let cells = sheet_mesh(sheet, factor, coarsenings)?;
+                let uv = cells.coordinates();
                 let in_space = |uv: DVec2| sheet.axes[0] * uv.x + sheet.axes[1] * uv.y;
                 let corners = cells.triangle_corners();
                 let mut mesh = TriangleMesh {
@@ -38,6 +40,27 @@ impl<'a> Piece<'a> {
             }
         };
         Ok(Piece { source, cloth, sheet })
+    }
+}
+
+/// Meshes a sheet with `factor` times its triangles, `coarsenings` levels above its finest one.
+fn sheet_mesh(source: &SheetSource, factor: f64, coarsenings: usize) -> Result<SheetMesh, SceneError> {
+    let triangles = (source.triangles * factor).round().max(2.0) as u64;
+    let mesh = match (source.kind, source.outline) {
+        (SheetKind::Grid, Outline::Rectangle(size_m)) => {
+            SheetMesh::Grid { grid: sheet_cells(size_m, triangles), size_m }
+        }
+        _ => {
+            let sheet = NestedSheet::new(source.outline, triangles);
+            SheetMesh::Nested { level: sheet.finest(), sheet }
+        }
+    };
+    match mesh {
+        SheetMesh::Nested { sheet, level } if coarsenings <= level => {
+            Ok(SheetMesh::Nested { sheet, level: level - coarsenings })
+        }
+        mesh if coarsenings == 0 => Ok(mesh),
+        _ => Err(source.at.error(format!("the sheet has no level that is {coarsenings} times coarser"))),
     }
 }
 

@@ -5,7 +5,8 @@ use crate::mesh::TriangleMesh;
 
 use super::error::Place;
 use super::pieces::Piece;
-use super::{Pin, SceneError, Sheet};
+use super::sheet::SheetMesh;
+use super::{Pin, SceneError};
 
 /// A pin as the scene file gives it, before a resolution is chosen.
 #[derive(Clone, Debug)]
@@ -51,14 +52,15 @@ impl PinSource {
     /// The vertices of the piece that the pin selects. It is an error if there are none.
     pub(super) fn vertices(&self, piece: &Piece) -> Result<Vec<u32>, SceneError> {
         let name = &piece.source.name;
-        let sheet = || {
-            let what = format!("`{name}` is a mesh; only a sheet has corners and edges");
-            piece.sheet.as_ref().ok_or_else(|| self.at.error(what))
+        let sheet = || match &piece.sheet {
+            Some(sheet) if sheet.has_sides() => Ok(sheet),
+            Some(_) => Err(self.at.error(format!("`{name}` is round and has no corners and edges"))),
+            None => Err(self.at.error(format!("`{name}` is a mesh; only a sheet has corners and edges"))),
         };
         let vertices = match &self.select {
             Selection::Corners(corners) => {
                 let sheet = sheet()?;
-                corners.iter().map(|&which| corner(sheet, which)).collect()
+                corners.iter().map(|&(right, top)| sheet.corner(right, top)).collect()
             }
             Selection::Edge(which, spread) => {
                 let vertices = edge(sheet()?, *which);
@@ -117,18 +119,13 @@ pub(super) const CORNERS: [(&str, (bool, bool)); 4] = [
 pub(super) const EDGES: [(&str, Edge); 4] =
     [("left", Edge::Left), ("right", Edge::Right), ("bottom", Edge::Bottom), ("top", Edge::Top)];
 
-/// The vertex at a corner of a sheet.
-pub(super) fn corner(sheet: &Sheet, (right, top): (bool, bool)) -> u32 {
-    sheet.vertex(if right { sheet.columns } else { 0 }, if top { sheet.rows } else { 0 })
-}
-
 /// The vertices along an edge, from left to right or from bottom to top.
-pub(super) fn edge(sheet: &Sheet, edge: Edge) -> Vec<u32> {
+fn edge(sheet: &SheetMesh, edge: Edge) -> Vec<u32> {
     match edge {
-        Edge::Left => (0..=sheet.rows).map(|row| sheet.vertex(0, row)).collect(),
-        Edge::Right => (0..=sheet.rows).map(|row| sheet.vertex(sheet.columns, row)).collect(),
-        Edge::Bottom => (0..=sheet.columns).map(|column| sheet.vertex(column, 0)).collect(),
-        Edge::Top => (0..=sheet.columns).map(|column| sheet.vertex(column, sheet.rows)).collect(),
+        Edge::Left => sheet.side(0, false),
+        Edge::Right => sheet.side(0, true),
+        Edge::Bottom => sheet.side(1, false),
+        Edge::Top => sheet.side(1, true),
     }
 }
 
@@ -175,16 +172,28 @@ pub(super) fn without_conflicts(mut pins: Vec<Pin>) -> Result<Vec<Pin>, u32> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Sheet;
     use super::*;
+    use crate::mesh::{NestedSheet, Outline};
 
     #[test]
     fn corners_and_edges_of_a_grid() {
-        let sheet = Sheet { columns: 3, rows: 2 };
-        assert_eq!(CORNERS.map(|(_, which)| corner(&sheet, which)), [0, 3, 8, 11]);
+        let sheet = SheetMesh::Grid { grid: Sheet { columns: 3, rows: 2 }, size_m: [3.0, 2.0] };
+        assert_eq!(CORNERS.map(|(_, (right, top))| sheet.corner(right, top)), [0, 3, 8, 11]);
         assert_eq!(
             EDGES.map(|(_, which)| edge(&sheet, which)),
             [vec![0, 4, 8], vec![3, 7, 11], vec![0, 1, 2, 3], vec![8, 9, 10, 11]]
         );
+    }
+
+    #[test]
+    fn corners_and_edges_of_an_irregular_sheet_agree() {
+        let sheet = SheetMesh::Nested { sheet: NestedSheet::new(Outline::Rectangle([3.0, 2.0]), 1_000), level: 2 };
+        let [left, right, bottom, top] = EDGES.map(|(_, which)| edge(&sheet, which));
+        let ends = |side: &[u32]| [side[0], side[side.len() - 1]];
+        let corners = CORNERS.map(|(_, (right, top))| sheet.corner(right, top));
+        assert_eq!([ends(&bottom), ends(&top)].concat(), corners);
+        assert_eq!([ends(&left), ends(&right)], [[corners[0], corners[2]], [corners[1], corners[3]]]);
     }
 
     #[test]

@@ -1,6 +1,66 @@
-//! Rectangular sheets of any resolution.
+//! Rectangular sheets of any resolution: irregular with nested levels, or a grid.
 
 use crate::math::Vec2;
+use crate::mesh::NestedSheet;
+
+/// Mesh of a sheet.
+#[derive(Clone, Debug)]
+pub(super) enum SheetMesh {
+    /// Irregular triangles, at one level of the sheet.
+    Nested { sheet: NestedSheet, level: usize },
+    /// A regular grid, which has no levels.
+    Grid { grid: Sheet, size_m: [f64; 2] },
+}
+
+impl SheetMesh {
+    /// Material coordinates of the vertices: x = warp to the right, y = weft upwards, origin at the bottom left corner.
+    pub(super) fn coordinates(&self) -> Vec<Vec2> {
+        match self {
+            SheetMesh::Nested { sheet, level } => sheet.coordinates(*level),
+            SheetMesh::Grid { grid, size_m } => grid.coordinates(*size_m),
+        }
+    }
+
+    /// The triangles, counter-clockwise.
+    pub(super) fn triangle_corners(&self) -> Vec<[u32; 3]> {
+        match self {
+            SheetMesh::Nested { sheet, level } => sheet.triangles(*level).to_vec(),
+            SheetMesh::Grid { grid, .. } => grid.triangle_corners(),
+        }
+    }
+
+    /// True if the sheet has corners and sides; a round one has none.
+    pub(super) fn has_sides(&self) -> bool {
+        match self {
+            SheetMesh::Nested { sheet, .. } => sheet.is_rectangle(),
+            SheetMesh::Grid { .. } => true,
+        }
+    }
+
+    /// The vertex at a corner of a sheet that has them.
+    pub(super) fn corner(&self, right: bool, top: bool) -> u32 {
+        match self {
+            SheetMesh::Nested { .. } => u32::from(right) + 2 * u32::from(top),
+            SheetMesh::Grid { grid, .. } => {
+                grid.vertex(if right { grid.columns } else { 0 }, if top { grid.rows } else { 0 })
+            }
+        }
+    }
+
+    /// The vertices along the left side (`axis` 0) or the bottom (1), or those opposite if `far`; from left to right or
+    /// from bottom to top.
+    pub(super) fn side(&self, axis: usize, far: bool) -> Vec<u32> {
+        match self {
+            SheetMesh::Nested { sheet, level } => sheet.side(*level, axis, far),
+            SheetMesh::Grid { grid, .. } if axis == 0 => {
+                (0..=grid.rows).map(|row| grid.vertex(if far { grid.columns } else { 0 }, row)).collect()
+            }
+            SheetMesh::Grid { grid, .. } => {
+                (0..=grid.columns).map(|column| grid.vertex(column, if far { grid.rows } else { 0 })).collect()
+            }
+        }
+    }
+}
 
 /// A grid of `columns` x `rows` cells of two triangles each. Vertices are numbered row by row from the bottom left
 /// corner.

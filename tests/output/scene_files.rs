@@ -78,6 +78,79 @@ fn two_resolutions_of_a_scene_have_the_same_material_space() {
 }
 
 #[test]
+fn coarser_scenes_hold_the_first_vertices_of_the_finer_one() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/sphere.toml");
+    let parsed = loomtree::scene::read(&path).unwrap();
+    let overrides = Overrides { resolution: Some(9_000), frames: None };
+    let (fine, coarse) = (parsed.at(&overrides).unwrap(), parsed.coarser_at(&overrides, 2).unwrap());
+    assert_eq!(fine.mesh.triangles.len(), 16 * coarse.mesh.triangles.len());
+    for ((fine_cloth, coarse_cloth), sheet) in
+        fine.cloths.iter().zip(&coarse.cloths).zip(parsed.nested_at(&overrides).unwrap())
+    {
+        let positions = |scene: &Scene, cloth: &loomtree::scene::Cloth| {
+            scene.mesh.positions[cloth.vertices.start as usize..cloth.vertices.end as usize].to_vec()
+        };
+        let (fine, coarse) = (positions(&fine, fine_cloth), positions(&coarse, coarse_cloth));
+        assert_eq!(fine[..coarse.len()], coarse);
+        let sheet = sheet.unwrap();
+        assert_eq!((sheet.vertices(1), sheet.vertices(3)), (coarse.len(), fine.len()));
+        for v in coarse.len()..fine.len() {
+            let [a, b] = sheet.parents(v as u32).unwrap().map(|end| fine[end as usize]);
+            assert!(fine[v].distance((a + b) / 2.0) < 1e-6);
+        }
+    }
+    let error = parsed.coarser_at(&overrides, 4).unwrap_err().to_string();
+    assert!(error.contains("`cloth[0].sheet`: the sheet has no level that is 4 times coarser"), "{error}");
+}
+
+#[test]
+fn a_sheet_is_irregular_unless_it_asks_for_a_grid() {
+    let sheet = |fields: &str| {
+        let text = format!("[[cloth]]\nsheet = {{ size_m = [3, 2], triangles = 1200{fields} }}");
+        let mesh = read(&text).unwrap().mesh;
+        (mesh.triangles.len(), mesh.positions[1])
+    };
+    assert_eq!(sheet(", mesh = \"grid\""), (1200, Vec3::new(0.1, 0.0, 0.0)));
+    assert_eq!(sheet(", mesh = \"irregular\""), sheet(""));
+    assert_eq!(sheet(""), (19 * 64, Vec3::new(3.0, 0.0, 0.0)));
+    let error = read("[[cloth]]\nsheet = { size_m = [3, 2], mesh = \"round\" }").unwrap_err().to_string();
+    assert!(error.contains("must be one of irregular, grid"), "{error}");
+}
+
+#[test]
+fn a_round_sheet_has_a_radius_and_neither_corners_nor_a_grid() {
+    let mesh = read("[[cloth]]\nsheet = { radius_m = 0.15, triangles = 4000 }\nplane = \"xz\"").unwrap().mesh;
+    assert_eq!(mesh.triangles.len(), 4032);
+    let farthest = mesh.positions.iter().map(|p| p.length()).fold(0.0, f32::max);
+    assert!((farthest - 0.15).abs() < 1e-7 && mesh.positions.iter().all(|p| p.y == 0.0));
+    for (sheet, what) in [
+        ("{ radius_m = 1, mesh = \"grid\" }", "a round sheet has no grid"),
+        ("{ radius_m = 1, size_m = [1, 1] }", "a sheet has either `size_m` or `radius_m`"),
+        ("{ radius_m = 1 }\n[[pin]]\nedge = \"top\"", "`cloth 0` is round and has no corners and edges"),
+        ("{ radius_m = 0 }", "must be"),
+    ] {
+        let error = read(&format!("[[cloth]]\nsheet = {sheet}")).unwrap_err().to_string();
+        assert!(error.contains(what), "{error}");
+    }
+}
+
+#[test]
+fn bending_is_four_times_the_flexural_rigidity() {
+    let fabric = |bending: &str| {
+        let text = format!(
+            "[[fabric]]\nname = \"f\"\ndensity_kg_m2 = 1\nstretching_n_m = [1, 0, 1, 1]\n{bending}\n{SHEET}fabric = \"f\""
+        );
+        read(&text).map(|scene| scene.fabrics[0].bending_n_m)
+    };
+    assert_eq!(fabric("flexural_rigidity_n_m = 0.25").unwrap(), [[1.0; 5]; 3]);
+    let rows = "[[1, 2, 3, 4, 5], [1, 2, 3, 4, 5], [1, 2, 3, 4, 5]]";
+    assert_eq!(fabric(&format!("flexural_rigidity_n_m = {rows}")).unwrap(), [[4.0, 8.0, 12.0, 16.0, 20.0]; 3]);
+    let both = fabric("bending_n_m = 1\nflexural_rigidity_n_m = 0.25").unwrap_err().to_string();
+    assert!(both.contains("`fabric.flexural_rigidity_n_m`: says the same as `bending_n_m`"), "{both}");
+    assert!(fabric("").unwrap_err().to_string().contains("bending_n_m"));
+}
+
+#[test]
 fn the_curtain_keeps_its_rings_and_slides_them() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/curtain.toml");
     for resolution in [1_000, 20_000] {
@@ -112,13 +185,13 @@ fn every_field_arrives() {
         bending_n_m = [[1, 2, 3, 4, 5], [1, 2, 3, 4, 5], [1, 2, 3, 4, 5]]
         [[cloth]]
         name = "one"
-        sheet = { size_m = [2, 1], triangles = 4 }
+        sheet = { size_m = [2, 1], triangles = 4, mesh = "grid" }
         fabric = "felt"
         thicken = 2
         damping_s = 0.5
         velocity_m_s = [0, 1, 0]
         [[cloth]]
-        sheet = { size_m = [1, 1], triangles = 2 }
+        sheet = { size_m = [1, 1], triangles = 2, mesh = "grid" }
         plane = "xz"
         origin_m = [0, 5, 0]
         rotate_deg = [90, 0, 0, 1]
@@ -155,7 +228,7 @@ fn every_field_arrives() {
     assert_eq!(pins, [(2, None, 0.0, 3.0), (3, None, 0.0, 3.0), (7, Some(0), 1.0, f64::INFINITY)]);
 }
 
-const SHEET: &str = "[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8 }\n";
+const SHEET: &str = "[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8, mesh = \"grid\" }\n";
 
 #[test]
 fn mistakes_name_line_and_field() {
@@ -251,7 +324,7 @@ fn mistakes_of_pins_name_line_and_field() {
 
 #[test]
 fn cloths_that_cross_at_the_start_are_refused() {
-    let crossing = "[[cloth]]\nname = \"b\"\nsheet = { size_m = [1, 1], triangles = 8 }\nplane = \"xz\"\norigin_m = [0.2, 0.3, 0.1]\n";
+    let crossing = "[[cloth]]\nname = \"b\"\nsheet = { size_m = [1, 1], triangles = 8, mesh = \"grid\" }\nplane = \"xz\"\norigin_m = [0.2, 0.3, 0.1]\n";
     assert_eq!(
         fault(&format!("{SHEET}{crossing}")),
         "line 1: field `cloth`: triangle 1 of `cloth 0` and triangle 1 of `b` cross or touch at the start, and 6 more pairs do; \
