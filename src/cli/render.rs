@@ -165,7 +165,7 @@ fn recorded_origin(directory: &RunDirectory) -> DVec3 {
 }
 
 /// The up axis from the report; z if there is no report.
-fn recorded_up(directory: &RunDirectory) -> UpAxis {
+pub(super) fn recorded_up(directory: &RunDirectory) -> UpAxis {
     let report = Report::load(&directory.report()).ok();
     report.and_then(|r| r.header.up_axis.parse().ok()).unwrap_or_default()
 }

@@ -1,10 +1,11 @@
-//! Output of a run (frames, report, manifest, trace, checkpoints) and figures made from it (pictures, plots).
+//! Output of a run (frames, report, manifest, trace, checkpoints) and figures made from it (pictures, plots, drape).
 //!
 //! Files appear complete or not at all (`atomic`). This module does not influence the simulation.
 
 mod atomic;
 pub mod checkpoint;
 mod directory;
+mod drape;
 mod frame_mesh;
 mod frames;
 mod hash;
@@ -25,6 +26,7 @@ mod trace_read;
 pub use atomic::{WriteError, check_writable, write_atomically};
 pub use checkpoint::Checkpoint;
 pub use directory::{DirectoryError, Existing, RunDirectory};
+pub use drape::{Drape, drape};
 pub use frame_mesh::{FrameMesh, ReadError};
 pub use frames::{FormatError, FormatList, FrameError, FrameFormat, FrameWriter};
 pub use hash::scene_fingerprint;

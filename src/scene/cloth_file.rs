@@ -12,7 +12,11 @@ use super::files::find;
 use super::placement::{Placement, unplaced_mesh};
 use super::{Fabric, RESOLUTIONS, SceneError};
 
-pub(super) const FABRIC_FIELDS: [&str; 5] = ["name", "density_kg_m2", "stretching_n_m", "bending_n_m", "damping_s"];
+pub(super) const FABRIC_FIELDS: [&str; 6] =
+    ["name", "density_kg_m2", "stretching_n_m", "bending_n_m", "flexural_rigidity_n_m", "damping_s"];
+
+/// Bending stiffness in ARCSim's form over flexural rigidity (docs/papers.md, D13).
+const BENDING_OF_RIGIDITY: f64 = 4.0;
 
 /// Reads a `[[fabric]]`.
 pub(super) fn fabric(fields: &Fields) -> Result<Fabric, SceneError> {
@@ -22,11 +26,19 @@ pub(super) fn fabric(fields: &Fields) -> Result<Fabric, SceneError> {
     let bending = |value: &Value| -> Result<[[f64; 5]; 3], SceneError> {
         if value.is_array() { rows(value) } else { Ok([[value.not_negative()?; 5]; 3]) }
     };
+    let bending_n_m = match (fields.get("bending_n_m"), fields.get("flexural_rigidity_n_m")) {
+        (Some(_), Some(rigidity)) => {
+            let what = "says the same as `bending_n_m`, which is four times it; give one of them";
+            return Err(rigidity.error(what));
+        }
+        (None, Some(rigidity)) => bending(&rigidity)?.map(|row| row.map(|rigidity| BENDING_OF_RIGIDITY * rigidity)),
+        _ => bending(&fields.required("bending_n_m")?)?,
+    };
     let fabric = Fabric {
         name: fields.required("name")?.text()?.to_owned(),
         density_kg_m2: fields.required("density_kg_m2")?.positive()?,
         stretching_n_m: stretching(&fields.required("stretching_n_m")?)?,
-        bending_n_m: bending(&fields.required("bending_n_m")?)?,
+        bending_n_m,
         damping_s: fields.or("damping_s", 0.0, Value::not_negative)?,
     };
     fabric.check().map_err(|what| fields.error(what))?;

@@ -1,6 +1,7 @@
 //! Fabrics: presets, ARCSim's measured-fabric files, checks.
 //!
-//! The presets are plausible values, not measurements. Stiffness tables can hold negative entries at single strains, as
+//! The presets are plausible values, not measurements of one fabric; docs/scene.md has the drape coefficients that they
+//! give. Stiffness tables can hold negative entries at single strains, as
 //! measured tables do. The force code keeps the matrix positive definite.
 
 use std::path::Path;
@@ -100,7 +101,7 @@ type Preset = (&'static str, f64, [f64; 4], [f64; 3]);
 const PRESETS: [Preset; 6] = [
     ("cotton", 0.15, [480.0, 45.0, 420.0, 70.0], [3.0e-5, 2.2e-5, 2.6e-5]),
     ("silk", 0.06, [320.0, 30.0, 280.0, 30.0], [6.0e-6, 4.0e-6, 5.0e-6]),
-    ("denim", 0.36, [1300.0, 60.0, 1050.0, 130.0], [1.3e-4, 0.9e-4, 1.1e-4]),
+    ("denim", 0.36, [1300.0, 60.0, 1050.0, 130.0], [3.2e-4, 2.2e-4, 2.7e-4]),
     ("wool", 0.26, [160.0, 40.0, 130.0, 45.0], [6.0e-5, 4.5e-5, 5.5e-5]),
     ("nylon", 0.07, [900.0, 60.0, 900.0, 90.0], [1.5e-5, 1.0e-5, 1.5e-5]),
     // Young's modulus times thickness 700 N/m, Poisson's ratio 0.3; shear is 4 G, so that the energy

@@ -7,6 +7,7 @@ mod contact_friction;
 mod contact_scenes;
 mod motion;
 mod pins;
+mod plates;
 mod rest;
 mod stiff;
 mod substeps;

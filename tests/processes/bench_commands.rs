@@ -197,6 +197,21 @@ fn interconnect_is_modelled_alone() {
 }
 
 #[test]
+fn drape_is_measured_for_every_cloth_of_a_run() {
+    let place = place();
+    place.write("cusick.toml", std::fs::read_to_string(repository("scenes/cusick.toml")).unwrap());
+    place.run("run cusick.toml --resolution 1200 --frames 1 --workers 1 --out run").expect(0);
+    place.run("bench drape run --out out").expect(0);
+    let rows = table(&place, "drape", "measured");
+    assert_eq!(rows.iter().map(|row| number(row, "piece")).collect::<Vec<_>>(), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+    // After 0.04 s the skirts have hardly begun to fall.
+    for row in &rows {
+        assert!((0.9..1.001).contains(&number(row, "drape_coefficient")), "{row}");
+        assert!((0.14..0.1501).contains(&number(row, "rim_most_m")), "{row}");
+    }
+}
+
+#[test]
 fn what_cannot_be_measured_is_said_in_one_sentence() {
     let place = place();
     for (command, wanted) in [
@@ -205,6 +220,7 @@ fn what_cannot_be_measured_is_said_in_one_sentence() {
         ("bench matrix-free --scene nowhere.toml", "nowhere.toml"),
         ("bench scaling --scene flag.toml --topology nowhere.toml", "nowhere.toml"),
         ("bench step --scene flag.toml,nowhere.toml --skip 1,2,3", "--skip: 3 numbers for 2 scene(s)"),
+        ("bench drape nowhere", "nowhere"),
         ("bench memory --scene flag.toml --scene elsewhere/flag.toml", "two scenes are called 'flag'"),
     ] {
         let ended = place.run(command).expect(2);

@@ -5,6 +5,7 @@ mod assembly;
 mod collision;
 mod common;
 mod device;
+mod drape;
 mod interconnect;
 mod matrix_free;
 mod ranks;
@@ -47,6 +48,8 @@ enum Bench {
     MatrixFree(matrix_free::MatrixFreeBench),
     /// Memory of scenes' workers per structure and vertex
     Memory(runs::ScenesBench),
+    /// Drape coefficient and folds of every round cloth of a run, such as one of scenes/cusick.toml
+    Drape(drape::DrapeBench),
     /// Modeled, not measured: products on the machines of topology files, every exchange and schedule
     Interconnect(interconnect::InterconnectBench),
     /// Modeled from measured steps: a shot split in time over 2 to 512 processes, played on a virtual clock
@@ -55,7 +58,7 @@ enum Bench {
 
 /// Runs a benchmark and prints its tables.
 pub fn run(args: BenchArgs) -> Result<(), CliError> {
-    if !matches!(args.what, Bench::Interconnect(_)) {
+    if !matches!(args.what, Bench::Interconnect(_) | Bench::Drape(_)) {
         warn_of_load();
     }
     match args.what {
@@ -67,6 +70,7 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
         Bench::Scaling(bench) => scaling::run(&bench),
         Bench::MatrixFree(bench) => matrix_free::run(&bench),
         Bench::Memory(bench) => bench.each()?.iter().try_for_each(step::memory),
+        Bench::Drape(bench) => drape::run(&bench),
         Bench::Interconnect(bench) => interconnect::run(&bench),
         Bench::Time(bench) => time::run(&bench),
     }
