@@ -138,7 +138,8 @@ fn a_round_sheet_has_a_radius_and_neither_corners_nor_a_grid() {
 fn bending_is_four_times_the_flexural_rigidity() {
     let fabric = |bending: &str| {
         let text = format!(
-            "[[fabric]]\nname = \"f\"\ndensity_kg_m2 = 1\nstretching_n_m = [1, 0, 1, 1]\n{bending}\n{SHEET}fabric = \"f\""
+            "[[fabric]]\nname = \"f\"\ndensity_kg_m2 = 1\nstretching_n_m = [1, 0, 1, 1]\n\
+             {bending}\n{SHEET}fabric = \"f\""
         );
         read(&text).map(|scene| scene.fabrics[0].bending_n_m)
     };
@@ -324,7 +325,8 @@ fn mistakes_of_pins_name_line_and_field() {
 
 #[test]
 fn cloths_that_cross_at_the_start_are_refused() {
-    let crossing = "[[cloth]]\nname = \"b\"\nsheet = { size_m = [1, 1], triangles = 8, mesh = \"grid\" }\nplane = \"xz\"\norigin_m = [0.2, 0.3, 0.1]\n";
+    let crossing = "[[cloth]]\nname = \"b\"\nsheet = { size_m = [1, 1], triangles = 8, mesh = \"grid\" }\n\
+        plane = \"xz\"\norigin_m = [0.2, 0.3, 0.1]\n";
     assert_eq!(
         fault(&format!("{SHEET}{crossing}")),
         "line 1: field `cloth`: triangle 1 of `cloth 0` and triangle 1 of `b` cross or touch at the start, and 6 more pairs do; \
