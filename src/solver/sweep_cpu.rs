@@ -1,9 +1,9 @@
 //! One symmetric block Gauss-Seidel sweep inside every chunk of rows, fused with the vector updates before it and the
 //! product with the chunk's own blocks after it.
 //!
-//! With A = L + D + U + R, where L and U hold the blocks inside chunks and R all others, and D' = D / RELAXATION:
-//! v = (D' + U)^-1 D' (D' + L)^-1 r, u = SCALE v + z (z: the coarse correction, one vector per chunk), w = (L + D + U) u.
-//! A is symmetric, so only U is stored: each row adds the products with its transposed blocks to the rows below it. A
+//! With A = L + D + U + R, where L and U hold the blocks inside chunks and R all others, and D' = D / RELAXATION: v =
+//! (D' + U)^-1 D' (D' + L)^-1 r, u = SCALE v + z (z: the coarse correction, one vector per chunk), w = (L + D + U) u. A
+//! is symmetric, so only U is stored: each row adds the products with its transposed blocks to the rows below it. A
 //! chunk's blocks (about 260 bytes per row) are read from memory once and from the second-level cache twice.
 //!
 //! In difference form (`SellMatrix::difference`) D holds what acts on absolute velocity, and a block couples with
