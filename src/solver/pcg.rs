@@ -18,6 +18,9 @@ use crate::transport::TransportError;
 const ROUNDING: f64 = 1e-4;
 /// Down to this fraction of its start the recursive residual follows the true one; below it is rounding error.
 const FOLLOWED: f64 = 1e-5;
+/// The tolerance of the energy norm is this at least: smaller changes of the energy are rounding errors of single
+/// precision, and a solve that waited for them would not end.
+const ENERGY_TOLERANCE_LEAST: f64 = 1e-3;
 /// Minimum number of iterations whose gain estimates the energy of the error.
 const WINDOW: usize = 8;
 /// A descent that breaks off is restarted with the same preconditioner only if it reduced the residual to this fraction
@@ -29,8 +32,9 @@ const PROGRESS: f64 = 0.1;
 pub struct PcgParams {
     /// Stop when |r| <= relative_tolerance * |b - A x0| (2-norms over free rows).
     pub relative_tolerance: f64,
-    /// True: besides, stop only when the energy norm of the error has fallen to `relative_tolerance` of its start. The
-    /// 2-norm of a residual of stiff systems is that of forces within the cloth, which hide the forces that move it.
+    /// True: besides, stop only when the energy norm of the error has fallen to `relative_tolerance` of its start, 1e-3
+    /// at least. The 2-norm of a residual of stiff systems is that of forces within the cloth, which hide the forces
+    /// that move it.
     pub energy: bool,
     /// Stop after this many iterations, converged or not.
     pub max_iterations: u32,
@@ -198,7 +202,7 @@ impl Pcg {
             let start_residual = before.map_or(first, |info| info.start_residual);
             let relative_residual = if start_residual > 0.0 { residual / start_residual } else { 0.0 };
             let converged = relative_residual <= params.relative_tolerance
-                && (!params.energy || energy_converged(gained, params.relative_tolerance));
+                && (!params.energy || energy_converged(gained, params.relative_tolerance.max(ENERGY_TOLERANCE_LEAST)));
             let info = PcgInfo { iterations: iteration, relative_residual, converged, start_residual, products };
             if converged || iteration >= params.max_iterations {
                 return Ok(Descent::Done(info));
@@ -227,7 +231,8 @@ impl Pcg {
 }
 
 /// True if the last quarter of the iterations, at least [`WINDOW`], has reduced the squared energy norm of the error by
-/// at most `tolerance`^2 of what all have: an estimate of the error at the start of the window [Strakos and Tichy 2002].
+/// at most `tolerance`^2 of what all have: an estimate of the error at the start of the window [Strakos and Tichy
+/// 2002].
 fn energy_converged(gained: &[f64], tolerance: f64) -> bool {
     let window = (gained.len() / 4).max(WINDOW);
     let Some(before) = gained.len().checked_sub(window + 1) else { return gained.last().is_none_or(|&all| all == 0.0) };

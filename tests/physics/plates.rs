@@ -1,11 +1,54 @@
-//! Bending with known answers on the sheets of scene files: a strip that buckles under its
-//! own weight, and the drape test, whose coefficient grows with the stiffness of the fabric.
+//! Bending with known answers on the sheets of scene files: a clamped plate that sinks by its weight, a strip that
+//! buckles under its own weight, and the drape test, whose coefficient grows with the stiffness of the fabric.
 
 use loomtree::math::Vec3;
 use loomtree::output::{FrameMesh, drape};
 use loomtree::scene::{Fabric, Overrides, parse};
 use support::physics::{ACROSS, GRAVITY_M_S2, OneRank, strip, uniform_fabric};
 use support::scene;
+
+/// How far the tip of a sheet of 0.1 m x 0.35 m sinks that is clamped over 0.05 m, with a flexural rigidity of 1 N m and
+/// 1 kg/m^2, meters.
+fn sinking_m() -> f64 {
+    let text = r#"
+        [simulation]
+        step_s = 0.02
+        collisions = false
+        relative_tolerance = 1e-5
+        max_iterations = 2000
+        [[fabric]]
+        name = "card"
+        density_kg_m2 = 1.0
+        stretching_n_m = [20000, 0, 20000, 10000]
+        flexural_rigidity_n_m = 1.0
+        [[cloth]]
+        sheet = { size_m = [0.35, 0.1], triangles = 700, mesh = "grid" }
+        plane = "xz"
+        fabric = "card"
+        damping_s = 0.01
+        [[pin]]
+        box_m = [[-0.01, -0.01, -0.2], [0.0501, 0.01, 0.01]]
+        "#;
+    let scene = parse(text, "plate.toml".as_ref(), &Overrides::default()).unwrap();
+    let mut cloth = OneRank::new(&scene);
+    cloth.settle(1e-5, 200);
+    let (sum, count) = cloth
+        .positions()
+        .iter()
+        .zip(&scene.mesh.positions)
+        .filter(|(_, start)| start.x == 0.35)
+        .fold((0.0, 0), |(sum, count), (p, _)| (sum - f64::from(p.y), count + 1));
+    sum / f64::from(count)
+}
+
+#[test]
+fn a_clamped_plate_sinks_by_weight_over_rigidity() {
+    // w L^4 / 8 D. On the grid the clamp ends half a cell of 10 mm before the last pinned vertices
+    // (tests/physics/rest.rs).
+    let sinks_m = f64::from(GRAVITY_M_S2) * 0.305f64.powi(4) / 8.0;
+    let part = sinking_m() / sinks_m;
+    assert!((part - 1.0).abs() < 0.01, "{part} of the closed form");
+}
 
 /// A vertical strip that is clamped at its lower end falls over where its weight per area passes 7.837 D / L^3
 /// (Greenhill's column).
