@@ -64,6 +64,8 @@ pub struct DoublePcg {
     p: Vec<f64>,
     u: Vec<f64>,
     w: Vec<f64>,
+    /// The iterate with the smallest recursive residual.
+    best: Vec<f64>,
 }
 
 impl DoublePcg {
@@ -80,6 +82,7 @@ impl DoublePcg {
             p: vec![0.0; own],
             u: vec![0.0; own],
             w: vec![0.0; own],
+            best: vec![0.0; own],
             halo: HaloExchange::new(plan, queue),
             host,
         }
@@ -95,7 +98,8 @@ impl DoublePcg {
     }
 
     /// Solves A x = r from x = 0 until |r| <= `tolerance` * |r at the start| or `max_iterations`. `r` becomes the
-    /// recursive residual. All ranks call it together and get the same result.
+    /// recursive residual of the last iterate; x is the best one, since the last steps along the null space of a
+    /// singular matrix are long. All ranks call it together and get the same result.
     ///
     /// # Errors
     /// A transfer failed.
@@ -111,9 +115,29 @@ impl DoublePcg {
         tolerance: f64,
         max_iterations: u32,
     ) -> Result<DoubleInfo, TransportError> {
+        let info = self.iterate(transport, recorder, traffic, operator, r, x, tolerance, max_iterations)?;
+        if info.end != DoubleEnd::Converged {
+            x.copy_from_slice(&self.best);
+        }
+        Ok(info)
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "those of solve")]
+    fn iterate(
+        &mut self,
+        transport: &mut dyn Transport,
+        recorder: &mut Recorder,
+        traffic: &mut TrafficCounter,
+        operator: &dyn DoubleOperator,
+        r: &mut [f64],
+        x: &mut [f64],
+        tolerance: f64,
+        max_iterations: u32,
+    ) -> Result<DoubleInfo, TransportError> {
         x.fill(0.0);
         self.p.fill(0.0);
         let mut iterations = 0;
+        let mut best_rho = f64::INFINITY;
         let mut first = None;
         let mut gamma_old = f64::INFINITY;
         loop {
@@ -121,6 +145,10 @@ impl DoublePcg {
             self.precondition(operator, r);
             let [gamma, rho] = self.sums(transport, |s, i| [r[i] * s.u[i], r[i] * r[i]])?;
             let start = *first.get_or_insert(rho.sqrt());
+            if rho < best_rho {
+                best_rho = rho;
+                self.best.copy_from_slice(x);
+            }
             let end = if !(gamma.is_finite() && rho.is_finite()) {
                 Some(DoubleEnd::NotFinite)
             } else if rho.sqrt() <= tolerance * start {
