@@ -88,15 +88,6 @@ impl DoublePcg {
         }
     }
 
-    /// Uses another halo from now on. All ranks must change at the same point.
-    pub fn set_plan(&mut self, plan: &HaloPlan) {
-        let local = plan.local_rows * DIM;
-        self.high.resize(&self.host, local);
-        self.low.resize(&self.host, local);
-        self.local.resize(local, 0.0);
-        self.halo.set_plan(plan.clone());
-    }
-
     /// Solves A x = r from x = 0 until |r| <= `tolerance` * |r at the start| or `max_iterations`. `r` becomes the
     /// recursive residual of the last iterate; x is the best one, since the last steps along the null space of a
     /// singular matrix are long. All ranks call it together and get the same result.
@@ -115,32 +106,13 @@ impl DoublePcg {
         tolerance: f64,
         max_iterations: u32,
     ) -> Result<DoubleInfo, TransportError> {
-        let info = self.iterate(transport, recorder, traffic, operator, r, x, tolerance, max_iterations)?;
-        if info.end != DoubleEnd::Converged {
-            x.copy_from_slice(&self.best);
-        }
-        Ok(info)
-    }
-
-    #[expect(clippy::too_many_arguments, reason = "those of solve")]
-    fn iterate(
-        &mut self,
-        transport: &mut dyn Transport,
-        recorder: &mut Recorder,
-        traffic: &mut TrafficCounter,
-        operator: &dyn DoubleOperator,
-        r: &mut [f64],
-        x: &mut [f64],
-        tolerance: f64,
-        max_iterations: u32,
-    ) -> Result<DoubleInfo, TransportError> {
         x.fill(0.0);
         self.p.fill(0.0);
         let mut iterations = 0;
         let mut best_rho = f64::INFINITY;
         let mut first = None;
         let mut gamma_old = f64::INFINITY;
-        loop {
+        let end = loop {
             transport.alive()?;
             self.precondition(operator, r);
             let [gamma, rho] = self.sums(transport, |s, i| [r[i] * s.u[i], r[i] * r[i]])?;
@@ -157,7 +129,7 @@ impl DoublePcg {
                 (iterations >= max_iterations).then_some(DoubleEnd::Limit)
             };
             if let Some(end) = end {
-                return Ok(DoubleInfo { iterations, end });
+                break end;
             }
             let beta = gamma / gamma_old;
             for (p, u) in self.p.iter_mut().zip(&self.u) {
@@ -167,12 +139,11 @@ impl DoublePcg {
             let [curvature, of_diagonal] =
                 self.sums(transport, |s, i| [s.p[i] * s.w[i], s.p[i] * operator.diagonal(i) * s.p[i]])?;
             if !curvature.is_finite() {
-                return Ok(DoubleInfo { iterations, end: DoubleEnd::NotFinite });
+                break DoubleEnd::NotFinite;
             }
             if curvature <= SINGULAR * of_diagonal {
                 let negative = curvature < -SINGULAR.sqrt() * of_diagonal;
-                let end = if negative { DoubleEnd::Negative(curvature) } else { DoubleEnd::Singular };
-                return Ok(DoubleInfo { iterations, end });
+                break if negative { DoubleEnd::Negative(curvature) } else { DoubleEnd::Singular };
             }
             let alpha = gamma / curvature;
             for i in 0..r.len() {
@@ -181,7 +152,11 @@ impl DoublePcg {
             }
             gamma_old = gamma;
             iterations += 1;
+        };
+        if end != DoubleEnd::Converged {
+            x.copy_from_slice(&self.best);
         }
+        Ok(DoubleInfo { iterations, end })
     }
 
     /// u = M^-1 r with the inverse diagonal blocks; r is zeroed on pinned rows.
