@@ -158,7 +158,8 @@ fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
                     "warning: {file} has changed since the run was started, which goes on with it as it was"
                 ));
             }
-            (manifest.scene_path, Some(manifest.scene_text))
+            let text = manifest.text_to_read();
+            (manifest.scene_path, Some(text))
         }
     };
     let options = args.options.over(&recorded).map_err(CliError::bad_input)?;

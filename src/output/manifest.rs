@@ -27,6 +27,9 @@ pub struct RunManifest {
     /// The scene's unchanged text.
     #[serde(skip)]
     pub scene_text: String,
+    /// What a sheet without `mesh` is: `irregular`. None in files from the time when every sheet was a grid.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sheets: Option<String>,
     /// Other files that were read (meshes, fabrics, topology).
     #[serde(default)]
     pub inputs: Vec<Input>,
@@ -89,6 +92,7 @@ impl RunManifest {
             scene_path: absolute(scene_path),
             scene_file: String::new(),
             scene_text: scene_text.to_string(),
+            sheets: Some("irregular".to_string()),
             inputs: Vec::new(),
             flags: toml::Table::try_from(flags).map_err(|e| ManifestError::Flags(e.to_string()))?,
         })
@@ -122,6 +126,18 @@ impl RunManifest {
             }
         }
         sentences
+    }
+
+    /// The scene's text as this version has to read it: sheets of a run from the time of grids say that they are grids.
+    pub fn text_to_read(&self) -> String {
+        let old = self.sheets.is_none().then(|| self.scene_text.parse::<toml::Table>());
+        // What is no TOML has no sheets.
+        let Some(Ok(mut scene)) = old else { return self.scene_text.clone() };
+        let cloths = scene.get_mut("cloth").and_then(toml::Value::as_array_mut);
+        for sheet in cloths.into_iter().flatten().filter_map(|cloth| cloth.get_mut("sheet")?.as_table_mut()) {
+            sheet.entry("mesh").or_insert_with(|| "grid".into());
+        }
+        toml::to_string(&scene).unwrap_or_else(|_| self.scene_text.clone())
     }
 
     /// Decodes the flags into the type that they were made from.
@@ -166,4 +182,22 @@ fn absolute(path: &Path) -> PathBuf {
 
 fn hash_file(path: &Path) -> io::Result<String> {
     Ok(format!("{:016x}", xxh3_64(&fs::read(path)?)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sheets_of_old_runs_are_grids() {
+        let text = "[[cloth]]\nsheet = { size_m = [1, 1] }\n[[cloth]]\nmesh = \"a.obj\"\n";
+        let mut manifest = RunManifest::new(Path::new("/a.toml"), text, &toml::Table::new()).unwrap();
+        assert_eq!(manifest.text_to_read(), text);
+        manifest.sheets = None;
+        let read: toml::Table = manifest.text_to_read().parse().unwrap();
+        assert_eq!(read["cloth"][0]["sheet"]["mesh"].as_str(), Some("grid"));
+        assert_eq!(read["cloth"][1].get("sheet"), None);
+        manifest.scene_text = "{ \"json\": 5 }".into();
+        assert_eq!(manifest.text_to_read(), manifest.scene_text);
+    }
 }
