@@ -7,9 +7,11 @@ mod comparison;
 mod elements;
 mod error;
 mod inspect;
+mod normal_forces;
 mod own_state;
 mod products;
 mod relinearize;
+mod second_solve;
 mod span;
 mod stats;
 mod substeps;
@@ -20,7 +22,9 @@ use std::rc::Rc;
 
 use crate::assembly::fill::FillParams;
 use crate::context::RankContext;
+use crate::forces::contact::ContactStep;
 use crate::gpu::{CpuExecutor, Executor};
+use crate::integrator::inertia::Inertia;
 use crate::integrator::pins::{PinTargets, Pins};
 use crate::math::DIM;
 use crate::model::{RankModel, RankState};
@@ -29,7 +33,7 @@ use crate::solver::{LinearSolver, PcgError, PcgParams, Schwarz, TrafficCounter};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
-use collisions::{Collisions, Resolved};
+use collisions::{Collisions, RankContacts, Resolved};
 use elements::Elements;
 pub use error::{Failure, Imposed, SetupError};
 use own_state::StateVectors;
@@ -104,6 +108,7 @@ struct RankCloth {
     columns: ColumnOrder,
     matrix: Box<dyn StepMatrix>,
     solver: LinearSolver,
+    inertia: Inertia,
     collisions: Option<Collisions>,
 }
 
@@ -196,6 +201,7 @@ impl RankCloth {
             columns,
             matrix: Box::new(matrix),
             solver: LinearSolver::new(executor, &partition, plan, exchange.mode, &exchange.queue, schwarz),
+            inertia: Inertia::new(executor),
             collisions,
             settings,
         };
@@ -268,19 +274,24 @@ impl RankCloth {
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.state.prescribe(rank.executor, &targets, &mut self.solver.vectors.x);
-        let solved = self.solve(rank, prescribed, halvings < HALVINGS_FOR_SOLVE, stats)?;
+        let relative_tolerance = self.settings.relative_tolerance;
+        let solved = self.solve(rank, relative_tolerance, prescribed, halvings < HALVINGS_FOR_SOLVE, stats)?;
         clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
         if !solved {
             return Ok(Attempt::Again(Again::Unsolved));
         }
 
-        let before = (self.stiff && stats.contacts == 0).then(|| self.state.recorded(rank));
+        let before = (self.stiff || self.collisions.is_some()).then(|| self.state.recorded(rank));
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
         self.state.advance(rank, span, &self.solver.vectors.x, &targets);
         clock.lap_kernels(rank.executor, &mut stats.seconds.advance);
-        if let Some(before) = before {
-            self.relinearize(rank, span, &before, &targets, stats)?;
-            clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
+        match before {
+            Some(before) if self.stiff && stats.contacts == 0 => {
+                self.relinearize(rank, span, &before, &targets, stats)?;
+                clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
+            }
+            Some(before) if self.collisions.is_some() => self.solve_again(rank, span, &before, &targets, stats)?,
+            _ => {}
         }
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.
@@ -320,6 +331,16 @@ impl RankCloth {
         let own = self.state.recorded(rank);
         let gravity_m_s2 = self.settings.gravity_m_s2.to_array();
         let found = collisions.contacts(rank, (&own.positions, &own.velocities), gravity_m_s2, span, stats)?;
+        self.take_contacts(rank, found, stats)
+    }
+
+    /// Obstacle vertices, Index Table and halo of the contacts.
+    fn take_contacts(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        found: RankContacts,
+        stats: &mut StepStats,
+    ) -> Result<(), Failure> {
         let clock = StageClock::start();
         let start = rank.recorder.now();
         let rows = found.plan.local_rows;
@@ -339,8 +360,19 @@ impl RankCloth {
     fn element_records(&mut self, rank: &mut RankContext<'_>, span: Span, ahead_s: f64) {
         let start = rank.recorder.before_kernels();
         self.elements.fill_records(rank.executor, &self.settings, span, ahead_s, &self.state);
-        let (step_s, stiffness_ratio) = (span.length_s as f32, self.settings.contact_stiffness as f32);
-        self.system.contacts.records(rank.executor, step_s, stiffness_ratio, &self.state.velocities);
+        let step_s = span.length_s as f32;
+        let velocities = &self.state.velocities;
+        let at_end = ahead_s == 0.0;
+        let starts = if at_end { &self.state.start_velocities } else { velocities };
+        let falls_m = self.settings.gravity_m_s2 * (step_s * step_s);
+        let step = ContactStep {
+            step_s,
+            stiffness_ratio: self.settings.contact_stiffness as f32,
+            at_end,
+            fall_m: if at_end { [0.0; 3] } else { falls_m.to_array() },
+            rows: self.solver.spmv.halo().plan().local_rows as u32,
+        };
+        self.system.contacts.records(rank.executor, &step, velocities, starts);
         let (bytes, flops) = (self.elements.moved_bytes(), self.elements.flops());
         rank.recorder.end(EventName::Elements, Activity::Compute, start, bytes, flops);
     }
@@ -360,12 +392,13 @@ impl RankCloth {
     fn solve(
         &mut self,
         rank: &mut RankContext<'_>,
+        relative_tolerance: f64,
         prescribed: bool,
         may_halve: bool,
         stats: &mut StepStats,
     ) -> Result<bool, Failure> {
         let params = PcgParams {
-            relative_tolerance: self.settings.relative_tolerance,
+            relative_tolerance,
             max_iterations: self.settings.max_iterations,
             energy: self.stiff,
             nonzero_start: prescribed,

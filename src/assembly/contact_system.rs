@@ -1,11 +1,11 @@
-//! Contacts as assembly elements of the implicit system [Li et al. 2020, Secs. 3.2.2, 4.3]: every step a new Index Table of
-//! the rows that contacts touch, element records, and values. The elastic tables stay as they are: blocks off the diagonal
-//! go to a second matrix, diagonal blocks and right-hand side into the elastic ones.
+//! Contacts as assembly elements of the implicit system [Li et al. 2020, Secs. 3.2.2, 4.3]: every step a new Index
+//! Table of the rows that contacts touch, element records, and values. The elastic tables stay as they are: blocks off
+//! the diagonal go to a second matrix, diagonal blocks and right-hand side into the elastic ones.
 //!
 //! Does not find contacts and knows no other rank: the caller numbers the vertices and extends the halo.
 //!
-//! Bytes per contact: element 64, record 48, and for each of at most four own rows entry 4, positions 8, table 16; blocks of
-//! 40 bytes, up to 12 where no two contacts couple the same vertices, 4 in layered cloth. In all about 450.
+//! Bytes per contact: element 64, record 48, and for each of at most four own rows entry 4, positions 8, table 16;
+//! blocks of 40 bytes, up to 12 where no two contacts couple the same vertices, 4 in layered cloth. In all about 450.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ use super::element_rows::RowLists;
 use super::index_fill::{Elements, IndexFill, IndexRows, Kind, Numbering, RowTooLong};
 use super::layout::Placement;
 use super::sell::{SellMatrix, SystemMatrix};
-use crate::forces::contact::Contact;
+use crate::forces::contact::{Contact, ContactStep};
 use crate::forces::{CONTACT_RECORD_FLOATS, ContactElement};
 use crate::gpu::{CpuExecutor, DeviceVec, Executor};
 
@@ -68,8 +68,8 @@ impl ContactSystem {
         }
     }
 
-    /// Takes over the contacts of a step and fills their Index Table. `elements`: in ascending order of their keys in global
-    /// numbers, with local vertices (`numbering`) or `NO_VERTEX`; those that touch no own row may be among them.
+    /// Takes over the contacts of a step and fills their Index Table. `elements`: in ascending order of their keys in
+    /// global numbers, with local vertices (`numbering`) or `NO_VERTEX`; those that touch no own row may be among them.
     /// `elastic`: the matrix that is multiplied first.
     ///
     /// # Errors
@@ -124,11 +124,17 @@ impl ContactSystem {
         self.entries.assign(executor, &self.rows.entries);
     }
 
-    /// Element records from the velocities of all local vertices (xyz each); those of obstacles are the velocities of the
-    /// coming step. `stiffness_ratio`: the contacts' stiffness over effective mass / step^2.
-    pub fn records(&mut self, executor: &Executor, step_s: f32, stiffness_ratio: f32, velocities: &DeviceVec<f32>) {
+    /// Element records from the velocities of all local vertices (xyz each); those of obstacles are the velocities of
+    /// the coming step. `start_velocities`: those at the start of the step.
+    pub fn records(
+        &mut self,
+        executor: &Executor,
+        step: &ContactStep,
+        velocities: &DeviceVec<f32>,
+        start_velocities: &DeviceVec<f32>,
+    ) {
         self.records.resize(executor, self.elements.len() * CONTACT_RECORD_FLOATS);
-        self.kernel.apply(executor, step_s, stiffness_ratio, &self.elements, velocities, &mut self.records);
+        self.kernel.apply(executor, step, &self.elements, velocities, start_velocities, &mut self.records);
     }
 
     /// Values of the contact matrix, and what [`ContactSystem::sums`] hands to the elastic fill.

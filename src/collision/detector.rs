@@ -1,17 +1,19 @@
-//! Detection as a step asks for it: contacts at the start of the step, impacts over it. Each query is a broad phase whose
-//! threads run the narrow phase on what they find; candidates live in bounded buffers only.
+//! Detection as a step asks for it: contacts at the start of the step, impacts over it. Each query is a broad phase
+//! whose threads run the narrow phase on what they find; candidates live in bounded buffers only.
 //!
-//! What all ranks find together does not depend on the number of ranks or threads, nor on memory limits: lists are sorted,
-//! and the same pair of features has the same bits whoever found it. Ranks may find the same contact; merging removes it.
+//! What all ranks find together does not depend on the number of ranks or threads, nor on memory limits: lists are
+//! sorted, and the same pair of features has the same bits whoever found it. Ranks may find the same contact; merging
+//! removes it.
 
 use super::around::Around;
 use super::broad::{Broad, BroadError, BroadStats, Choice, CollisionMesh, Filter, Query, Search, Split};
 use super::contact::Surfaces;
-use super::narrow::{ContactSink, Findings, ImpactSink};
+use super::narrow::{ContactSink, Findings, ImpactSink, contact_of};
 use super::rules::{ContactParams, DetectorError, Rules, WIDER};
 use super::search::{RunsOn, Searches};
 use super::{Candidate, Impact};
 use crate::forces::ContactElement;
+use crate::gpu::CpuExecutor;
 use crate::math::Vec3;
 
 /// Counts, times and memory of one query on this rank. Counts repeat exactly; times do not.
@@ -40,6 +42,8 @@ pub struct Detector {
     around: Around,
     rules: Rules,
     memory_limit_bytes: Option<u64>,
+    /// Candidates of this rank's share that may come near on the way that the last query for contacts looked at.
+    near: Vec<Candidate>,
 }
 
 impl Detector {
@@ -49,7 +53,13 @@ impl Detector {
     /// The parameters do not have one value per vertex, or a value is negative or NaN.
     pub fn new(mesh: CollisionMesh, params: ContactParams) -> Result<Detector, DetectorError> {
         let (rules, around) = (Rules::new(&mesh, params)?, Around::new(&mesh));
-        Ok(Detector { searches: Searches::new(Broad::new(mesh)), around, rules, memory_limit_bytes: None })
+        Ok(Detector {
+            searches: Searches::new(Broad::new(mesh)),
+            around,
+            rules,
+            memory_limit_bytes: None,
+            near: Vec::new(),
+        })
     }
 
     /// Bounds the tables of later queries, bytes; a search that does not fit is done in batches. None, the default: no
@@ -81,9 +91,7 @@ impl Detector {
     /// does with every candidate.
     pub fn contact(&self, x: &[f32], candidate: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.searches.native.mesh(), around: &self.around, x };
-        let pair =
-            surfaces.closest(candidate, self.rules.reach_m(candidate)).filter(|pair| self.rules.is_near(pair, 0.0))?;
-        self.rules.element(&pair)
+        self.rules.element(&contact_of(&surfaces, None, &self.rules, candidate)?)
     }
 
     /// The contacts at positions `x` (x, y, z of every vertex, meters: cloth, then obstacles) that fall to this rank,
@@ -103,10 +111,11 @@ impl Detector {
         self.contacts_ahead(on, x, x, split, out)
     }
 
-    /// As [`Detector::contacts`], with those pairs, too, that are farther apart at `x` and come closer than their thickness
-    /// on the straight way to `ahead`, as their closest points at `x` see it: fast cloth then meets a repulsion before it
-    /// meets cloth. Two kinds of executors may differ in a few of the pairs that only come closer, because one may find
-    /// a separating direction that the other misses.
+    /// As [`Detector::contacts`] for a step from `x` to about `ahead`: contacts of features as they are `ahead`, or at
+    /// `x` where the way leads through; fast cloth then meets a repulsion before it meets cloth. Their distance is that
+    /// at `x` along the contact's normal. Candidates that may come near on the way are kept for
+    /// [`Detector::contacts_again`]. Two kinds of executors may differ in a few of the pairs that only come closer,
+    /// because one may find a separating direction that the other misses.
     ///
     /// # Errors
     /// As [`Broad::candidates`].
@@ -119,7 +128,8 @@ impl Detector {
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
         out.clear();
-        let Detector { searches, around, rules, memory_limit_bytes } = self;
+        let Detector { searches, around, rules, memory_limit_bytes, near } = self;
+        near.clear();
         let mesh = searches.native.mesh().clone();
         let surfaces = Surfaces { mesh: &mesh, around, x };
         let wide = |thickness_m: f32| thickness_m * WIDER;
@@ -133,14 +143,33 @@ impl Detector {
             memory_limit_bytes: *memory_limit_bytes,
         };
         let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
-        let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Findings::new() };
+        let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Findings::new(), near: Vec::new() };
         let mut all = Findings { items: std::mem::take(out), ..Findings::new() };
-        let finish = &mut |sink: ContactSink| all.append(sink.found);
+        let finish = &mut |mut sink: ContactSink| {
+            all.append(sink.found);
+            near.append(&mut sink.near);
+        };
         let stats = searches.search(on.into(), &search, split, &start, finish)?;
         let stats = self.stats(stats, &all);
         *out = all.items;
         sort_contacts(out);
         Ok(DetectionStats { found: out.len() as u64, ..stats })
+    }
+
+    /// The contacts of the candidates that the last [`Detector::contacts_ahead`] from `x` has kept, for another guess
+    /// of the end of the step. Clears `out` first.
+    pub fn contacts_again(&self, host: &CpuExecutor, x: &[f32], ahead: &[f32], out: &mut Vec<ContactElement>) {
+        let surfaces = Surfaces { mesh: self.searches.native.mesh(), around: &self.around, x };
+        let mut found: Vec<Option<ContactElement>> = vec![None; self.near.len()];
+        host.for_ranges_mut(&mut found, 1, 64, |range, found| {
+            for (candidate, found) in self.near[range].iter().zip(found) {
+                let pair = contact_of(&surfaces, Some(ahead), &self.rules, candidate);
+                *found = pair.and_then(|pair| self.rules.element(&pair));
+            }
+        });
+        out.clear();
+        out.extend(found.into_iter().flatten());
+        sort_contacts(out);
     }
 
     /// The pairs of features that touch on the straight way from `x_t0` to `x_t1` and fall to this rank, sorted; each
@@ -191,7 +220,9 @@ impl Detector {
 }
 
 fn sort_contacts(contacts: &mut Vec<ContactElement>) {
-    contacts.sort_unstable_by_key(ContactElement::key);
+    // A pair that several candidates lead to may be one of the start for some of them and one of the end for others.
+    let bits = |contact: &ContactElement| (contact.distance_m.to_bits(), contact.weights.map(f32::to_bits));
+    contacts.sort_unstable_by_key(|contact| (contact.key(), bits(contact)));
     contacts.dedup_by_key(|contact| contact.key());
 }
 
@@ -200,8 +231,7 @@ fn sort_impacts(impacts: &mut Vec<Impact>) {
     impacts.dedup_by_key(|impact| impact.candidate);
 }
 
-/// The contacts of all ranks as one sorted list, each once. Equal keys have equal bits, so the order of the lists does not
-/// matter.
+/// The contacts of all ranks as one sorted list, each once. The order of the lists does not matter.
 pub fn merge_contacts(lists: &[&[ContactElement]]) -> Vec<ContactElement> {
     let mut all = lists.concat();
     sort_contacts(&mut all);

@@ -102,6 +102,42 @@ fn closing_bound(candidate: &Candidate, x: &[f32], ahead: &[f32]) -> f32 {
     1.001 * pairs.iter().map(|(one, other)| (*one - *other).length()).fold(0.0, f32::max)
 }
 
+/// Whether the parts of a pair may pass through each other on the straight way from `x` to `ahead`.
+fn crosses(candidate: &Candidate, x: &[f32], ahead: &[f32]) -> bool {
+    let at = |x: &[f32], v: u32| Vec3::from_slice(&x[3 * v as usize..]);
+    let [start, end] = [x, ahead].map(|x| candidate.vertices.map(|v| at(x, v)));
+    let kind = if candidate.is_vertex_face() { CandidateKind::VertexFace } else { CandidateKind::EdgeEdge };
+    ccd(kind, start, end, 0.0).toi.is_some()
+}
+
+/// The contact of a pair on the way from `surfaces` to the positions `ahead` at the end of the step, as far as they are
+/// known. Features, weights and normal are those of the end, since features pass each other and turn within a step;
+/// where the way leads through, those of the start. The distance is that of the start as this normal sees it: with what
+/// the weighted points move along the normal it gives that of the end.
+pub(super) fn contact_of(
+    surfaces: &Surfaces<'_>,
+    ahead: Option<&[f32]>,
+    rules: &Rules,
+    candidate: &Candidate,
+) -> Option<Pair> {
+    let reach_m = rules.reach_m(candidate);
+    let Some(ahead) = ahead else {
+        return surfaces.closest(candidate, reach_m).filter(|pair| rules.is_near(pair, 0.0));
+    };
+    let there = Surfaces { x: ahead, ..*surfaces };
+    let mut at_end = there.closest(candidate, reach_m).filter(|pair| rules.is_near(pair, 0.0));
+    if let Some(pair) = &mut at_end {
+        pair.distance_m -= pair.parting(surfaces.x, ahead);
+        if pair.distance_m > 0.0 {
+            return at_end;
+        }
+    }
+    let closing = closing_bound(candidate, surfaces.x, ahead);
+    let at_start = surfaces.closest(candidate, reach_m + closing);
+    let at_start = at_start.filter(|pair| rules.is_near(pair, -pair.parting(surfaces.x, ahead)));
+    if (at_end.is_some() || at_start.is_some()) && crosses(candidate, surfaces.x, ahead) { at_start } else { at_end }
+}
+
 /// Turns candidates into contact elements, on one thread.
 pub(super) struct ContactSink<'a> {
     pub surfaces: &'a Surfaces<'a>,
@@ -109,6 +145,8 @@ pub(super) struct ContactSink<'a> {
     pub ahead: Option<&'a [f32]>,
     pub rules: &'a Rules,
     pub found: Findings<ContactElement>,
+    /// Candidates that may come near on the way.
+    pub near: Vec<Candidate>,
 }
 
 impl Sink for ContactSink<'_> {
@@ -127,11 +165,11 @@ impl Sink for ContactSink<'_> {
                 };
                 for i in left(mask, count) {
                     own.tested += 1;
-                    let closing = ahead.map_or(0.0, |ahead| closing_bound(&group[i], surfaces.x, ahead));
-                    let pair = surfaces.closest(&group[i], reach[i] + closing);
-                    let near = |pair: &Pair| rules.is_near(pair, ahead.map_or(0.0, |x| pair.approach(surfaces.x, x)));
-                    let Some(pair) = pair.filter(near) else { continue };
-                    own.smallest_gap_m = own.smallest_gap_m.min(pair.distance_m);
+                    if ahead.is_some() {
+                        self.near.push(group[i]);
+                    }
+                    let Some(pair) = contact_of(surfaces, ahead, rules, &group[i]) else { continue };
+                    own.smallest_gap_m = own.smallest_gap_m.min(pair.gap_m);
                     own.items.extend(rules.element(&pair));
                 }
             },

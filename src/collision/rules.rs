@@ -156,7 +156,7 @@ impl Rules {
             normal: pair.normal.to_array(),
             distance_m: pair.distance_m,
             thickness_m: self.thickness_m(pair),
-            stiffness_n_m: self.params.stiffness_ratio / (mobility * step_s * step_s),
+            stiffness_n_m: self.params.stiffness_ratio * pair.share / (mobility * step_s * step_s),
             friction: self.friction(pair),
             kind: pair.kind,
         })

@@ -1,7 +1,8 @@
 //! CPU twin of `bend.wgsl`: one hinge record per interior edge.
 //!
 //! Energy k/2 (theta - rest)^2 of the dihedral angle with the stiffness of the fabric at the hinge's curvature and
-//! direction [Wang et al. 2011]; the Jacobian keeps the rank-one part k g g^T, g = grad theta, which is positive semidefinite.
+//! direction [Wang et al. 2011]; the Jacobian keeps the rank-one part k g g^T, g = grad theta, which is positive
+//! semidefinite.
 
 use super::element::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, vertex};
 use crate::gpu::CpuExecutor;
@@ -10,8 +11,8 @@ use crate::math::Vec3;
 /// Spacing of the curvature samples of the bending table, 1/m.
 const CURVATURE_SPACING: f32 = 5.0;
 
-/// Dihedral angle of the hinge (edge start, edge end, opposite 0, opposite 1) and its gradient; flat = 0. A hinge with a
-/// degenerate triangle has angle and gradient zero.
+/// Dihedral angle of the hinge (edge start, edge end, opposite 0, opposite 1) and its gradient; flat = 0. A hinge with
+/// a degenerate triangle has angle and gradient zero.
 pub fn dihedral_angle(x: [Vec3; 4]) -> (f32, [Vec3; 4]) {
     let e = x[1] - x[0];
     let (d0, d1) = (x[2] - x[0], x[3] - x[0]);

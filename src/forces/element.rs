@@ -23,7 +23,8 @@ gpu_struct! {
         pub vertices: [u32; 3],
         /// Index into the fabric table.
         pub fabric: u32,
-        /// d(position)/d(warp) = sum over corners of weight * position; weights of corners 1 and 2 (corner 0: minus their sum), 1/m.
+        /// d(position)/d(warp) = sum over corners of weight * position; weights of corners 1 and 2 (corner 0: minus
+        /// their sum), 1/m.
         pub weights_u: [f32; 2],
         /// The same for the weft.
         pub weights_v: [f32; 2],
@@ -57,7 +58,8 @@ gpu_struct! {
     pub struct HingeElement {
         /// Local vertex indices: edge start, edge end, opposite vertex of triangle 0, opposite vertex of triangle 1.
         pub vertices: [u32; 4],
-        /// Bending stiffness (N m) times this = torsion stiffness of the hinge: l^2 / (4 a), a = area of both triangles.
+        /// Bending stiffness (N m) times this = torsion stiffness of the hinge: l^2 / (4 a), a = area of both
+        /// triangles.
         pub shape: f32,
         /// Curvature (1/m) = this * dihedral angle: l / a.
         pub curvature_from_angle: f32,

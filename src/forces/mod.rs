@@ -1,4 +1,5 @@
-//! Forces of the cloth as compact element records: the kernels here turn positions and velocities into records from which
+//! Forces of the cloth as compact element records: the kernels here turn positions and velocities into records from
+//! which
 //! `assembly` fills forces and matrix blocks. Nothing is summed over elements here.
 //!
 //! Signs: a record describes a positive semidefinite stiffness K (the negative force Jacobian, projected), so that the
@@ -17,7 +18,7 @@ mod stretch_cpu;
 mod tests;
 
 pub use bend_cpu::{bend_energy, dihedral_angle};
-pub use contact_cpu::{FACET_SLOPE, RELEASE_STEPS, STICK_SPEED_M_S, contact_energy};
+pub use contact_cpu::{LEAST_GAP, LinearBarrier, STICK_SPEED_M_S, contact_energy, linearized};
 pub use contact_element::{ContactElement, NO_VERTEX};
 pub use element::{
     CONTACT_RECORD_FLOATS, CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,

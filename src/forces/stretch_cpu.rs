@@ -1,14 +1,15 @@
 //! CPU twin of `stretch.wgsl`: one triangle record per triangle.
 //!
-//! Piecewise-linear anisotropic membrane: Green strain E = (F^T F - I)/2 with F = [x_u x_v], stress from a stiffness that
-//! is interpolated in the measured table [Wang et al. 2011]. The stiffness is frozen within a step (its own derivative is
-//! not in the Jacobian).
+//! Piecewise-linear anisotropic membrane: Green strain E = (F^T F - I)/2 with F = [x_u x_v], stress from a stiffness
+//! that is interpolated in the measured table [Wang et al. 2011]. The stiffness is frozen within a step (its own
+//! derivative is not in the Jacobian).
 
 use super::element::{FabricTable, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement, vertex};
 use crate::gpu::CpuExecutor;
 use crate::math::Vec3;
 
-/// Stiffness (warp, cross, weft, shear; N/m) at the Green strain (uu, vv, uv), clamped so that it is positive semidefinite.
+/// Stiffness (warp, cross, weft, shear; N/m) at the Green strain (uu, vv, uv), clamped so that it is positive
+/// semidefinite.
 pub fn stretch_stiffness(fabric: &FabricTable, strain: [f32; 3]) -> [f32; 4] {
     let [uu, vv, uv] = strain;
     // Largest principal value of 2E and its direction.
@@ -64,7 +65,8 @@ fn positive_part(uu: f32, uv: f32, vv: f32) -> [f32; 3] {
     }
 }
 
-/// Fills `records` (24 floats per triangle; layout in `stretch`). Bytes per triangle: 48 element + 72 state read, 96 written.
+/// Fills `records` (24 floats per triangle; layout in `stretch`). Bytes per triangle: 48 element + 72 state read, 96
+/// written.
 pub(super) fn stretch(
     cpu: &CpuExecutor,
     params: &StepParams,
@@ -109,7 +111,8 @@ fn stretch_record(
     let pu = (xu * suu + xv * suv + ku * rate) * area;
     let pv = (xu * suv + xv * svv + kv * rate) * area;
 
-    // Air: pressure rho |vn| vn n and tangential drag, each corner a third; the Jacobian blocks of all corner pairs are equal.
+    // Air: pressure rho |vn| vn n and tangential drag, each corner a third; the Jacobian blocks of all corner pairs are
+    // equal.
     let normal = xu.cross(xv);
     let length = normal.length();
     let n = if length > 0.0 { normal / length } else { Vec3::ZERO };

@@ -7,7 +7,8 @@ use crate::math::{Vec2, Vec3};
 use crate::scene::Fabric;
 use crate::test_support::seeded::Seeded;
 
-/// An isotropic fabric: Young's modulus times thickness `eh` (N/m), Poisson's ratio `nu`, bending sample `bending` (N m).
+/// An isotropic fabric: Young's modulus times thickness `eh` (N/m), Poisson's ratio `nu`, bending sample `bending` (N
+/// m).
 pub(super) fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
     let c = eh / (1.0 - nu * nu);
     // Energy k3/2 E_uv^2 with E_uv counted once: k3 = 4 G h.
@@ -95,8 +96,8 @@ fn forces_of_a_free_element_balance() {
     assert!((forces[0] + forces[1] + forces[2]).length() < 1e-5 * scale);
 }
 
-/// A stretched, unsheared triangle has a positive definite stress, so the record's K is the exact negative Jacobian: its
-/// action on a velocity (dt K v in P) must equal the change of the force along that velocity.
+/// A stretched, unsheared triangle has a positive definite stress, so the record's K is the exact negative Jacobian:
+/// its action on a velocity (dt K v in P) must equal the change of the force along that velocity.
 #[test]
 fn stretch_jacobian_of_a_tensioned_triangle_matches_finite_differences() {
     let fabric = isotropic(500.0, 0.3, 0.0);

@@ -3,6 +3,8 @@
 
 pub mod advance;
 mod advance_cpu;
+pub mod inertia;
+mod inertia_cpu;
 pub mod pins;
 pub mod scatter;
 mod scatter_cpu;

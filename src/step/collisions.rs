@@ -1,8 +1,9 @@
-//! Collisions of a step, on every rank at once [Li et al. 2020, Sec. 4]: contacts before the solve, impact zones after it.
+//! Collisions of a step, on every rank at once [Li et al. 2020, Sec. 4]: contacts before the solve, impact zones after
+//! it.
 //!
 //! Every rank holds the positions of all vertices (12 bytes each, twice) and tests its even share of the pairs; what it
-//! finds goes to all ranks. Lists are sorted before use and decisions are made by everybody from the same data, so nothing
-//! depends on who found what or on the number of ranks.
+//! finds goes to all ranks. Lists are sorted before use and decisions are made by everybody from the same data, so
+//! nothing depends on who found what or on the number of ranks.
 
 use std::ops::Range;
 
@@ -12,7 +13,7 @@ use crate::context::RankContext;
 use crate::forces::{ContactElement, NO_VERTEX};
 use crate::gpu::CpuExecutor;
 use crate::impact_zone::{self, ImpactZones, Moved, StepPositions, ZoneSettings};
-use crate::math::DVec3;
+use crate::math::{DVec3, Vec3};
 use crate::model::CollisionModel;
 use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::Obstacles;
@@ -20,6 +21,7 @@ use crate::telemetry::EventName;
 use crate::transport::{TracedTransport, Transport, share_lists, share_positions};
 
 use super::error::{Failure, Imposed, SetupError};
+use super::normal_forces::NormalForces;
 use super::span::Span;
 use super::stats::{StageClock, StepStats};
 
@@ -29,8 +31,8 @@ pub(super) struct RankContacts {
     pub elements: Vec<ContactElement>,
     /// Halo plan with the rows that contacts add.
     pub plan: HaloPlan,
-    /// Positions and velocities (over the step) of the obstacle vertices that contacts touch, xyz; they follow the plan's
-    /// rows in the local numbering.
+    /// Positions and velocities (over the step) of the obstacle vertices that contacts touch, xyz; they follow the
+    /// plan's rows in the local numbering.
     pub obstacle_positions: Vec<f32>,
     pub obstacle_velocities: Vec<f32>,
 }
@@ -59,6 +61,10 @@ pub(super) struct Collisions {
     x_t1: Vec<f32>,
     /// Positions of the obstacles at some time, xyz.
     obstacle_positions: Vec<f32>,
+    /// What friction goes by.
+    normal_forces: NormalForces,
+    /// Whether any vertex has friction.
+    rough: bool,
     /// Whether `x_t0` holds the cloth's state.
     state_known: bool,
 }
@@ -102,6 +108,8 @@ impl Collisions {
             inverse_masses_per_kg: inverse_masses,
             smallest_altitudes_m: altitudes_m,
         };
+        let rough = params.friction.iter().any(|&friction| friction > 0.0);
+        let normal_forces = NormalForces::new(partition.rows_of(plan.rank), rows);
         let mut detector = Detector::new(mesh, params).map_err(|error| unfit(error.to_string()))?;
         detector.limit_memory(model.memory_limit_bytes);
         Ok(Collisions {
@@ -113,6 +121,8 @@ impl Collisions {
             x_t1: vec![0.0; vertices * 3],
             obstacle_positions: Vec::new(),
             state_known: false,
+            normal_forces,
+            rough,
             obstacles,
             model,
         })
@@ -152,7 +162,8 @@ impl Collisions {
         self.detector.set_params(params)
     }
 
-    /// Obstacles at both ends of `span`, pinned vertices; finds the contacts of the state at its start, whose own rows are
+    /// Obstacles at both ends of `span`, pinned vertices; finds the contacts of the state at its start, whose own rows
+    /// are
     /// `own` (positions, velocities; xyz), and those it is heading for, and tells everybody who needs which rows.
     pub(super) fn contacts(
         &mut self,
@@ -200,13 +211,70 @@ impl Collisions {
         clock.lap(&mut stats.seconds.proximity);
         rank.transport.alive()?;
 
-        let mut traced =
-            TracedTransport::new(rank.transport, rank.recorder, EventName::LocalContacts, EventName::ShareContacts);
-        let elements = self.own_contacts(&mut traced, &found, stats)?;
-        let contacts = self.localize(&mut traced, elements, span)?;
-        traced.finish(0);
+        let elements = self.share_contacts(rank, &found, query.smallest_gap_m, stats)?;
+        if self.rough {
+            let inverse_masses = &self.detector.params().inverse_masses_per_kg;
+            let fall_m = Vec3::from(gravity_m_s2) * (span.length_s * span.length_s) as f32;
+            let falls = |v: u32| inverse_masses[v as usize] > 0.0;
+            let ratio = self.model.stiffness as f32;
+            self.normal_forces.take_first(&elements, &self.x_t0, &self.x_t1, fall_m, falls, ratio);
+        }
+        let contacts = self.localize(rank, elements, span)?;
         clock.lap(&mut stats.seconds.contacts);
         Ok(contacts)
+    }
+
+    /// The contacts of this step anew, for a better guess of its end; friction stays with those that the first solve
+    /// has found the forces of. `own` holds the own rows' positions there, xyz.
+    pub(super) fn contacts_again(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        own: &[f32],
+        span: Span,
+        stats: &mut StepStats,
+    ) -> Result<RankContacts, Failure> {
+        let clock = StageClock::start();
+        let (query, share) = (EventName::ProximityQuery, EventName::SharePositions);
+        let mut traced = TracedTransport::new(rank.transport, rank.recorder, query, share);
+        share_positions(&mut traced, own, &mut self.x_t1, |rank| values_of(&self.partition, rank))?;
+        stats.state_bytes += 4 * (self.partition.rows() * 3 - own.len()) as u64;
+        let mut found = Vec::new();
+        self.detector.contacts_again(&self.cpu, &self.x_t0, &self.x_t1, &mut found);
+        traced.finish(0);
+        clock.lap(&mut stats.seconds.proximity);
+        rank.transport.alive()?;
+        let counted = stats.contacts;
+        let mut elements = self.share_contacts(rank, &found, f32::INFINITY, stats)?;
+        stats.contacts = counted;
+        if self.rough {
+            self.normal_forces.first_ends(&self.x_t0, &self.x_t1);
+            let ratio = self.model.stiffness as f32;
+            self.normal_forces.take_again(&elements, &self.x_t0, &self.x_t1, ratio);
+            let mut traced = TracedTransport::new(rank.transport, rank.recorder, query, share);
+            let own = self.partition.rows_of(self.plan.rank);
+            let scales = self.normal_forces.scale[own].to_vec();
+            share_positions(&mut traced, &scales, &mut self.normal_forces.scale, |rank| self.partition.rows_of(rank))?;
+            traced.finish(0);
+            self.normal_forces.scale(&mut elements);
+        }
+        let contacts = self.localize(rank, elements, span)?;
+        clock.lap(&mut stats.seconds.contacts);
+        Ok(contacts)
+    }
+
+    /// What all ranks found, as this rank needs it.
+    fn share_contacts(
+        &self,
+        rank: &mut RankContext<'_>,
+        found: &[ContactElement],
+        smallest_gap_m: f32,
+        stats: &mut StepStats,
+    ) -> Result<Vec<ContactElement>, Failure> {
+        let mut traced =
+            TracedTransport::new(rank.transport, rank.recorder, EventName::LocalContacts, EventName::ShareContacts);
+        let elements = self.own_contacts(&mut traced, found, smallest_gap_m, stats)?;
+        traced.finish(0);
+        Ok(elements)
     }
 
     /// Where the own rows would be at the end of `span` if nothing but gravity acted on them.
@@ -227,6 +295,7 @@ impl Collisions {
         &self,
         transport: &mut dyn Transport,
         found: &[ContactElement],
+        smallest_gap_m: f32,
         stats: &mut StepStats,
     ) -> Result<Vec<ContactElement>, Failure> {
         let own = self.partition.rows_of(self.plan.rank);
@@ -239,9 +308,8 @@ impl Collisions {
         let rows = self.partition.rows() as u32;
         let first = |c: &ContactElement| c.vertices.into_iter().find(|&v| v < rows).unwrap_or(NO_VERTEX);
         let counted = elements.iter().filter(|c| own.contains(&(first(c) as usize))).count();
-        let gap = elements.iter().map(|c| c.distance_m).fold(f32::INFINITY, f32::min);
         let mut all = Vec::new();
-        transport.all_gather(&[counted as f64, f64::from(gap)], &mut all)?;
+        transport.all_gather(&[counted as f64, f64::from(smallest_gap_m)], &mut all)?;
         stats.contacts += all.iter().map(|of_rank| of_rank[0] as u64).sum::<u64>();
         let gap = all.iter().map(|of_rank| of_rank[1] as f32).fold(f32::INFINITY, f32::min);
         let before = stats.smallest_gap_m.unwrap_or(f32::INFINITY);
@@ -252,10 +320,13 @@ impl Collisions {
     /// Global vertices to local ones: extends the halo on all ranks.
     fn localize(
         &self,
-        transport: &mut dyn Transport,
+        rank: &mut RankContext<'_>,
         mut elements: Vec<ContactElement>,
         span: Span,
     ) -> Result<RankContacts, Failure> {
+        let mut traced =
+            TracedTransport::new(rank.transport, rank.recorder, EventName::LocalContacts, EventName::ShareContacts);
+        let transport = &mut traced;
         let rows = self.partition.rows() as u32;
         let vertices = || elements.iter().flat_map(|c| c.vertices).filter(|&v| v != NO_VERTEX);
         let sorted = |mut list: Vec<u32>| {
@@ -285,11 +356,13 @@ impl Collisions {
         let rate = (1.0 / span.length_s) as f32;
         let obstacle_velocities =
             ends.iter().zip(&obstacle_positions).map(|(end, start)| (end - start) * rate).collect();
+        traced.finish(0);
         Ok(RankContacts { elements, plan, obstacle_positions, obstacle_velocities })
     }
 
-    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones until
-    /// nothing penetrates; in at most `rounds_most` rounds, twice as many while the impacts become few or half as many.
+    /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones
+    /// until nothing penetrates; in at most `rounds_most` rounds, twice as many while the impacts become few or half as
+    /// many.
     pub(super) fn resolve(
         &mut self,
         rank: &mut RankContext<'_>,

@@ -24,6 +24,8 @@ pub(super) struct StateVectors {
     pub positions: DeviceVec<f32>,
     /// m/s, in the order of `positions`.
     pub velocities: DeviceVec<f32>,
+    /// Velocities at the start of the step where `velocities` are those that a first solve has found; as many.
+    pub start_velocities: DeviceVec<f32>,
     /// Values of the own rows.
     own: Range<usize>,
     /// Host copy of the own rows; none after a change.
@@ -40,6 +42,7 @@ impl StateVectors {
         StateVectors {
             positions: DeviceVec::upload(executor, &arrays.positions),
             velocities: DeviceVec::upload(executor, &arrays.velocities),
+            start_velocities: DeviceVec::zeros(executor, 0),
             own: own.start * 3..own.end * 3,
             copy: RefCell::new(None),
             traffic: TrafficCounter::default(),
@@ -81,9 +84,13 @@ impl StateVectors {
         self.copy.replace(Some(state));
     }
 
-    /// Appends obstacle vertices (xyz) to the `rows` local rows.
+    /// Obstacle vertices (xyz) follow the `rows` local rows.
     pub(super) fn put_obstacles(&mut self, executor: &Executor, rows: usize, positions: &[f32], velocities: &[f32]) {
-        for (local, obstacles) in [(&mut self.positions, positions), (&mut self.velocities, velocities)] {
+        for (local, obstacles) in [
+            (&mut self.positions, positions),
+            (&mut self.velocities, velocities),
+            (&mut self.start_velocities, velocities),
+        ] {
             let local_len = rows * 3 + obstacles.len();
             if local.len() < local_len {
                 local.resize(executor, local_len);
@@ -106,7 +113,27 @@ impl StateVectors {
         Ok(())
     }
 
-    /// Sets `velocity_changes` (own rows) to those of `targets` on prescribed rows, and to zero elsewhere.
+    /// As [`StateVectors::exchange`] between two solves, with the velocities of `start` beside those found.
+    pub(super) fn exchange_again(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        halo: &mut HaloExchange,
+        start: &RankState,
+    ) -> Result<(), TransportError> {
+        self.exchange(rank, halo)?;
+        let velocities = &mut self.start_velocities;
+        velocities.write_range(rank.executor, self.own.start, &start.velocities);
+        halo.start(rank.executor, rank.transport, &[&*velocities], rank.recorder)?;
+        halo.finish(rank.executor, rank.transport, &mut [velocities], rank.recorder, &mut self.traffic)
+    }
+
+    /// Puts the own rows back where they were at `start`; velocities stay.
+    pub(super) fn put_back(&mut self, executor: &Executor, start: &RankState) {
+        self.copy.take();
+        self.positions.write_range(executor, self.own.start, &start.positions);
+    }
+
+    /// `velocity_changes` (own rows) becomes those of `targets`, zero elsewhere.
     pub(super) fn prescribe(&self, executor: &Executor, targets: &PinTargets, velocity_changes: &mut DeviceVec<f32>) {
         velocity_changes.fill_zero(executor);
         self.scatter.apply(executor, &targets.rows, &targets.velocity_changes, 0, velocity_changes);
@@ -138,6 +165,6 @@ impl StateVectors {
 
     /// Device bytes.
     pub(super) fn bytes(&self) -> u64 {
-        self.positions.bytes() + self.velocities.bytes()
+        self.positions.bytes() + self.velocities.bytes() + self.start_velocities.bytes()
     }
 }

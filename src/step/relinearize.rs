@@ -41,7 +41,7 @@ impl RankCloth {
             drop(masses);
             self.system.rhs.write_range(rank.executor, 0, &rhs);
             self.solver.vectors.x.fill_zero(rank.executor);
-            if !self.solve(rank, false, true, stats)? {
+            if !self.solve(rank, self.settings.relative_tolerance, false, true, stats)? {
                 return Ok(());
             }
             let state = RankState { positions: before.positions.clone(), velocities: now.velocities.clone() };

@@ -1,12 +1,13 @@
-//! Contacts in the distributed system: products over ranks against a dense accumulate in f64, the same bits for every number
-//! of ranks, both exchange modes, device against native twin, tables that are used again.
+//! Contacts in the distributed system: products over ranks against a dense accumulate in f64, the same bits for every
+//! number of ranks, both exchange modes, device against native twin, tables that are used again.
 
 use loomtree::assembly::sell::value_index;
 use loomtree::assembly::{
     ContactSystem, LANES, NO_ROW, Numbering, RowTooLong, SellLayout, SellMatrix, SubVectors, SystemMatrix,
 };
 use loomtree::context::RankContext;
-use loomtree::forces::{ContactElement, FACET_SLOPE, NO_VERTEX, RELEASE_STEPS};
+use loomtree::forces::contact::ContactStep;
+use loomtree::forces::{ContactElement, LEAST_GAP, NO_VERTEX, STICK_SPEED_M_S};
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::partition::{HaloPlan, RowPartition, halo_plans};
 use loomtree::solver::{ExchangeMode, HaloExchange, PipelinedSpmv};
@@ -149,7 +150,8 @@ impl Case {
         matrix
     }
 
-    /// Elastic and off-diagonal contact blocks times x, and what contacts add per row (diagonal 6, right-hand side 3), in f64.
+    /// Elastic and off-diagonal contact blocks times x, and what contacts add per row (diagonal 6, right-hand side 3),
+    /// in f64.
     fn dense(&self) -> (Vec<f64>, Vec<[f64; 9]>) {
         let x = |v: usize, i: usize| f64::from(self.x[v * 3 + i]);
         let mut y = vec![0.0; self.rows * 3];
@@ -169,34 +171,33 @@ impl Case {
             let u: [f64; 3] =
                 std::array::from_fn(|i| present().map(|a| f64::from(contact.weights[a]) * velocity(a, i)).sum());
             let un: f64 = (0..3).map(|i| n[i] * u[i]).sum();
-            let depth = f64::from(contact.thickness_m - contact.distance_m);
-            let (k, later) = (f64::from(contact.stiffness_n_m), depth - h * un);
-            if later <= 0.0 {
+            let (thickness, gap) = (f64::from(contact.thickness_m), f64::from(contact.distance_m));
+            let (k, free) = (f64::from(contact.stiffness_n_m), gap + h * un);
+            // Where m (d - free) / dt^2 = k h (h - d) / d, if that is closer than the start.
+            let b = STIFFNESS_RATIO * thickness - free;
+            let stopped = 0.5 * ((b * b + 4.0 * STIFFNESS_RATIO * thickness * thickness).sqrt() - b);
+            let start = gap.clamp(f64::from(LEAST_GAP) * thickness, thickness);
+            let d = start.min(stopped);
+            let (force, slope) = (k * thickness * (thickness - d) / d, k * (thickness / d).powi(2));
+            let push = force + slope * (d - free);
+            if push <= 0.0 {
                 continue;
             }
             let slip: [f64; 3] = std::array::from_fn(|i| u[i] - n[i] * un);
-            let speed = slip.iter().map(|s| s * s).sum::<f64>().sqrt().max(1e-3);
-            // The mass that the stiffness was made for; the depth one step ago; the force that stops what was apart then.
-            let (release, mass, before) = (f64::from(RELEASE_STEPS) * h, k * h * h / STIFFNESS_RATIO, depth + h * un);
-            // Closing in counts beyond what facets slope.
-            let length = slip.iter().map(|s| s * s).sum::<f64>().sqrt();
-            let parting = un.max(0.0) + (un + f64::from(FACET_SLOPE) * length).min(0.0);
-            let pressing = if before > 0.0 {
-                k * (before - release * parting).max(0.0)
-            } else {
-                mass * (depth.min(0.0) - h * un) / (h * h)
-            };
+            let speed = slip.iter().map(|s| s * s).sum::<f64>().sqrt().max(f64::from(STICK_SPEED_M_S));
+            // The mass that the stiffness was made for.
+            let mass = k * h * h / STIFFNESS_RATIO;
+            let pressing = if stopped < start { force } else { push };
             let drag = h * f64::from(contact.friction) * pressing / speed;
             let beta = drag * (8.0 * drag / mass).min(1.0);
-            let wanted = if depth > 0.0 { depth } else { f64::from(RELEASE_STEPS) * depth } - release * un;
-            let s = |i: usize, j: usize| (h * release * k - beta) * n[i] * n[j] + if i == j { beta } else { 0.0 };
+            let s = |i: usize, j: usize| (h * h * slope - beta) * n[i] * n[j] + if i == j { beta } else { 0.0 };
             for a in present().filter(|&a| (contact.vertices[a] as usize) < self.rows) {
                 let (row, wa) = (contact.vertices[a] as usize, f64::from(contact.weights[a]));
                 for (sum, (i, j)) in sums[row].iter_mut().zip(pairs) {
                     *sum += wa * wa * s(i, j);
                 }
                 for i in 0..3 {
-                    sums[row][6 + i] += wa * (n[i] * h * k * wanted - slip[i] * drag);
+                    sums[row][6 + i] += wa * (n[i] * h * push - slip[i] * drag);
                 }
                 for b in present().filter(|&b| b != a && (contact.vertices[b] as usize) < self.rows) {
                     let (column, wb) = (contact.vertices[b] as usize, f64::from(contact.weights[b]));
@@ -231,12 +232,19 @@ fn built(
     let local = |v| plan.local_from_global(v).unwrap();
     let contacts = case.localized(&case_rows(plan), plan.local_rows, local);
     let velocities = DeviceVec::upload(ex, &case.local_velocities(&plan.global_from_local));
+    let step = ContactStep {
+        step_s: STEP_S,
+        stiffness_ratio: STIFFNESS_RATIO as f32,
+        at_end: false,
+        fall_m: [0.0; 3],
+        rows: plan.local_rows as u32,
+    };
     let other: Vec<ContactElement> = contacts.iter().filter(|c| c.kind == 0).chain(contacts.iter()).copied().collect();
-    for step in [&other, &Vec::new(), &contacts] {
-        system.build(ex, step, numbering, elastic).unwrap();
-        system.records(ex, STEP_S, STIFFNESS_RATIO as f32, &velocities);
+    for elements in [&other, &Vec::new(), &contacts] {
+        system.build(ex, elements, numbering, elastic).unwrap();
+        system.records(ex, &step, &velocities, &velocities);
         system.fill(ex);
-        assert_eq!((system.contacts(), system.matrix().is_some()), (step.len(), !step.is_empty()));
+        assert_eq!((system.contacts(), system.matrix().is_some()), (elements.len(), !elements.is_empty()));
     }
     system
 }

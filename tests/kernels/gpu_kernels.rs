@@ -1,5 +1,5 @@
-//! Kernels on a device against their native twins: seeded inputs, odd sizes larger than a workgroup, the rows of one rank
-//! among several.
+//! Kernels on a device against their native twins: seeded inputs, odd sizes larger than a workgroup, the rows of one
+//! rank among several.
 
 use loomtree::assembly::fill::{Fill, FillParams, FillTables};
 use loomtree::assembly::{ElementRows, Numbering, SellMatrix};

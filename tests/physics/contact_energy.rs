@@ -10,8 +10,8 @@ fn mean_z(values: &[Vec3]) -> f64 {
     values.iter().map(|p| f64::from(p.z)).sum::<f64>() / values.len() as f64
 }
 
-/// Cloth does not bounce: of the speed of an impact, what it leaves with is what the thickness gives room for, a tenth of
-/// it per step. Then it lies still.
+/// Cloth does not bounce: of the speed of an impact, what it leaves with is what the thickness gives room for, half of
+/// it per step: two Newton steps on the barrier, each of a quarter at most. Then it lies still.
 #[test]
 fn a_dropped_sheet_stays_where_it_falls() {
     for (step_s, thickness_m, speed_m_s) in
@@ -28,7 +28,7 @@ fn a_dropped_sheet_stays_where_it_falls() {
         let slowest = speeds.iter().fold(0.0, |a: f64, &b| a.min(b));
         let bounce = speeds.iter().fold(0.0, |a: f64, &b| a.max(b));
         println!("{case}: {slowest:.3} m/s down, then {bounce:.4} m/s up");
-        assert!(slowest < -0.9 && bounce <= 0.12 * thickness_m / step_s, "{case}: {slowest} m/s, then {bounce} m/s");
+        assert!(slowest < -0.9 && bounce <= 0.5 * thickness_m / step_s, "{case}: {slowest} m/s, then {bounce} m/s");
         let energy = run.kinetic_j();
         let most = energy.iter().fold(0.0, |a: f64, &b| a.max(b));
         assert!(energy.last().unwrap() < &(1e-9 * most), "{case}: {} of {most} J at the end", energy.last().unwrap());

@@ -23,11 +23,25 @@ fn acceleration(angle_deg: f64, mu: f64) -> f64 {
     f64::from(GRAVITY_M_S2) * (sin - mu * cos)
 }
 
-/// A sheet of `cells` squared, 10 cm wide, that starts down an incline as deep within its reach as its weight presses it.
+/// A sheet of `cells` squared, 10 cm wide, that starts down an incline as deep within its reach as its weight presses
+/// it.
 fn incline(angle_deg: f64, mu: f64, cells: usize, start_m_s: f32, plane_cells: [u32; 2]) -> Scene {
+    stepped_incline(angle_deg, mu, cells, start_m_s, plane_cells, [0.004, 8.0])
+}
+
+/// As [`incline`] for steps of another length and another stiffness of contacts.
+fn stepped_incline(
+    angle_deg: f64,
+    mu: f64,
+    cells: usize,
+    start_m_s: f32,
+    plane_cells: [u32; 2],
+    [step_s, stiffness]: [f64; 2],
+) -> Scene {
     let (along, up) = directions(angle_deg);
     let mesh = sheet(cells + 1, cells + 1, [0.1; 2], Vec3::ZERO, along, Vec3::Y);
     let mut scene = contact_scene(mesh, f64::from(THICKNESS_M), 0.0, DOWN);
+    (scene.settings.step_s, scene.settings.contact_stiffness) = (step_s, stiffness);
     // m g cos against k times the depth.
     let depth_m = up.z * GRAVITY_M_S2 * (scene.settings.step_s.powi(2) / scene.settings.contact_stiffness) as f32;
     scene.mesh.positions.iter_mut().for_each(|x| *x += up * (THICKNESS_M - depth_m));
@@ -69,8 +83,8 @@ impl Slide {
     }
 }
 
-/// Holds: at a second it creeps no faster than the speed below which friction is proportional to speed, scaled by how much
-/// of the friction is used.
+/// Holds: at a second it creeps no faster than the speed below which friction is proportional to speed, scaled by how
+/// much of the friction is used.
 fn assert_holds(angle_deg: f64, mu: f64) {
     let mut slide = Slide::new(&incline(angle_deg, mu, 4, 0.0, [1, 1]), angle_deg);
     let start = slide.place();
@@ -78,8 +92,12 @@ fn assert_holds(angle_deg: f64, mu: f64) {
     let creep = f64::from(STICK_SPEED_M_S) * angle_deg.to_radians().tan() / mu;
     let (speed, moved) = (slide.speed(), slide.place() - start);
     assert!(speed <= 1.02 * creep, "mu {mu}, {angle_deg} deg: {speed} m/s, not {creep}");
-    assert!(moved <= 0.8 * 1.02 * creep, "mu {mu}, {angle_deg} deg: moved {moved} m in 0.8 s");
-    assert!(f64::from(slide.cloth.fastest_m_s()) < 1.1 * creep, "nothing flutters");
+    // Rounding of positions a fifth of a meter from the origin.
+    assert!(moved <= 0.8 * 1.02 * creep + 2e-7, "mu {mu}, {angle_deg} deg: moved {moved} m in 0.8 s");
+    let fastest = f64::from(slide.cloth.fastest_m_s());
+    // A rounding of a position a fifth of a metre from the origin, in a step.
+    const ROUNDING_M_S: f64 = 7.5e-9 / 0.004;
+    assert!(fastest < 1.1 * creep + ROUNDING_M_S, "mu {mu}, {angle_deg} deg: {fastest} m/s where {creep} creep");
 }
 
 /// Slides: the measured acceleration, of its expected value.
@@ -138,7 +156,8 @@ fn the_reference_table_of_inclines() {
     assert!(rows >= 9, "{rows} rows");
 }
 
-/// From rest: friction is a drag up to the stick speed, so sliding sets in a little late, and no later than this.
+/// From rest: friction is a drag up to the stick speed, so sliding sets in a little late, and no later than this. It
+/// may seem early by the rounding of gaps, which friction goes by: 1e-4 of the way.
 #[test]
 fn a_sheet_breaks_away_from_rest() {
     for (mu, off, late_s) in [(0.3, 5.0, 0.1), (0.6, 10.0, 0.08), (0.3, 10.0, 0.06)] {
@@ -146,7 +165,7 @@ fn a_sheet_breaks_away_from_rest() {
         let mut slide = Slide::new(&incline(angle, mu, 4, 0.0, [1, 1]), angle);
         slide.steps(150);
         let lag = 0.6 - slide.speed() / acceleration(angle, mu);
-        assert!((0.0..late_s).contains(&lag), "mu {mu}, {angle} deg: {lag} s late");
+        assert!((-1e-4..late_s).contains(&lag), "mu {mu}, {angle} deg: {lag} s late");
     }
 }
 
@@ -176,8 +195,7 @@ fn a_sliding_sheet_stops_where_it_must_and_does_not_turn_around() {
 fn edges_of_a_flat_obstacle_hardly_matter() {
     let (mu, angle) = (0.3, f64::atan(0.3).to_degrees() + 5.0);
     for (step_s, relative) in [(0.004, 0.04), (0.001, 0.02)] {
-        let mut scene = incline(angle, mu, 4, 0.5, [60, 6]);
-        scene.settings.step_s = step_s;
+        let scene = stepped_incline(angle, mu, 4, 0.5, [60, 6], [step_s, 8.0]);
         let steps = |seconds: f64| (seconds / step_s) as u32;
         let found = measured(angle, mu, 0.5, &scene, steps(0.1), steps(0.5));
         let scale = mu * f64::from(GRAVITY_M_S2) * angle.to_radians().cos();
@@ -187,15 +205,13 @@ fn edges_of_a_flat_obstacle_hardly_matter() {
     }
 }
 
-/// Steps of half a millisecond: at a stiffness of 8 m / dt^2 the sheet lies 0.3 micrometres deep, and positions are rounded to
-/// nearly as much a few metres from the origin. At the stiffness of steps of 4 ms it lies 64 times as deep.
+/// Steps of half a millisecond: at a stiffness of 8 m / dt^2 the sheet lies 0.3 micrometres deep, and positions are
+/// rounded to nearly as much a few metres from the origin. At the stiffness of steps of 4 ms it lies 64 times as deep.
 #[test]
 fn short_steps_far_from_the_origin() {
     let (mu, angle) = (0.3, f64::atan(0.3).to_degrees() + 5.0);
     for (far_m, stiffness, relative) in [(0.0, 8.0, 0.05), (1.0, 8.0, 0.2), (4.0, 0.125, 0.01), (16.0, 0.125, 0.01)] {
-        let mut scene = incline(angle, mu, 4, 0.5, [1, 1]);
-        scene.settings.step_s = 0.0005;
-        scene.settings.contact_stiffness = stiffness;
+        let mut scene = stepped_incline(angle, mu, 4, 0.5, [1, 1], [0.0005, stiffness]);
         let moved = Vec3::new(far_m, -far_m, far_m);
         scene.mesh.positions.iter_mut().for_each(|x| *x += moved);
         scene.obstacles[0].positions.iter_mut().for_each(|x| *x += moved);

@@ -2,6 +2,7 @@
 
 mod air;
 mod contact_curved;
+mod contact_edge;
 mod contact_energy;
 mod contact_friction;
 mod contact_scenes;

@@ -6,10 +6,11 @@ use loomtree::assembly::fill::{Fill, FillParams, FillTables};
 use loomtree::assembly::sell::value_index;
 use loomtree::assembly::{ContactSystem, ElementRows, LANES, NO_ROW, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
+use loomtree::forces::contact::ContactStep;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{
-    ContactElement, FACET_SLOPE, HINGE_RECORD_FLOATS, NO_VERTEX, RELEASE_STEPS, STICK_SPEED_M_S, StepParams,
-    TRIANGLE_RECORD_FLOATS, dihedral_angle,
+    ContactElement, HINGE_RECORD_FLOATS, LEAST_GAP, NO_VERTEX, STICK_SPEED_M_S, StepParams, TRIANGLE_RECORD_FLOATS,
+    dihedral_angle,
 };
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::math::{DQuat, DVec3, Vec3};
@@ -148,7 +149,8 @@ fn dense_system(model: &GlobalModel) -> Dense {
                 (0..3).for_each(|c| kv[c] += left[c] * (area * s * speed));
             }
         }
-        // Air: force of the mean velocity, a third to every corner; derivative of the pressure 2 rho |vn|, of the drag c.
+        // Air: force of the mean velocity, a third to every corner; derivative of the pressure 2 rho |vn|, of the drag
+        // c.
         let normal = xu.cross(xv).normalize();
         let relative = WIND - (v[0] + v[1] + v[2]) / 3.0;
         let vn = relative.dot(normal);
@@ -238,7 +240,15 @@ fn rank_rows(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement])
         FillTables::new(&ex, &numbering, (&triangle_rows, &triangles), (&hinge_rows, &hinges)).unwrap();
     let mut system = ContactSystem::new(&ex);
     system.build(&ex, &local_contacts, &numbering, &matrix).unwrap();
-    system.records(&ex, STEP_S as f32, STIFFNESS_RATIO as f32, &DeviceVec::upload(&ex, &local_velocities));
+    let local_velocities = DeviceVec::upload(&ex, &local_velocities);
+    let step = ContactStep {
+        step_s: STEP_S as f32,
+        stiffness_ratio: STIFFNESS_RATIO as f32,
+        at_end: false,
+        fall_m: [0.0; 3],
+        rows: plan.local_rows as u32,
+    };
+    system.records(&ex, &step, &local_velocities, &local_velocities);
     system.fill(&ex);
     let (mut b, mut inverse) = (DeviceVec::zeros(&ex, own.len() * 3), DeviceVec::zeros(&ex, own.len() * 6));
     let fill = FillParams { gravity: DOWN.to_array(), step_s: STEP_S as f32, rows: own.len() as u32 };
@@ -321,8 +331,8 @@ fn contacts(model: &GlobalModel) -> Vec<ContactElement> {
     contacts
 }
 
-/// Local vertices of a rank with those appended, in no particular order, that only contacts reach, and the contacts that
-/// touch own rows in this numbering; obstacles come last.
+/// Local vertices of a rank with those appended, in no particular order, that only contacts reach, and the contacts
+/// that touch own rows in this numbering; obstacles come last.
 fn localized(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement]) -> (Vec<u32>, Vec<ContactElement>) {
     let (plan, rows) = (&part.plan, model.rows() as u32);
     let mut global_from_local = plan.global_from_local.clone();
@@ -343,7 +353,7 @@ fn localized(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement])
     (global_from_local, numbered)
 }
 
-/// Adds the contacts to the dense system: R dt^2 k n n' and friction as a drag of mu F / |u_t|.
+/// Adds the contacts to the dense system: the barrier along the normal and friction as a drag of mu F / |u_t|.
 fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElement]) -> usize {
     let rows = model.rows() as u32;
     let velocity = |v: u32| match v {
@@ -355,35 +365,34 @@ fn add_contacts(system: &mut Dense, model: &GlobalModel, contacts: &[ContactElem
     for c in contacts {
         let (n, k) = (Vec3::from(c.normal).as_dvec3(), f64::from(c.stiffness_n_m));
         let u: DVec3 = (0..4).map(|a| velocity(c.vertices[a]) * f64::from(c.weights[a])).sum();
-        let depth = f64::from(c.thickness_m - c.distance_m);
-        let release = f64::from(RELEASE_STEPS) * STEP_S;
-        let wanted = if depth > 0.0 { depth } else { f64::from(RELEASE_STEPS) * depth } - release * n.dot(u);
-        if depth - STEP_S * n.dot(u) <= 0.0 {
+        let (h, gap) = (f64::from(c.thickness_m), f64::from(c.distance_m));
+        let free = gap + STEP_S * n.dot(u);
+        // Where m (d - free) / dt^2 = k h (h - d) / d, if that is closer than the start.
+        let b = STIFFNESS_RATIO * h - free;
+        let stopped = 0.5 * ((b * b + 4.0 * STIFFNESS_RATIO * h * h).sqrt() - b);
+        let start = gap.clamp(f64::from(LEAST_GAP) * h, h);
+        let d = start.min(stopped);
+        let (force, slope) = (k * h * (h - d) / d, k * (h / d).powi(2));
+        let push = force + slope * (d - free);
+        if push <= 0.0 {
             continue;
         }
         repelling += 1;
         let slip = u - n * n.dot(u);
-        // The mass that the stiffness was made for; the depth one step ago.
+        // The mass that the stiffness was made for.
         let mass = k * STEP_S * STEP_S / STIFFNESS_RATIO;
-        let before = depth + STEP_S * n.dot(u);
-        // Closing in counts beyond what facets slope.
-        let parting = n.dot(u).max(0.0) + (n.dot(u) + f64::from(FACET_SLOPE) * slip.length()).min(0.0);
-        let pressing = if before > 0.0 {
-            k * (before - release * parting).max(0.0)
-        } else {
-            mass * (depth.min(0.0) - STEP_S * n.dot(u)) / (STEP_S * STEP_S)
-        };
+        let pressing = if stopped < start { force } else { push };
         let drag = STEP_S * f64::from(c.friction) * pressing / slip.length().max(f64::from(STICK_SPEED_M_S));
         let beta = drag * (8.0 * drag / mass).min(1.0);
         let cloth: Vec<usize> = (0..4).filter(|&a| c.vertices[a] < rows).collect();
         let vertices: Vec<u32> = cloth.iter().map(|&a| c.vertices[a]).collect();
         let along = |axis: DVec3| cloth.iter().map(|&a| axis * f64::from(c.weights[a])).collect::<Vec<_>>();
-        system.add_rank_one(&vertices, STEP_S * release * k - beta, &along(n), &along(n));
+        system.add_rank_one(&vertices, STEP_S * STEP_S * slope - beta, &along(n), &along(n));
         for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
             system.add_rank_one(&vertices, beta, &along(axis), &along(axis));
         }
         for &a in &cloth {
-            system.add_rhs(c.vertices[a], (n * (STEP_S * k * wanted) - slip * drag) * f64::from(c.weights[a]));
+            system.add_rhs(c.vertices[a], (n * (STEP_S * push) - slip * drag) * f64::from(c.weights[a]));
         }
     }
     repelling

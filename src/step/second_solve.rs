@@ -1,0 +1,64 @@
+//! The second solve of a step: one more Newton step on backward Euler, linearized where the first one ended.
+//!
+//! What contacts do to a sliding cloth is decided by where its features are at the end of the step: over an edge it
+//! turns by a right angle within a few millimeters, and a force along a normal of the start holds what wants to go
+//! round. The same holds for membrane forces: a triangle that turns by an angle within a step seems longer by half its
+//! square, which takes what tension should have given. Steps without collisions have one solve.
+
+use super::span::Span;
+use super::stats::{StageClock, StepStats};
+use super::{Failure, RankCloth};
+use crate::context::RankContext;
+use crate::integrator::pins::PinTargets;
+use crate::model::RankState;
+
+/// Tolerance of a second solve over that of the first, and at most.
+const TOLERANCE_AGAIN: f64 = 10.0;
+const TOLERANCE_AGAIN_MOST: f64 = 0.1;
+
+impl RankCloth {
+    /// Stages 2 to 6 once more, linearized at the end that the first solve has found from `start`. The unknown is the
+    /// change of the velocities found, so M (v - v0) is on the right-hand side. A solve
+    /// that breaks off leaves the state that the first one has found.
+    pub(super) fn solve_again(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        span: Span,
+        start: &RankState,
+        targets: &PinTargets,
+        stats: &mut StepStats,
+    ) -> Result<(), Failure> {
+        let end = self.state.recorded(rank);
+        let Some(collisions) = &mut self.collisions else { return Ok(()) };
+        let found = collisions.contacts_again(rank, &end.positions, span, stats)?;
+        self.take_contacts(rank, found, stats)?;
+        let clock = StageClock::start();
+        self.state.exchange_again(rank, self.solver.spmv.halo(), start)?;
+        clock.lap_kernels(rank.executor, &mut stats.seconds.exchange);
+
+        self.element_records(rank, span, 0.0);
+        clock.lap_kernels(rank.executor, &mut stats.seconds.elements);
+        rank.transport.alive()?;
+
+        self.fill_matrix(rank, span);
+        self.inertia.apply(rank.executor, &self.system.masses, &self.solver.vectors.x, &mut self.system.rhs);
+        clock.lap_kernels(rank.executor, &mut stats.seconds.value_fill);
+        rank.transport.alive()?;
+
+        self.solver.vectors.x.fill_zero(rank.executor);
+        // Of a right-hand side that is what the first solve has left, by its tolerance and by its linearization.
+        let relative_tolerance = (TOLERANCE_AGAIN * self.settings.relative_tolerance).min(TOLERANCE_AGAIN_MOST);
+        let of_first = stats.residual;
+        if !self.solve(rank, relative_tolerance, false, true, stats)? {
+            return Ok(());
+        }
+        // The report tells the residual of the first solve: this one is relative to something smaller.
+        stats.residual = of_first;
+        clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
+
+        self.state.put_back(rank.executor, start);
+        self.state.advance(rank, span, &self.solver.vectors.x, targets);
+        clock.lap_kernels(rank.executor, &mut stats.seconds.advance);
+        Ok(())
+    }
+}
