@@ -4,6 +4,7 @@
 
 mod collisions;
 mod comparison;
+mod creases;
 mod elements;
 mod error;
 mod inspect;
@@ -131,6 +132,7 @@ impl Simulation {
         self.cloth.solver.spmv.traffic = TrafficCounter::default();
         let mut rank = RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
         self.cloth.advance_in_parts(&mut rank, span, &mut stats)?;
+        self.cloth.crease(&mut rank, &mut stats)?;
         self.cloth.state_is_new = false;
         if let Some(fault) = self.executor.take_fault() {
             return Err(Failure::in_step(step, fault));
@@ -149,6 +151,7 @@ impl Simulation {
         let (executor, cloth) = (&self.executor, &mut self.cloth);
         let values = cloth.rows.len() * DIM;
         assert_eq!((state.positions.len(), state.velocities.len()), (values, values), "the state of the own rows");
+        cloth.elements.set_creases(executor, &state.creases);
         cloth.state.set(executor, Rc::new(state));
         cloth.pins.release_all();
         cloth.system.pinned.fill_zero(executor);
@@ -172,11 +175,12 @@ impl RankCloth {
             cell_m,
             pins_move,
             stiffness_ratio,
+            plastic,
             collision,
             arrays,
         } = model;
         let columns = ColumnOrder::new(&partition, exchange);
-        let elements = Elements::new(executor, &arrays);
+        let elements = Elements::new(executor, &arrays, plastic);
         let matrix = Assembled::new(executor, &arrays, &elements, &columns.numbering(&plan))?;
         let threads = host_threads(executor, partition.ranks());
         let collisions = collision
@@ -462,7 +466,7 @@ impl RankCloth {
                 }
                 positions[at..at + 3].copy_from_slice(&x);
             }
-            self.state.set(rank.executor, Rc::new(RankState { positions, velocities }));
+            self.state.set(rank.executor, Rc::new(RankState { positions, velocities, creases: Vec::new() }));
         }
         Ok(Attempt::Done)
     }

@@ -132,8 +132,9 @@ impl Worker {
     }
 
     fn set_state(&mut self, step: u32, arrays: &[&[u8]]) -> Result<ControlFlow<()>, WorkerError> {
-        let rows = self.loaded("SetState")?.simulation.rows().len();
-        let state = RankState::from_bytes(arrays, rows).map_err(|error| self.other(error.to_string()))?;
+        let simulation = &self.loaded("SetState")?.simulation;
+        let (rows, creases) = (simulation.rows().len(), simulation.creases());
+        let state = RankState::from_bytes(arrays, rows, creases).map_err(|error| self.other(error.to_string()))?;
         let loaded = self.loaded("SetState")?;
         loaded.simulation.set_state(state);
         loaded.step = step;

@@ -81,7 +81,7 @@ pub struct RunOptions {
     /// Write a checkpoint every K frames (one is always left at the end, at Ctrl-C and after a failure); 0 = only then
     #[arg(long, value_name = "K", default_value_t = 10)]
     pub checkpoint_every: u32,
-    /// Keep states for good, as states/step_%08d.ltc (positions and velocities): that of every frame, or of every K
+    /// Keep states for good, as states/step_%08d.ltc: that of every frame, or of every K
     /// steps
     #[arg(long, value_name = "frames|K")]
     #[serde(skip_serializing_if = "Option::is_none")]

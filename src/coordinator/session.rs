@@ -55,6 +55,9 @@ pub enum SessionError {
     /// A state of another mesh.
     #[error("a state of {positions} vertices does not fit the loaded level, which has {vertices}")]
     Unfit { positions: usize, vertices: usize },
+    /// A state of another mesh, or of a scene of which other fabrics are plastic.
+    #[error("a state of {creases} creases does not fit the loaded level, which has {hinges}")]
+    UnfitCreases { creases: usize, hinges: usize },
     /// A request to a session without a level.
     #[error("no level is loaded")]
     NotLoaded,
@@ -114,6 +117,10 @@ struct Loaded {
     partition: RowPartition,
     /// Vertex of the mesh of every row.
     order: Vec<u32>,
+    /// As [`RankModel::hinges_of_ranks`].
+    hinges: Vec<Vec<u32>>,
+    /// Creases of a state.
+    creases: usize,
     step: u32,
 }
 
@@ -183,7 +190,13 @@ impl Session {
             }
             _ => false,
         })?;
-        self.loaded = Some(Loaded { partition: level.partition, order: model.original_from_global, step: 0 });
+        self.loaded = Some(Loaded {
+            partition: level.partition,
+            hinges: RankModel::hinges_of_ranks(&model, &level.partition),
+            creases: model.original_hinge.len(),
+            order: model.original_from_global,
+            step: 0,
+        });
         Ok(ready.into_iter().flatten().collect())
     }
 
@@ -197,9 +210,12 @@ impl Session {
         if state.vertices() != Some(vertices) {
             return Err(SessionError::Unfit { positions: state.positions.len(), vertices });
         }
+        if state.creases.len() != loaded.creases {
+            return Err(SessionError::UnfitCreases { creases: state.creases.len(), hinges: loaded.creases });
+        }
         let setup_limit = self.crew.setup_limit();
         for rank in 0..loaded.partition.ranks() {
-            let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)]);
+            let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)], &loaded.hinges[rank]);
             self.crew.send(rank, &ToWorker::SetState { step }, &part.to_bytes())?;
             self.crew.flush(rank, setup_limit)?;
         }
@@ -257,14 +273,14 @@ impl Session {
     /// # Errors
     /// A worker failed, or no level is loaded.
     pub fn state(&mut self) -> Result<State, SessionError> {
-        let Loaded { partition, order, .. } = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?;
+        let Loaded { partition, order, hinges, creases, .. } = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?;
         self.crew.broadcast(&ToWorker::SendState)?;
-        let mut state = State::zeros(order.len());
+        let mut state = State::zeros(order.len(), *creases);
         self.crew.collect(self.options.silence, |rank, message, arrays| {
             let rows = partition.rows_of(rank);
             let ToCoordinator::State = message else { return false };
-            let Ok(part) = RankState::from_bytes(arrays, rows.len()) else { return false };
-            state.scatter(&order[rows], &part);
+            let Ok(part) = RankState::from_bytes(arrays, rows.len(), hinges[rank].len()) else { return false };
+            state.scatter(&order[rows], &hinges[rank], &part);
             true
         })?;
         Ok(state)

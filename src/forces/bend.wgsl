@@ -24,6 +24,13 @@ fn bending_stiffness(fabric: u32, curvature: f32, bias: f32) -> f32 {
     return max(low * (1.0 - b) + high * b, 0.0);
 }
 
+// Which of the two fabrics of a hinge yields first; the first one if none does.
+fn yields_first(of_sides: vec2<u32>) -> u32 {
+    let one = fabrics[of_sides.x].yield_curvature;
+    let other = fabrics[of_sides.y].yield_curvature;
+    return select(of_sides.x, of_sides.y, other > 0.0 && (one <= 0.0 || other < one));
+}
+
 @compute @workgroup_size(WORKGROUP)
 fn bend(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let i = global_index(id, groups);
@@ -59,7 +66,12 @@ fn bend(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let curvature = element.curvature_from_angle * angle;
     let side0 = bending_stiffness(element.fabric.x, curvature, element.bias.x);
     let side1 = bending_stiffness(element.fabric.y, curvature, element.bias.y);
-    let k = element.shape * min(side0, side1);
+    var k = element.shape * min(side0, side1);
+    if (element.plastic_curvature > 0.0) {
+        let fabric = yields_first(element.fabric);
+        let y = fabrics[fabric].yield_curvature;
+        k *= y / (y + fabrics[fabric].weakening * element.plastic_curvature);
+    }
     let damping = 0.5 * (fabrics[element.fabric.x].damping_s + fabrics[element.fabric.y].damping_s);
     let rate = dot(g0, unpacked(velocities[element.vertices.x])) + dot(g1, unpacked(velocities[element.vertices.y]))
         + dot(g2, unpacked(velocities[element.vertices.z])) + dot(g3, unpacked(velocities[element.vertices.w]));

@@ -47,7 +47,12 @@ fn bending_stiffness(fabric: &FabricTable, curvature: f32, bias: f32) -> f32 {
 fn hinge_stiffness(fabrics: &[FabricTable], element: &HingeElement, angle: f32) -> f32 {
     let curvature = element.curvature_from_angle * angle;
     let side = |s: usize| bending_stiffness(&fabrics[element.fabric[s] as usize], curvature, element.bias[s]);
-    element.shape * side(0).min(side(1))
+    let stiffness = element.shape * side(0).min(side(1));
+    if element.plastic_curvature > 0.0 {
+        let fabric = FabricTable::yields_first(element.fabric.map(|of_side| &fabrics[of_side as usize]));
+        return stiffness * fabric.weakened(element.plastic_curvature);
+    }
+    stiffness
 }
 
 /// Energy of a hinge with the stiffness frozen at `frozen_angle`, joules (for tests).

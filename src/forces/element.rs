@@ -3,7 +3,7 @@
 
 use crate::gpu::gpu_struct;
 use crate::math::{DVec2, Vec2, Vec3};
-use crate::scene::Fabric;
+use crate::scene::{Fabric, Plasticity};
 
 /// Corners of a triangle element.
 pub const CORNERS_TRIANGLE: usize = 3;
@@ -63,14 +63,26 @@ gpu_struct! {
         pub shape: f32,
         /// Curvature (1/m) = this * dihedral angle: l / a.
         pub curvature_from_angle: f32,
-        /// Dihedral angle at rest, radians.
+        /// Dihedral angle at rest, radians; plastic bending moves it.
         pub rest_angle: f32,
-        /// Fills the struct to a multiple of 16 bytes.
-        pub padding: f32,
+        /// Plastic curvature so far, 1/m, every change counted positive.
+        pub plastic_curvature: f32,
         /// Direction of the edge in material space on each side: 0 = warp, 1 = 45 degrees, 2 = weft.
         pub bias: [f32; 2],
         /// Fabric of each side.
         pub fabric: [u32; 2],
+    }
+}
+
+impl HingeElement {
+    /// Angle at rest and plastic curvature.
+    pub fn crease(&self) -> [f32; 2] {
+        [self.rest_angle, self.plastic_curvature]
+    }
+
+    /// Sets what [`HingeElement::crease`] gives.
+    pub fn set_crease(&mut self, crease: [f32; 2]) {
+        [self.rest_angle, self.plastic_curvature] = crease;
     }
 }
 
@@ -94,7 +106,7 @@ gpu_struct! {
 }
 
 gpu_struct! {
-    /// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping; 40 floats.
+    /// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping, plasticity; 44 floats.
     pub struct FabricTable {
         /// As [`Fabric::stretching_n_m`].
         pub stretching: [[f32; 4]; 6],
@@ -102,6 +114,29 @@ gpu_struct! {
         pub bending: [f32; 15],
         /// Stiffness-proportional damping, seconds.
         pub damping_s: f32,
+        /// As [`Plasticity::yield_curvature_1_m`]; 0 = elastic.
+        pub yield_curvature: f32,
+        /// As [`Plasticity::hardening`].
+        pub hardening: f32,
+        /// As [`Plasticity::weakening`].
+        pub weakening: f32,
+        /// Fills the struct to a multiple of 16 bytes.
+        pub padding: f32,
+    }
+}
+
+impl FabricTable {
+    /// Which of the two fabrics of a hinge yields first; the first one if none does.
+    pub(super) fn yields_first(of_sides: [&FabricTable; 2]) -> &FabricTable {
+        let [one, other] = of_sides;
+        let is_other =
+            other.yield_curvature > 0.0 && (one.yield_curvature <= 0.0 || other.yield_curvature < one.yield_curvature);
+        if is_other { other } else { one }
+    }
+
+    /// Factor of the bending stiffness at a plastic curvature above 0.
+    pub(super) fn weakened(&self, plastic_curvature: f32) -> f32 {
+        self.yield_curvature / (self.yield_curvature + self.weakening * plastic_curvature)
     }
 }
 
@@ -111,10 +146,16 @@ impl From<&Fabric> for FabricTable {
         for (to, from) in bending.iter_mut().zip(fabric.bending_n_m.iter().flatten()) {
             *to = *from as f32;
         }
+        let none = Plasticity { yield_curvature_1_m: 0.0, hardening: 0.0, weakening: 0.0 };
+        let Plasticity { yield_curvature_1_m, hardening, weakening } = fabric.plasticity.unwrap_or(none);
         FabricTable {
             stretching: fabric.stretching_n_m.map(|row| row.map(|k| k as f32)),
             bending,
             damping_s: fabric.damping_s as f32,
+            yield_curvature: yield_curvature_1_m as f32,
+            hardening: hardening as f32,
+            weakening: weakening as f32,
+            padding: 0.0,
         }
     }
 }
@@ -156,7 +197,7 @@ pub fn hinge_element(
         shape: (length * length / (4.0 * area)) as f32,
         curvature_from_angle: (length / area) as f32,
         rest_angle,
-        padding: 0.0,
+        plastic_curvature: 0.0,
         bias,
         fabric,
     }

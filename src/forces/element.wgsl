@@ -14,7 +14,7 @@ struct HingeElement {
     shape: f32,
     curvature_from_angle: f32,
     rest_angle: f32,
-    padding: f32,
+    plastic_curvature: f32,
     bias: vec2<f32>,
     fabric: vec2<u32>,
 }
@@ -23,6 +23,10 @@ struct FabricTable {
     stretching: array<vec4<f32>, 6>,
     bending: array<f32, 15>,
     damping_s: f32,
+    yield_curvature: f32,
+    hardening: f32,
+    weakening: f32,
+    padding: f32,
 }
 
 struct StepParams {

@@ -10,6 +10,8 @@ mod bend_cpu;
 pub mod contact;
 mod contact_cpu;
 mod contact_element;
+pub mod crease;
+mod crease_cpu;
 mod element;
 pub mod stretch;
 mod stretch_cpu;

@@ -19,6 +19,7 @@ pub(super) fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
         stretching_n_m: [row; 6],
         bending_n_m: [[bending; 5]; 3],
         damping_s: 0.0,
+        plasticity: None,
     })
 }
 
@@ -180,6 +181,7 @@ fn measured_tables_give_a_positive_semidefinite_stiffness_at_every_strain() {
             stretching_n_m: rows,
             bending_n_m: [[0.0; 5]; 3],
             damping_s: 0.0,
+            plasticity: None,
         });
         let [warp, cross, weft, shear] =
             stretch_stiffness(&fabric, [random.signed() * 0.4, random.signed() * 0.4, random.signed() * 0.4]);
@@ -198,6 +200,7 @@ fn stiffness_at_the_samples_is_the_table() {
         stretching_n_m: rows,
         bending_n_m: [[0.0; 5]; 3],
         damping_s: 0.0,
+        plasticity: None,
     });
     assert_eq!(stretch_stiffness(&fabric, [0.0; 3])[0], 100.0);
     // A principal strain of 1/6 along the warp, the weft and 45 degrees.

@@ -1,11 +1,11 @@
 //! The whole cloth in the global order. Vertices are renumbered for locality. The order depends only on the scene, so
 //! the row blocks of any rank count are contiguous ranges of it.
 
-use super::state::{RankState, State};
+use super::state::{RankState, State, creases_of};
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
 use crate::integrator::pins::RankPin;
 use crate::math::Vec2;
-use crate::mesh::{hinges, vertex_order};
+use crate::mesh::{Hinge, hinges, vertex_order};
 use crate::partition::chunk_rows;
 use crate::scene::{Motion, Obstacles, Scene, Settings};
 
@@ -23,6 +23,8 @@ pub struct GlobalModel {
     pub triangles: Vec<TriangleElement>,
     /// Bending elements, ascending smallest vertex; vertices are global rows.
     pub hinges: Vec<HingeElement>,
+    /// Hinge of the mesh of every hinge here; empty if no fabric is plastic.
+    pub original_hinge: Vec<u32>,
     /// Fabrics.
     pub fabrics: Vec<FabricTable>,
     /// Pins; `row` is a global row.
@@ -49,7 +51,7 @@ impl GlobalModel {
             global_from_original[original as usize] = global as u32;
         }
         let map = |v: u32| global_from_original[v as usize];
-        let RankState { positions, velocities } = State::start_of(scene).gather(&original_from_global);
+        let RankState { positions, velocities, .. } = State::start_of(scene).gather(&original_from_global, &[]);
 
         let mut masses = vec![0.0f64; mesh.positions.len()];
         let mut areas = vec![0.0f64; mesh.triangles.len()];
@@ -63,23 +65,24 @@ impl GlobalModel {
             }
             triangles.push(element);
         }
-        let mut bends: Vec<HingeElement> = hinges(mesh)
-            .iter()
-            .map(|hinge| {
-                let sides = hinge.triangles.map(|t| t as usize);
-                let uv_edge = sides
-                    .map(|t| edge_uv(mesh.triangles[t], mesh.material_uv[t], hinge.vertices[0], hinge.vertices[1]));
-                hinge_element(
-                    hinge.vertices.map(map),
-                    sides.map(|t| scene.fabric_of_triangle[t] as u32),
-                    uv_edge,
-                    sides.map(|t| areas[t]),
-                    0.0,
-                )
-            })
-            .collect();
+        let bend = |hinge: &Hinge| {
+            let sides = hinge.triangles.map(|t| t as usize);
+            let uv_edge =
+                sides.map(|t| edge_uv(mesh.triangles[t], mesh.material_uv[t], hinge.vertices[0], hinge.vertices[1]));
+            hinge_element(
+                hinge.vertices.map(map),
+                sides.map(|t| scene.fabric_of_triangle[t] as u32),
+                uv_edge,
+                sides.map(|t| areas[t]),
+                0.0,
+            )
+        };
+        let of_mesh = hinges(mesh);
+        let mut bends: Vec<HingeElement> = of_mesh.iter().map(bend).collect();
         // Elements of a row then lie close together. Ties keep their order, so the result is the same on every machine.
         triangles.sort_by_key(|e| e.vertices.iter().min().copied());
+        let mut original_hinge: Vec<u32> = (0..creases_of(scene) as u32).collect();
+        original_hinge.sort_by_key(|&hinge| bends[hinge as usize].vertices.iter().min().copied());
         bends.sort_by_key(|e| e.vertices.iter().min().copied());
 
         GlobalModel {
@@ -88,6 +91,7 @@ impl GlobalModel {
             masses: masses.iter().map(|&m| m as f32).collect(),
             triangles,
             hinges: bends,
+            original_hinge,
             fabrics: scene.fabrics.iter().map(FabricTable::from).collect(),
             pins: scene
                 .pins
@@ -111,8 +115,10 @@ impl GlobalModel {
 
     /// Replaces the scene's start state by another one. Order, pins and rest shape stay those of the scene.
     pub fn set_state(&mut self, state: &State) {
-        let RankState { positions, velocities } = state.gather(&self.original_from_global);
+        let RankState { positions, velocities, creases } =
+            state.gather(&self.original_from_global, &self.original_hinge);
         (self.positions, self.velocities) = (positions, velocities);
+        self.hinges.iter_mut().zip(creases).for_each(|(hinge, crease)| hinge.set_crease(crease));
     }
 
     /// Mean of the smallest altitudes of the triangles at rest, meters.

@@ -29,6 +29,8 @@ pub struct RankModel {
     pub pins_move: bool,
     /// As [`GlobalModel::stiffness_ratio`].
     pub stiffness_ratio: f64,
+    /// True if a fabric of the scene is plastic. Then the state has creases.
+    pub plastic: bool,
     /// Collision data of the whole scene; none if the scene disables collisions.
     pub collision: Option<CollisionModel>,
     /// Bulk data; sent unserialized after the header.
@@ -94,6 +96,22 @@ impl RankModel {
         halo_plans(partition, &halos)
     }
 
+    /// Hinges of the mesh that touch the rows of every rank, in the order of the ranks' hinges, as
+    /// [`super::State::gather`] takes them; empty lists if no fabric is plastic.
+    pub fn hinges_of_ranks(model: &GlobalModel, partition: &RowPartition) -> Vec<Vec<u32>> {
+        let mut of_ranks = vec![Vec::new(); partition.ranks()];
+        for (element, &hinge) in model.hinges.iter().zip(&model.original_hinge) {
+            let mut owners = element.vertices.map(|v| partition.owner(v as usize));
+            owners.sort_unstable();
+            for (i, &owner) in owners.iter().enumerate() {
+                if i == 0 || owners[i - 1] != owner {
+                    of_ranks[owner].push(hinge);
+                }
+            }
+        }
+        of_ranks
+    }
+
     fn part(model: &GlobalModel, partition: &RowPartition, plan: HaloPlan, pins_move: bool) -> RankModel {
         let rows = partition.rows_of(plan.rank);
         let owned = |v: &u32| rows.contains(&(*v as usize));
@@ -142,6 +160,7 @@ impl RankModel {
             cell_m: model.cell_m(),
             pins_move,
             stiffness_ratio: model.stiffness_ratio,
+            plastic: !model.original_hinge.is_empty(),
             collision: None,
             arrays,
             plan,

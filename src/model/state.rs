@@ -8,6 +8,7 @@ use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::math::{DIM, Vec3};
+use crate::mesh::hinges;
 use crate::scene::Scene;
 
 /// State of the whole cloth, in the mesh's vertex order.
@@ -17,7 +18,12 @@ pub struct State {
     pub positions: Vec<Vec3>,
     /// m/s.
     pub velocities: Vec<Vec3>,
+    /// Of every hinge in the order of [`crate::mesh::hinges`]; empty if no fabric of the scene is plastic.
+    pub creases: Vec<Crease>,
 }
+
+/// Plastic bending of a hinge: its angle at rest (radians) and its plastic curvature so far (1/m).
+pub type Crease = [f32; 2];
 
 /// A value that is not finite; no step can continue from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,12 +37,20 @@ pub struct NotFinite {
 impl State {
     /// The start state of a scene.
     pub fn start_of(scene: &Scene) -> State {
-        State { positions: scene.mesh.positions.clone(), velocities: scene.velocities.clone() }
+        State {
+            positions: scene.mesh.positions.clone(),
+            velocities: scene.velocities.clone(),
+            creases: vec![Crease::default(); creases_of(scene)],
+        }
     }
 
     /// State of zeros, to be filled by [`State::scatter`].
-    pub fn zeros(vertices: usize) -> State {
-        State { positions: vec![Vec3::ZERO; vertices], velocities: vec![Vec3::ZERO; vertices] }
+    pub fn zeros(vertices: usize, creases: usize) -> State {
+        State {
+            positions: vec![Vec3::ZERO; vertices],
+            velocities: vec![Vec3::ZERO; vertices],
+            creases: vec![Crease::default(); creases],
+        }
     }
 
     /// Number of vertices of the mesh; none if the fields have different lengths.
@@ -44,51 +58,71 @@ impl State {
         (self.positions.len() == self.velocities.len()).then_some(self.positions.len())
     }
 
-    /// 16 hexadecimal digits over the bits of positions, then velocities. `-0.0` and `0.0` differ, so equal hashes mean
-    /// equal bits, except with probability 2^-64.
+    /// 16 hexadecimal digits over the bits of positions, velocities, then creases. `-0.0` and `0.0` differ, so equal
+    /// hashes mean equal bits, except with probability 2^-64.
     pub fn hash(&self) -> String {
-        let State { positions, velocities } = self;
+        let State { positions, velocities, creases } = self;
         let mut hasher = Xxh3::new();
         hash_words(&mut hasher, positions);
         hash_words(&mut hasher, velocities);
+        hash_words(&mut hasher, creases);
         format!("{:016x}", hasher.digest())
     }
 
     /// The first value that is not finite. Positions are checked first.
     pub fn first_not_finite(&self) -> Option<NotFinite> {
-        let State { positions, velocities } = self;
+        // Creases follow from positions, and a plastic curvature is finite wherever the rest is.
+        let State { positions, velocities, creases: _ } = self;
         [("position", positions), ("velocity", velocities)].into_iter().find_map(|(quantity, values)| {
             let vertex = values.iter().position(|value| !value.is_finite())? as u32;
             Some(NotFinite { vertex, quantity })
         })
     }
 
-    /// The rows of a rank. `order`: the vertex of each row, in the order of the rows.
-    pub fn gather(&self, order: &[u32]) -> RankState {
-        let State { positions, velocities } = self;
+    /// The part of a rank. `order`: the vertex of each row, in the order of the rows; `hinges`: the hinges of the mesh
+    /// that touch them ([`super::RankModel::hinges_of_ranks`]).
+    pub fn gather(&self, order: &[u32], hinges: &[u32]) -> RankState {
+        let State { positions, velocities, creases } = self;
         let rows = |values: &[Vec3]| order.iter().flat_map(|&v| values[v as usize].to_array()).collect();
-        RankState { positions: rows(positions), velocities: rows(velocities) }
+        RankState {
+            positions: rows(positions),
+            velocities: rows(velocities),
+            creases: hinges.iter().map(|&hinge| creases[hinge as usize]).collect(),
+        }
     }
 
-    /// Copies the rows of a rank into the state; the inverse of [`State::gather`].
-    pub fn scatter(&mut self, order: &[u32], part: &RankState) {
-        let State { positions, velocities } = self;
+    /// Copies the part of a rank into the state; the inverse of [`State::gather`]. A hinge that touches rows of several
+    /// ranks has the same bits on each.
+    pub fn scatter(&mut self, order: &[u32], hinges: &[u32], part: &RankState) {
+        let State { positions, velocities, creases } = self;
         for (values, rows) in [(positions, &part.positions), (velocities, &part.velocities)] {
             assert_eq!(rows.len(), order.len() * DIM, "a rank's state has as many rows as its part of the order");
             for (&v, row) in order.iter().zip(rows.as_chunks::<DIM>().0) {
                 values[v as usize] = Vec3::from_array(*row);
             }
         }
+        assert_eq!(part.creases.len(), hinges.len(), "a rank's state has a crease per hinge of its rows");
+        for (&hinge, crease) in hinges.iter().zip(&part.creases) {
+            creases[hinge as usize] = *crease;
+        }
     }
 }
 
-/// A rank's part of a [`State`]: its rows in the global order, three values each.
+/// Number of [`State::creases`] of a scene.
+pub(super) fn creases_of(scene: &Scene) -> usize {
+    let is_plastic = scene.fabrics.iter().any(|fabric| fabric.plasticity.is_some());
+    if is_plastic { hinges(&scene.mesh).len() } else { 0 }
+}
+
+/// A rank's part of a [`State`]: its rows in the global order, three values each, and the hinges that touch them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RankState {
     /// Meters.
     pub positions: Vec<f32>,
     /// m/s.
     pub velocities: Vec<f32>,
+    /// In the order of the rank's hinges; empty if no fabric of the scene is plastic.
+    pub creases: Vec<Crease>,
 }
 
 /// Error of bytes that are not the state of a rank.
@@ -98,29 +132,36 @@ pub struct RankStateError(String);
 
 impl RankState {
     /// State of zeros.
-    pub fn zeros(rows: usize) -> RankState {
-        RankState { positions: vec![0.0; rows * DIM], velocities: vec![0.0; rows * DIM] }
+    pub fn zeros(rows: usize, creases: usize) -> RankState {
+        RankState {
+            positions: vec![0.0; rows * DIM],
+            velocities: vec![0.0; rows * DIM],
+            creases: vec![Crease::default(); creases],
+        }
     }
 
     /// The arrays as bytes, in a fixed order; a message carries them unserialized.
-    pub fn to_bytes(&self) -> [&[u8]; 2] {
-        let RankState { positions, velocities } = self;
-        [bytemuck::cast_slice(positions), bytemuck::cast_slice(velocities)]
+    pub fn to_bytes(&self) -> [&[u8]; 3] {
+        let RankState { positions, velocities, creases } = self;
+        [bytemuck::cast_slice(positions), bytemuck::cast_slice(velocities), bytemuck::cast_slice(creases)]
     }
 
     /// The arrays from bytes in the order of [`RankState::to_bytes`].
     ///
     /// # Errors
-    /// The bytes are not the arrays of `rows` rows.
-    pub fn from_bytes(arrays: &[&[u8]], rows: usize) -> Result<RankState, RankStateError> {
-        let mut state = RankState::zeros(rows);
-        let RankState { positions, velocities } = &mut state;
-        let fields = [positions, velocities];
+    /// The bytes are not the arrays of `rows` rows and `creases` creases.
+    pub fn from_bytes(arrays: &[&[u8]], rows: usize, creases: usize) -> Result<RankState, RankStateError> {
+        let mut state = RankState::zeros(rows, creases);
+        let RankState { positions, velocities, creases } = &mut state;
+        let fields: [&mut [u8]; 3] = [
+            bytemuck::cast_slice_mut(positions),
+            bytemuck::cast_slice_mut(velocities),
+            bytemuck::cast_slice_mut(creases),
+        ];
         if arrays.len() != fields.len() {
             return Err(RankStateError(format!("{} arrays instead of {}", arrays.len(), fields.len())));
         }
         for (field, bytes) in fields.into_iter().zip(arrays) {
-            let field: &mut [u8] = bytemuck::cast_slice_mut(field);
             if field.len() != bytes.len() {
                 return Err(RankStateError(format!(
                     "{} bytes instead of {} for {rows} rows",
@@ -157,31 +198,38 @@ mod tests {
         State {
             positions: (0..vertices).map(|v| at(v, 0.5)).collect(),
             velocities: (0..vertices).map(|v| at(v, 7.0)).collect(),
+            creases: vec![[0.25, 2.0], [-0.5, 8.0], [0.75, 16.0]],
         }
     }
 
     #[test]
     fn the_parts_of_all_ranks_are_the_whole() {
         let (whole, order) = (numbered(5), [3u32, 0, 4, 1, 2]);
-        let parts = [0..2, 2..5].map(|rows| (rows.clone(), whole.gather(&order[rows])));
-        assert_eq!(parts[0].1.positions, [3.0, 0.5, -3.0, 0.0, 0.5, -0.0]);
-        assert_eq!(parts[0].1.velocities[..3], [3.0, 7.0, -3.0]);
-        let mut again = State::zeros(5);
-        for (rows, part) in parts {
-            let part = RankState::from_bytes(&part.to_bytes(), rows.len()).unwrap();
-            again.scatter(&order[rows], &part);
+        let hinges = [&[0u32, 2][..], &[1, 2]];
+        let parts = [0..2, 2..5].map(|rows| (rows.clone(), hinges[rows.start / 2]));
+        let parts = parts.map(|(rows, hinges)| (rows.clone(), hinges, whole.gather(&order[rows], hinges)));
+        assert_eq!(parts[0].2.positions, [3.0, 0.5, -3.0, 0.0, 0.5, -0.0]);
+        assert_eq!(parts[0].2.velocities[..3], [3.0, 7.0, -3.0]);
+        assert_eq!(parts[0].2.creases, [[0.25, 2.0], [0.75, 16.0]]);
+        let mut again = State::zeros(5, 3);
+        for (rows, hinges, part) in parts {
+            let part = RankState::from_bytes(&part.to_bytes(), rows.len(), hinges.len()).unwrap();
+            again.scatter(&order[rows], hinges, &part);
         }
+        assert_eq!(again, whole);
         assert_eq!(again.hash(), whole.hash());
-        assert_ne!(again.hash(), State::zeros(5).hash());
+        again.creases[1][0] = 0.5;
+        assert_ne!(again.hash(), whole.hash());
     }
 
     #[test]
     fn bytes_of_another_shape_are_refused() {
-        let part = numbered(2).gather(&[0, 1]);
+        let part = numbered(2).gather(&[0, 1], &[1]);
         let bytes = part.to_bytes();
-        assert_eq!(part.bytes(), 48);
-        for (arrays, rows) in [(&bytes[..1], 2), (&bytes[..], 1), (&[bytes[0], &bytes[1][1..]][..], 2)] {
-            let error = RankState::from_bytes(arrays, rows).unwrap_err().to_string();
+        assert_eq!(part.bytes(), 56);
+        let shorter = [bytes[0], &bytes[1][1..], bytes[2]];
+        for (arrays, rows, creases) in [(&bytes[..1], 2, 1), (&bytes[..], 1, 1), (&bytes[..], 2, 0), (&shorter, 2, 1)] {
+            let error = RankState::from_bytes(arrays, rows, creases).unwrap_err().to_string();
             assert!(error.contains("instead of"), "{error}");
         }
     }

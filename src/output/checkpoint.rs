@@ -2,7 +2,8 @@
 //!
 //! `checkpoint/step_%08d.ltc` (the newest three) and `states/step_%08d.ltc` (all that were requested), little-endian:
 //! "LOOMCKPT", version (u32), header length (u32), header (bincode), positions and velocities (3 f32 per vertex,
-//! original vertex order), xxh3 of all bytes before (u64). A damaged file is detected and skipped, not repaired.
+//! original vertex order), creases (2 f32 per hinge), xxh3 of all bytes before (u64). A damaged file is detected and
+//! skipped, not repaired. A state without creases is written in layout 1, whose header does not count them.
 
 use std::fs;
 use std::io::{self, Write};
@@ -14,10 +15,12 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use super::atomic::{WriteError, write_atomically};
 use super::ply::{positions_from_bytes, write_words};
-use crate::model::State;
+use crate::model::{Crease, State};
 
 const MAGIC: &[u8; 8] = b"LOOMCKPT";
-const VERSION: u32 = 1;
+/// Layouts without and with creases.
+const VERSIONS: [u32; 2] = [1, 2];
+const CREASE_BYTES: u64 = size_of::<Crease>() as u64;
 /// Magic, version and header length.
 const PREFIX_BYTES: usize = 16;
 /// Limit of the header length. A longer one in a file means damage.
@@ -58,7 +61,7 @@ pub enum CheckpointError {
     #[error("it is not a checkpoint")]
     Magic,
     /// The file was written by a version with another layout.
-    #[error("it has layout {0}, this program reads layout 1")]
+    #[error("it has layout {0}, this program reads layouts 1 and 2")]
     Version(u32),
     /// The file is too short or too long.
     #[error("it is cut off or damaged: {got} bytes where its header asks for {expected}")]
@@ -90,15 +93,21 @@ impl Checkpoint {
             fingerprint: self.fingerprint,
             vertices: vertices as u64,
         };
-        let header = bincode::serde::encode_to_vec(header, bincode_form()).map_err(io::Error::other)?;
+        let creases = &self.state.creases;
+        let header = match creases.len() {
+            0 => bincode::serde::encode_to_vec(header, bincode_form()),
+            count => bincode::serde::encode_to_vec((header, count as u64), bincode_form()),
+        };
+        let header = header.map_err(io::Error::other)?;
         let mut out = Hashing { out, hasher: Xxh3::new() };
         out.write_all(MAGIC)?;
-        out.write_all(&VERSION.to_le_bytes())?;
+        out.write_all(&VERSIONS[usize::from(!creases.is_empty())].to_le_bytes())?;
         out.write_all(&(header.len() as u32).to_le_bytes())?;
         out.write_all(&header)?;
         let mut buffer = Vec::new();
         write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.state.positions))?;
         write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.state.velocities))?;
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(creases))?;
         let checksum = out.hasher.digest();
         out.out.write_all(&checksum.to_le_bytes())
     }
@@ -112,7 +121,7 @@ impl Checkpoint {
         let cut_off = |expected: u64| CheckpointError::Length { expected, got };
         let word = |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
         let (Some(version), Some(header_bytes)) = (word(8), word(12)) else { return Err(cut_off(PREFIX_BYTES as u64)) };
-        if version != VERSION {
+        if !VERSIONS.contains(&version) {
             return Err(CheckpointError::Version(version));
         }
         let header_bytes = header_bytes as usize;
@@ -121,13 +130,18 @@ impl Checkpoint {
         }
         let body = PREFIX_BYTES + header_bytes;
         let Some(header) = bytes.get(PREFIX_BYTES..body) else { return Err(cut_off((body + CHECKSUM_BYTES) as u64)) };
-        let (header, used): (Header, usize) =
-            bincode::serde::decode_from_slice(header, bincode_form()).map_err(|_| CheckpointError::Header)?;
+        let decoded = if version == VERSIONS[0] {
+            bincode::serde::decode_from_slice(header, bincode_form()).map(|(header, used)| ((header, 0), used))
+        } else {
+            bincode::serde::decode_from_slice(header, bincode_form())
+        };
+        let ((header, creases), used): ((Header, u64), usize) = decoded.map_err(|_| CheckpointError::Header)?;
         if used != header_bytes {
             return Err(CheckpointError::Header);
         }
-        let expected = header.vertices.checked_mul(24).and_then(|n| n.checked_add((body + CHECKSUM_BYTES) as u64));
-        let expected = expected.ok_or(CheckpointError::Header)?;
+        let of_creases = creases.checked_mul(CREASE_BYTES).ok_or(CheckpointError::Header)?;
+        let of_vertices = header.vertices.checked_mul(24).and_then(|n| n.checked_add((body + CHECKSUM_BYTES) as u64));
+        let expected = of_vertices.and_then(|n| n.checked_add(of_creases)).ok_or(CheckpointError::Header)?;
         if expected != got {
             return Err(cut_off(expected));
         }
@@ -135,15 +149,25 @@ impl Checkpoint {
         if xxh3_64(content).to_le_bytes() != checksum {
             return Err(CheckpointError::Checksum);
         }
-        let (positions, velocities) = content[body..].split_at((content.len() - body) / 2);
+        let (of_vertices, creases) = content[body..].split_at(content.len() - body - of_creases as usize);
+        let (positions, velocities) = of_vertices.split_at(of_vertices.len() / 2);
         Ok(Checkpoint {
             frame: header.frame,
             step: header.step,
             time_s: header.time_s,
             fingerprint: header.fingerprint,
-            state: State { positions: positions_from_bytes(positions), velocities: positions_from_bytes(velocities) },
+            state: State {
+                positions: positions_from_bytes(positions),
+                velocities: positions_from_bytes(velocities),
+                creases: creases_from_bytes(creases),
+            },
         })
     }
+}
+
+fn creases_from_bytes(bytes: &[u8]) -> Vec<Crease> {
+    let words = bytes.as_chunks().0.iter().map(|&word| f32::from_le_bytes(word)).collect::<Vec<_>>();
+    words.as_chunks().0.to_vec()
 }
 
 fn bincode_form() -> impl bincode::config::Config {

@@ -10,10 +10,19 @@ use super::cloth_source::{ClothSource, Shape, SheetKind, SheetSource, StartVeloc
 use super::fields::{Fields, Value};
 use super::files::find;
 use super::placement::{Placement, unplaced_mesh};
-use super::{Fabric, RESOLUTIONS, SceneError};
+use super::{Fabric, Plasticity, RESOLUTIONS, SceneError};
 
-pub(super) const FABRIC_FIELDS: [&str; 6] =
-    ["name", "density_kg_m2", "stretching_n_m", "bending_n_m", "flexural_rigidity_n_m", "damping_s"];
+pub(super) const FABRIC_FIELDS: [&str; 9] = [
+    "name",
+    "density_kg_m2",
+    "stretching_n_m",
+    "bending_n_m",
+    "flexural_rigidity_n_m",
+    "damping_s",
+    "yield_curvature",
+    "hardening",
+    "weakening",
+];
 
 /// Bending stiffness in ARCSim's form over flexural rigidity (docs/papers.md, D13).
 const BENDING_OF_RIGIDITY: f64 = 4.0;
@@ -40,9 +49,27 @@ pub(super) fn fabric(fields: &Fields) -> Result<Fabric, SceneError> {
         stretching_n_m: stretching(&fields.required("stretching_n_m")?)?,
         bending_n_m,
         damping_s: fields.or("damping_s", 0.0, Value::not_negative)?,
+        plasticity: plasticity(fields, None)?,
     };
     fabric.check().map_err(|what| fields.error(what))?;
     Ok(fabric)
+}
+
+/// `yield_curvature`, `hardening` and `weakening`; what is absent is as in `before`.
+fn plasticity(fields: &Fields, before: Option<Plasticity>) -> Result<Option<Plasticity>, SceneError> {
+    let yields_at = fields.optional("yield_curvature", Value::positive)?;
+    let Some(yield_curvature_1_m) = yields_at.or(before.map(|before| before.yield_curvature_1_m)) else {
+        return match ["hardening", "weakening"].into_iter().find(|key| fields.get(key).is_some()) {
+            Some(key) => Err(fields.error_at(key, "needs a `yield_curvature`; without one the fabric is elastic")),
+            None => Ok(None),
+        };
+    };
+    let (hardening, weakening) = before.map_or((0.0, 0.0), |before| (before.hardening, before.weakening));
+    Ok(Some(Plasticity {
+        yield_curvature_1_m,
+        hardening: fields.or("hardening", hardening, Value::not_negative)?,
+        weakening: fields.or("weakening", weakening, Value::not_negative)?,
+    }))
 }
 
 fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], SceneError> {
@@ -51,7 +78,7 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 14] = [
+pub(super) const CLOTH_FIELDS: [&str; 17] = [
     "name",
     "sheet",
     "mesh",
@@ -64,6 +91,9 @@ pub(super) const CLOTH_FIELDS: [&str; 14] = [
     "fabric",
     "thicken",
     "damping_s",
+    "yield_curvature",
+    "hardening",
+    "weakening",
     "velocity_m_s",
     "friction",
 ];
@@ -127,6 +157,7 @@ pub(super) fn cloth(
         fabric = fabric.thickened(factor);
     }
     fabric.damping_s = fields.or("damping_s", fabric.damping_s, Value::not_negative)?;
+    fabric.plasticity = plasticity(fields, fabric.plasticity)?;
     fabric.check().map_err(|what| fields.error_at("fabric", what))?;
     let source = ClothSource {
         name: fields.or("name", format!("cloth {index}"), |value| value.text().map(str::to_owned))?,

@@ -24,6 +24,20 @@ pub struct Fabric {
     pub bending_n_m: [[f64; 5]; 3],
     /// Stiffness-proportional damping, seconds (damping matrix = damping_s * stiffness matrix).
     pub damping_s: f64,
+    /// Bending beyond which folds stay; none = elastic.
+    #[serde(default)]
+    pub plasticity: Option<Plasticity>,
+}
+
+/// Plastic bending [Narain et al. 2013], per hinge: see [`crate::forces::crease`].
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Plasticity {
+    /// Elastic curvature beyond which the fold stays, 1/m; above 0.
+    pub yield_curvature_1_m: f64,
+    /// Growth of the yield curvature per plastic curvature; 0 = none.
+    pub hardening: f64,
+    /// Bending stiffness is divided by 1 + this * plastic curvature / yield curvature; 0 = it stays.
+    pub weakening: f64,
 }
 
 impl Fabric {
@@ -36,6 +50,7 @@ impl Fabric {
             stretching_n_m: [stretching_n_m; 6],
             bending_n_m: [[bending_n_m; 5]; 3],
             damping_s: 0.0,
+            plasticity: None,
         }
     }
 
@@ -76,6 +91,16 @@ impl Fabric {
         }
         if !(usable(self.damping_s) && self.damping_s >= 0.0) {
             return Err(format!("the damping must be a number of at least 0 (s), not {}", self.damping_s));
+        }
+        if let Some(Plasticity { yield_curvature_1_m, hardening, weakening }) = self.plasticity {
+            if !(usable(yield_curvature_1_m) && yield_curvature_1_m as f32 > 0.0) {
+                return Err(format!("the yield curvature must be a number above 0 (1/m), not {yield_curvature_1_m}"));
+            }
+            for (what, value) in [("hardening", hardening), ("weakening", weakening)] {
+                if !(usable(value) && value >= 0.0) {
+                    return Err(format!("the {what} must be a number of at least 0, not {value}"));
+                }
+            }
         }
         for (row, values) in self.stretching_n_m.iter().enumerate() {
             if let Some(column) = values.iter().position(|&k| !usable(k)) {
@@ -125,6 +150,7 @@ pub fn parse_fabric(text: &str, path: &Path) -> Result<Fabric, SceneError> {
         stretching_n_m: json.required("stretching")?.table()?,
         bending_n_m: json.required("bending")?.table()?,
         damping_s: json.or("damping", 0.0, |value| value.number())?,
+        plasticity: None,
     };
     fabric.check().map_err(|what| SceneError::File { path: path.into(), what })?;
     Ok(fabric)

@@ -32,7 +32,7 @@ use std::path::Path;
 
 pub use crossings::{BestState, Crossings, Doubled, Untangling};
 pub use error::SceneError;
-pub use fabric::{Fabric, load_fabric, parse_fabric};
+pub use fabric::{Fabric, Plasticity, load_fabric, parse_fabric};
 pub use model::{Cloth, DEFAULT_THICKNESS_M, Overrides, Pin, RESOLUTIONS, Scene, Settings};
 pub use motion::{Keyframe, Motion};
 pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};

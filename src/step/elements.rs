@@ -3,6 +3,7 @@
 use super::own_state::StateVectors;
 use super::span::Span;
 use crate::forces::bend::Bend;
+use crate::forces::crease;
 use crate::forces::stretch::Stretch;
 use crate::forces::{
     FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement,
@@ -24,10 +25,12 @@ pub(super) struct Elements {
     pub hinge_records: DeviceVec<f32>,
     stretch: Stretch,
     bend: Bend,
+    /// True if a fabric is plastic; then hinges change from step to step.
+    plastic: bool,
 }
 
 impl Elements {
-    pub(super) fn new(executor: &Executor, arrays: &RankArrays) -> Elements {
+    pub(super) fn new(executor: &Executor, arrays: &RankArrays, plastic: bool) -> Elements {
         Elements {
             fabrics: DeviceVec::upload(executor, &arrays.fabrics),
             triangles: DeviceVec::upload(executor, &arrays.triangles),
@@ -36,6 +39,7 @@ impl Elements {
             hinge_records: DeviceVec::zeros(executor, arrays.hinges.len() * HINGE_RECORD_FLOATS),
             stretch: Stretch::new(executor),
             bend: Bend::new(executor),
+            plastic,
         }
     }
 
@@ -61,6 +65,16 @@ impl Elements {
         let (fabrics, records) = (&self.fabrics, &mut self.triangle_records);
         self.stretch.apply(executor, &triangles, fabrics, &self.triangles, x, v, records);
         self.bend.apply(executor, &hinges, fabrics, &self.hinges, x, v, &mut self.hinge_records);
+    }
+
+    /// True if a fabric is plastic.
+    pub(super) fn is_plastic(&self) -> bool {
+        self.plastic
+    }
+
+    /// The return map of all hinges (`forces::crease`).
+    pub(super) fn crease(&mut self, executor: &Executor, positions: &DeviceVec<f32>) {
+        crease::apply(executor, &self.fabrics, positions, &mut self.hinges);
     }
 
     /// Bytes that [`Elements::fill_records`] moves.

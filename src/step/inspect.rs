@@ -9,7 +9,13 @@ use crate::solver::PcgError;
 impl Simulation {
     /// State of the own rows. It waits for the executor once if the state has changed since the last call.
     pub fn state(&self) -> RankState {
-        self.cloth.state.own(&self.executor).as_ref().clone()
+        let creases = self.cloth.elements.creases(&self.executor);
+        RankState { creases, ..self.cloth.state.own(&self.executor).as_ref().clone() }
+    }
+
+    /// Number of creases in a state of this rank.
+    pub fn creases(&self) -> usize {
+        self.cloth.elements.crease_count()
     }
 
     /// Drops everything but the executor, for another simulation.

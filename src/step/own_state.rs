@@ -51,12 +51,12 @@ impl StateVectors {
         }
     }
 
-    /// The state of the own rows. It waits for the executor once if the state has changed since the last call.
+    /// Positions and velocities of the own rows. It waits for the executor once if the state has changed since the last call.
     pub(super) fn own(&self, executor: &Executor) -> Rc<RankState> {
         if let Some(known) = &*self.copy.borrow() {
             return Rc::clone(known);
         }
-        let mut state = RankState::zeros(self.own.len() / DIM);
+        let mut state = RankState::zeros(self.own.len() / DIM, 0);
         let mut batch = ReadBatch::new();
         batch.add(&self.positions, self.own.start, &mut state.positions);
         batch.add(&self.velocities, self.own.start, &mut state.velocities);
@@ -77,7 +77,7 @@ impl StateVectors {
         })
     }
 
-    /// Sets the own rows to `state`.
+    /// Sets positions and velocities of the own rows to those of `state`.
     pub(super) fn set(&mut self, executor: &Executor, state: Rc<RankState>) {
         self.positions.write_range(executor, self.own.start, &state.positions);
         self.velocities.write_range(executor, self.own.start, &state.velocities);

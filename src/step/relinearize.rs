@@ -44,8 +44,8 @@ impl RankCloth {
             if !self.solve(rank, self.settings.relative_tolerance, false, true, stats)? {
                 return Ok(());
             }
-            let state = RankState { positions: before.positions.clone(), velocities: now.velocities.clone() };
-            self.state.set(rank.executor, Rc::new(state));
+            let (positions, velocities) = (before.positions.clone(), now.velocities.clone());
+            self.state.set(rank.executor, Rc::new(RankState { positions, velocities, creases: Vec::new() }));
             self.state.advance(rank, span, &self.solver.vectors.x, targets);
         }
         Ok(())

@@ -4,6 +4,7 @@
 use loomtree::assembly::fill::{Fill, FillParams, FillTables};
 use loomtree::assembly::{ElementRows, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
+use loomtree::forces::crease;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS};
 use loomtree::gpu::{DeviceVec, Executor};
@@ -170,6 +171,42 @@ fn assembly_equals_the_native_twins() {
     assert_close("inverse diagonal", &found.inverse_diagonal, &expected.inverse_diagonal, 6, 1e-4);
     let pinned = pinned(part.plan.own.len());
     assert!(found.inverse_diagonal.chunks(6).zip(pinned).all(|(m, pinned)| (m == [0.0; 6]) == (pinned != 0)));
+}
+
+/// Twice, the second time from a state that has creases; then bending with the creases.
+fn creases(executor: &Executor, part: &RankModel) -> (Vec<f32>, Vec<f32>) {
+    let arrays = &part.arrays;
+    let mut fabric = arrays.fabrics[0];
+    (fabric.yield_curvature, fabric.hardening, fabric.weakening) = (40.0, 0.3, 0.7);
+    let fabrics = DeviceVec::upload(executor, &[fabric]);
+    let mut hinges = DeviceVec::upload(executor, &arrays.hinges);
+    let x = DeviceVec::upload(executor, &arrays.positions);
+    let flatter: Vec<f32> = arrays.positions.chunks(3).flat_map(|p| [p[0], p[1], 0.2 * p[2]]).collect();
+    let flatter = DeviceVec::upload(executor, &flatter);
+    let mut records = DeviceVec::zeros(executor, hinges.len() * HINGE_RECORD_FLOATS);
+    crease::apply(executor, &fabrics, &x, &mut hinges);
+    crease::apply(executor, &fabrics, &flatter, &mut hinges);
+    let count = hinges.len() as u32;
+    let params = StepParams { step_s: 0.004, air_density: 0.0, air_drag: 0.0, count, wind: [0.0; 3], ahead_s: 0.004 };
+    Bend::new(executor).apply(executor, &params, &fabrics, &hinges, &flatter, &x, &mut records);
+    let found = hinges.read(executor).iter().flat_map(|hinge| hinge.crease()).collect();
+    let records = records.read(executor);
+    assert_eq!(executor.take_fault(), None);
+    (found, records)
+}
+
+#[test]
+fn creases_equal_the_native_twin() {
+    let (Some(gpu), Some(split)) = (device::executor(), device::executor_binding(192 << 10)) else { return };
+    let part = crumpled_rank(65);
+    let expected = creases(&Executor::cpu(1), &part);
+    let yielded = expected.0.chunks(2).filter(|crease| crease[1] > 0.0).count();
+    assert!(yielded > expected.0.len() / 8 && yielded < expected.0.len() / 2, "{yielded} hinges yield");
+    for executor in [gpu, split] {
+        let found = creases(&executor, &part);
+        assert_close("creases", &found.0, &expected.0, 2, 1e-5);
+        assert_close("hinge records", &found.1, &expected.1, HINGE_RECORD_FLOATS, 1e-5);
+    }
 }
 
 #[test]

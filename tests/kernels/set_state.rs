@@ -5,12 +5,12 @@ use loomtree::gpu::Executor;
 use loomtree::math::{DVec3, Vec3};
 use loomtree::model::{GlobalModel, RankModel, RankState};
 use loomtree::partition::RowPartition;
-use loomtree::scene::{Keyframe, Motion, Pin, PreconditionerKind, Scene};
+use loomtree::scene::{Keyframe, Motion, Pin, Plasticity, PreconditionerKind, Scene};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::{ExchangePlan, Simulation};
 use loomtree::transport::Transport;
 use support::contact::{ball, contact_scene, floor, together};
-use support::{cpu, direct_queue, isotropic_fabric, on_ranks, scene, sheet};
+use support::{cpu, direct_queue, isotropic_fabric, on_ranks, scene, sheet, whole_state};
 
 const STEPS: u32 = 14;
 /// Step whose state is set late or again.
@@ -71,6 +71,14 @@ fn stack() -> Scene {
     scene
 }
 
+/// The flag of a fabric that creases at once.
+fn creased() -> Scene {
+    let mut scene = flag();
+    let plasticity = Plasticity { yield_curvature_1_m: 0.2, hardening: 0.1, weakening: 0.5 };
+    scene.fabrics[0].plasticity = Some(plasticity);
+    scene
+}
+
 fn step(simulation: &mut Simulation, transport: &mut dyn Transport, step: u32) -> RankState {
     simulation.step(transport, step, false).unwrap();
     simulation.state()
@@ -87,6 +95,8 @@ fn assert_bits(name: &str, states: &[RankState], expected: &[RankState]) {
     for (rank, (state, expected)) in states.iter().zip(expected).enumerate() {
         assert!(bits(&state.positions) == bits(&expected.positions), "{name}: positions of rank {rank}");
         assert!(bits(&state.velocities) == bits(&expected.velocities), "{name}: velocities of rank {rank}");
+        let (creases, expected) = (state.creases.as_flattened(), expected.creases.as_flattened());
+        assert!(bits(creases) == bits(expected), "{name}: creases of rank {rank}");
     }
 }
 
@@ -149,6 +159,27 @@ fn pins_that_begin_and_end() {
         }
     }
     check("flag", &flag(), 3, ExchangeMode::Full);
+}
+
+#[test]
+fn creases() {
+    for ranks in [1, 3] {
+        check("creased", &creased(), ranks, ExchangeMode::Halo);
+    }
+    check("creased", &creased(), 3, ExchangeMode::Full);
+    let whole = |ranks| {
+        let model = GlobalModel::new(&creased());
+        let parts = on_ranks(&model, ranks, ExchangeMode::Halo, cpu, |simulation, transport| {
+            (1..=STEPS).map(|number| step(simulation, transport, number)).last().expect("a step")
+        });
+        whole_state(&model, parts.iter())
+    };
+    let one = whole(1);
+    let yielded = one.creases.iter().filter(|[angle, plastic]| *angle != 0.0 && *plastic > 0.0).count();
+    assert!(yielded > one.creases.len() / 10, "{yielded} of {} hinges have yielded", one.creases.len());
+    for ranks in [2, 3, 4, 8] {
+        assert_eq!(whole(ranks).hash(), one.hash(), "{ranks} ranks");
+    }
 }
 
 #[test]

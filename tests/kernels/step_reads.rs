@@ -92,7 +92,7 @@ fn states(executor: fn(usize) -> Executor, each_anew: bool) -> (Vec<f32>, Vec<f3
             }
             simulation.state()
         });
-        RankState { positions: model.positions, velocities: model.velocities } = run.into_iter().next().unwrap();
+        RankState { positions: model.positions, velocities: model.velocities, .. } = run.into_iter().next().unwrap();
     }
     (model.positions, model.velocities)
 }

@@ -23,11 +23,13 @@ fn state_hash_has_a_known_value_and_feels_every_bit() {
     let state = State {
         positions: vec![Vec3::new(1.0, 2.0, 3.0), Vec3::new(-4.0, 0.5, 0.0)],
         velocities: vec![Vec3::ZERO, Vec3::new(0.0, 0.0, 9.0)],
+        creases: Vec::new(),
     };
     let hash = state.hash();
     assert_eq!(hash, "4ce35b4d826ae86d");
-    let State { positions, velocities } = state.clone();
-    assert_ne!(hash, State { positions: velocities, velocities: positions }.hash());
+    let State { positions, velocities, creases } = state.clone();
+    assert_ne!(hash, State { positions: velocities, velocities: positions, creases }.hash());
+    assert_ne!(hash, State { creases: vec![[0.0; 2]], ..state.clone() }.hash());
     for (vertex, bit) in (0..2).flat_map(|vertex| (0..96).map(move |bit| (vertex, bit))) {
         for field in 0..2 {
             let mut changed = state.clone();
@@ -37,7 +39,7 @@ fn state_hash_has_a_known_value_and_feels_every_bit() {
             assert_ne!(changed.hash(), hash, "bit {bit} of vertex {vertex}, field {field}");
         }
     }
-    let zeros = State::zeros(1);
+    let zeros = State::zeros(1, 0);
     assert_ne!(zeros.hash(), State { velocities: vec![-Vec3::ZERO], ..zeros.clone() }.hash());
 }
 
@@ -185,6 +187,7 @@ fn scene() -> Scene {
         stretching_n_m: [[50.0; 4]; 6],
         bending_n_m: [[1e-5; 5]; 3],
         damping_s: 0.0,
+        plasticity: None,
     };
     let settings = Settings {
         step_s: 0.004,

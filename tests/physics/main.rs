@@ -6,6 +6,7 @@ mod contact_edge;
 mod contact_energy;
 mod contact_friction;
 mod contact_scenes;
+mod creases;
 mod motion;
 mod pins;
 mod plates;

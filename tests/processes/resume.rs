@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use loomtree::output::Checkpoint;
 use support::process::{Place, Signal, flag, signal};
 
 fn straight(place: &Place, frames: u32) -> Vec<(u64, String)> {
@@ -41,6 +42,22 @@ fn a_finished_run_goes_on_with_more_workers() {
     place.run("run --resume --out out --workers 5 --frames 10").expect(0);
     place.run("run --resume --out out --workers 3 --frames 12").expect(0);
     assert_eq!(place.hashes("out"), straight(&place, 12));
+}
+
+#[test]
+fn creases_go_on_with_the_same_bits() {
+    let place = Place::new();
+    place.write(
+        "flag.toml",
+        flag(1000, 3, 6).replace("fabric =", "yield_curvature = 1.0\n        hardening = 0.2\n        fabric ="),
+    );
+    place.run("run flag.toml --executor cpu --workers 2 --keep-states frames --out out").expect(0);
+    let state = fs::read(place.path("out/states/step_00000018.ltc")).expect("a state");
+    let creases = Checkpoint::from_bytes(&state).expect("a state").state.creases;
+    assert!(creases.iter().filter(|crease| crease[1] > 0.0).count() > creases.len() / 20);
+    place.run("run --resume --out out --workers 5 --frames 8").expect(0);
+    place.run("run --resume --out out --workers 1 --frames 10").expect(0);
+    assert_eq!(place.hashes("out"), straight(&place, 10));
 }
 
 #[test]

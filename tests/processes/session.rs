@@ -61,7 +61,7 @@ fn advance(session: &mut Session, to: u32) -> Vec<String> {
 
 /// Loads, steps, sets and loads again; every way to the last step must lead to the same bits.
 fn check(mut session: Session, fine: &RunPlan, coarse: &RunPlan) {
-    assert!(matches!(session.set_state(&State::zeros(3), 0), Err(SessionError::NotLoaded)));
+    assert!(matches!(session.set_state(&State::zeros(3, 0), 0), Err(SessionError::NotLoaded)));
     let start = State::start_of(&fine.scene);
     assert_eq!(session.load(fine).expect("loaded").len(), fine.partition.ranks());
     assert_eq!(session.state().expect("a state").hash(), start.hash());

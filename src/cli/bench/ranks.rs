@@ -45,7 +45,10 @@ impl ModelState {
                 break;
             }
         }
-        RankState { positions: model.positions, velocities: model.velocities } = simulation.state();
+        let RankState { positions, velocities, creases } = simulation.state();
+        (model.positions, model.velocities) = (positions, velocities);
+        // One rank holds all hinges in the order of the model.
+        model.hinges.iter_mut().zip(creases).for_each(|(hinge, crease)| hinge.set_crease(crease));
         let contacts = simulation.assemble(&mut transport, step + 1).map_err(|error| failed(&error))?;
         model.settings.preconditioner = PreconditionerKind::Jacobi;
         Ok(ModelState { model, step: step + 1, contacts })

@@ -206,7 +206,7 @@ mod tests {
             shape: 0.0,
             curvature_from_angle: 0.0,
             rest_angle: 0.0,
-            padding: 0.0,
+            plastic_curvature: 0.0,
             bias: [0.0; 2],
             fabric: [0; 2],
         };

@@ -38,6 +38,7 @@ pub fn isotropic_fabric(eh: f64, nu: f64, bending: f64, density: f64, damping_s:
         stretching_n_m: [row; 6],
         bending_n_m: [[bending; 5]; 3],
         damping_s,
+        plasticity: None,
     }
 }
 
@@ -156,15 +157,17 @@ pub fn simulate(
         let stats: Vec<StepStats> = (1..=steps).map(|step| simulation.step(transport, step, false).unwrap()).collect();
         (simulation.state(), stats)
     });
-    let State { positions, velocities } = whole_state(&model, results.iter().map(|(state, _)| state));
+    let State { positions, velocities, .. } = whole_state(&model, results.iter().map(|(state, _)| state));
     Outcome { positions, velocities, stats: results[0].1.clone() }
 }
 
 /// The state of the whole cloth, from the parts of all ranks in rank order.
 pub fn whole_state<'a>(model: &GlobalModel, parts: impl ExactSizeIterator<Item = &'a RankState>) -> State {
-    let (mut state, partition) = (State::zeros(model.rows()), RowPartition::new(model.rows(), parts.len()));
+    let partition = RowPartition::new(model.rows(), parts.len());
+    let hinges = RankModel::hinges_of_ranks(model, &partition);
+    let mut state = State::zeros(model.rows(), model.original_hinge.len());
     parts.enumerate().for_each(|(rank, part)| {
-        state.scatter(&model.original_from_global[partition.rows_of(rank)], part);
+        state.scatter(&model.original_from_global[partition.rows_of(rank)], &hinges[rank], part);
     });
     state
 }

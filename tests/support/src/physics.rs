@@ -121,6 +121,19 @@ impl OneRank {
         masses
     }
 
+    /// Angle at rest, radians, and plastic curvature, 1/m, of the hinge whose edge has these ends.
+    pub fn crease(&self, edge: [u32; 2]) -> [f32; 2] {
+        let row = |vertex: u32| self.model.original_from_global.iter().position(|&v| v == vertex).unwrap() as u32;
+        let mut wanted = edge.map(row);
+        wanted.sort_unstable();
+        let hinge = self.model.hinges.iter().position(|hinge| {
+            let mut ends = [hinge.vertices[0], hinge.vertices[1]];
+            ends.sort_unstable();
+            ends == wanted
+        });
+        self.simulation.state().creases[hinge.expect("an inner edge")]
+    }
+
     fn original(&self, xyz: &[f32]) -> Vec<Vec3> {
         let mut out = vec![Vec3::ZERO; self.model.rows()];
         for (&original, p) in self.model.original_from_global.iter().zip(xyz.chunks_exact(3)) {
