@@ -1,13 +1,13 @@
 //! Creases: bending beyond the yield curvature moves the angle at rest [Narain et al. 2013].
 //!
 //! A hinge at the angle theta with the angle at rest theta_p has the elastic curvature kappa = c (theta - theta_p), c =
-//! [`HingeElement::curvature_from_angle`]. With the plastic curvature g so far it yields at y = y0 + H g. Where |kappa| > y,
-//! the return map moves it back to the yield surface:
+//! [`HingeElement::curvature_from_angle`]. With the plastic curvature g so far it yields at y = y0 + H g. Where |kappa|
+//! is larger, the return map moves it back to the yield surface:
 //! ```text
 //! dg = (|kappa| - y) / (1 + H)    theta_p += sign(kappa) dg / c    g += dg
 //! ```
-//! so that |kappa| = y afterwards, however many steps lead there. Once per step, from the state at its end. The stiffness
-//! of a hinge that has yielded is k y0 / (y0 + weakening g) (`bend`).
+//! so that |kappa| = y afterwards, however many steps lead there. Once per step, from the state at its end. The
+//! stiffness of a hinge that has yielded is k y0 / (y0 + weakening g) (`bend`).
 
 use super::crease_cpu;
 use super::element::{FabricTable, HingeElement};

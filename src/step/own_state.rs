@@ -51,7 +51,8 @@ impl StateVectors {
         }
     }
 
-    /// Positions and velocities of the own rows. It waits for the executor once if the state has changed since the last call.
+    /// Positions and velocities of the own rows. It waits for the executor once if the state has changed since the last
+    /// call.
     pub(super) fn own(&self, executor: &Executor) -> Rc<RankState> {
         if let Some(known) = &*self.copy.borrow() {
             return Rc::clone(known);

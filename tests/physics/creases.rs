@@ -14,7 +14,8 @@ const YIELD_1_M: f64 = 0.5 * CURVATURE_FROM_ANGLE;
 const FOLDED_AT_S: f64 = 0.1;
 const RELEASED_AT_S: f64 = 0.12;
 
-/// A strip of two cells. Two columns of vertices are held; the third is turned about the second one by `angle` and let go.
+/// A strip of two cells. Two columns of vertices are held; the third is turned about the second one by `angle` and let
+/// go.
 fn folded(angle: f64, plasticity: Plasticity, step_s: f64) -> Scene {
     let fabric = Fabric {
         damping_s: 0.01,
