@@ -11,7 +11,6 @@ mod inspect;
 mod normal_forces;
 mod own_state;
 mod products;
-mod relinearize;
 mod second_solve;
 mod span;
 mod stats;
@@ -289,13 +288,8 @@ impl RankCloth {
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
         self.state.advance(rank, span, &self.solver.vectors.x, &targets);
         clock.lap_kernels(rank.executor, &mut stats.seconds.advance);
-        match before {
-            Some(before) if self.stiff && stats.contacts == 0 => {
-                self.relinearize(rank, span, &before, &targets, stats)?;
-                clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
-            }
-            Some(before) if self.collisions.is_some() => self.solve_again(rank, span, &before, &targets, stats)?,
-            _ => {}
+        if let Some(before) = before {
+            self.solve_again(rank, span, &before, &targets, stats)?;
         }
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.

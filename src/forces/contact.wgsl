@@ -60,7 +60,7 @@ fn contact(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let free = element.distance_m + dt * un;
     let b = ratio * h - free;
     let stopped = 0.5 * (sqrt(b * b + 4.0 * ratio * h * h) - b);
-    var at_gap = clamp(select(stopped, free, free > 0.0), least, h);
+    var at_gap = clamp(free, least, h);
     var impact = false;
     if (params.at_end == 0u) {
         let start = clamp(element.distance_m, least, h);

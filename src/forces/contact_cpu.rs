@@ -72,9 +72,7 @@ pub fn linearized(element: &ContactElement, free_m: f32, stiffness_ratio: f32, a
     let b = stiffness_ratio * h - free_m;
     let stopped = 0.5 * ((b * b + 4.0 * stiffness_ratio * h * h).sqrt() - b);
     let (at_m, impact) = match at_end {
-        true if free_m > 0.0 => (free_m.clamp(least, h), false),
-        // The first solve did not hold it.
-        true => (stopped.clamp(least, h), false),
+        true => (free_m.clamp(least, h), false),
         false => {
             let start = element.distance_m.clamp(least, h);
             (start.min(stopped), stopped < start)

@@ -1,5 +1,6 @@
 // Stretch and air elements: one triangle record per triangle; stretch.rs explains the record, stretch_cpu.rs the
-// physics. needs element.wgsl
+// physics.
+// needs element.wgsl
 
 @group(0) @binding(0) var<storage, read> fabrics: array<FabricTable>;
 @group(0) @binding(1) var<storage, read> elements: array<TriangleElement>;

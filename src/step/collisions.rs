@@ -163,8 +163,7 @@ impl Collisions {
     }
 
     /// Obstacles at both ends of `span`, pinned vertices; finds the contacts of the state at its start, whose own rows
-    /// are
-    /// `own` (positions, velocities; xyz), and those it is heading for, and tells everybody who needs which rows.
+    /// are `own` (positions, velocities; xyz), and those it is heading for, and tells everybody who needs which rows.
     pub(super) fn contacts(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -224,15 +223,15 @@ impl Collisions {
         Ok(contacts)
     }
 
-    /// The contacts of this step anew, for a better guess of its end; friction stays with those that the first solve
-    /// has found the forces of. `own` holds the own rows' positions there, xyz.
+    /// The contacts of this step anew, for a better guess of its end, and how many all ranks have; friction stays with
+    /// those that the first solve has found the forces of. `own` holds the own rows' positions there, xyz.
     pub(super) fn contacts_again(
         &mut self,
         rank: &mut RankContext<'_>,
         own: &[f32],
         span: Span,
         stats: &mut StepStats,
-    ) -> Result<RankContacts, Failure> {
+    ) -> Result<(RankContacts, u64), Failure> {
         let clock = StageClock::start();
         let (query, share) = (EventName::ProximityQuery, EventName::SharePositions);
         let mut traced = TracedTransport::new(rank.transport, rank.recorder, query, share);
@@ -245,7 +244,7 @@ impl Collisions {
         rank.transport.alive()?;
         let counted = stats.contacts;
         let mut elements = self.share_contacts(rank, &found, f32::INFINITY, stats)?;
-        stats.contacts = counted;
+        let count = std::mem::replace(&mut stats.contacts, counted) - counted;
         if self.rough {
             self.normal_forces.first_ends(&self.x_t0, &self.x_t1);
             let ratio = self.model.stiffness as f32;
@@ -259,7 +258,7 @@ impl Collisions {
         }
         let contacts = self.localize(rank, elements, span)?;
         clock.lap(&mut stats.seconds.contacts);
-        Ok(contacts)
+        Ok((contacts, count))
     }
 
     /// What all ranks found, as this rank needs it.

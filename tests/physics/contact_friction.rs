@@ -4,8 +4,8 @@
 use loomtree::forces::STICK_SPEED_M_S;
 use loomtree::math::Vec3;
 use loomtree::mesh::shapes;
-use loomtree::scene::Scene;
-use support::contact::{contact_scene, obstacle};
+use loomtree::scene::{Pin, Scene};
+use support::contact::{contact_scene, obstacle, together};
 use support::physics::{DOWN, GRAVITY_M_S2, OneRank};
 use support::sheet;
 
@@ -227,4 +227,42 @@ fn without_friction_nothing_slows_it_down() {
     let scene = incline(20.0, 0.0, 4, 1.0, [20, 3]);
     let found = measured(20.0, 0.0, 1.0, &scene, 10, 100);
     assert!((found / acceleration(20.0, 0.0) - 1.0).abs() < 1e-3, "{found}");
+}
+
+/// Cloth on cloth is contact as with an obstacle: the incline is a second sheet, all of it pinned.
+#[test]
+fn a_sheet_slides_on_cloth_as_on_an_obstacle() {
+    for (mu, relative) in [(0.0, 0.01), (0.3, 0.04)] {
+        let angle = f64::atan(0.3).to_degrees() + 5.0;
+        let mut scene = incline(angle, mu, 4, 0.5, [1, 1]);
+        let (along, _) = directions(angle);
+        let plane = sheet(41, 9, [1.0, 0.2], along * -0.2 - Vec3::Y * 0.05, along, Vec3::Y);
+        let first = scene.mesh.positions.len() as u32;
+        let held = plane.positions.len() as u32;
+        let mut mesh = contact_scene(together([scene.mesh.clone(), plane]), f64::from(THICKNESS_M), mu, DOWN);
+        mesh.settings.step_s = scene.settings.step_s;
+        mesh.settings.contact_stiffness = scene.settings.contact_stiffness;
+        mesh.velocities = std::mem::take(&mut scene.velocities);
+        mesh.velocities.extend(vec![Vec3::ZERO; held as usize]);
+        mesh.pins = (first..first + held)
+            .map(|vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY })
+            .collect();
+        let mut cloth = OneRank::new(&mesh);
+        let mean = |cloth: &OneRank| {
+            let v = &cloth.velocities()[..first as usize];
+            v.iter().map(|v| f64::from(v.dot(along))).sum::<f64>() / v.len() as f64
+        };
+        for _ in 0..25 {
+            cloth.step();
+        }
+        let (before, steps) = (mean(&cloth), 75);
+        for _ in 0..steps {
+            assert!(cloth.step().contacts > 0, "in the air");
+        }
+        let found = (mean(&cloth) - before) / (f64::from(steps) * 0.004);
+        let expected = acceleration(angle, mu);
+        println!("mu {mu} on cloth: {found:.4} of {expected:.4} m/s^2");
+        let scale = f64::from(GRAVITY_M_S2) * angle.to_radians().cos() * if mu > 0.0 { mu } else { 1.0 };
+        assert!((found - expected).abs() < relative * scale, "mu {mu}: {found} m/s^2 instead of {expected}");
+    }
 }
