@@ -277,7 +277,7 @@ impl RankCloth {
 
         // 5. (M - dt D - dt^2 K) dv = dt (f + dt K v)
         self.state.prescribe(rank.executor, &targets, &mut self.solver.vectors.x);
-        let relative_tolerance = self.settings.relative_tolerance;
+        let relative_tolerance = self.first_tolerance(stats.contacts > 0);
         let solved = self.solve(rank, relative_tolerance, prescribed, halvings < HALVINGS_FOR_SOLVE, stats)?;
         clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
         if !solved {

@@ -18,8 +18,17 @@ use crate::model::RankState;
 /// left, by its tolerance and by its linearization. In stiff cloth a tenth of that may be all that moves the cloth.
 const TOLERANCE_AGAIN: f64 = 10.0;
 const TOLERANCE_AGAIN_MOST: f64 = 0.1;
+/// Tolerance of a first solve that a second one follows over that of a single one. Together they leave less than that.
+const TOLERANCE_FIRST: f64 = 3.0;
 
 impl RankCloth {
+    /// Tolerance of a first solve, with contacts or without.
+    pub(super) fn first_tolerance(&self, with_contacts: bool) -> f64 {
+        let tolerance = self.settings.relative_tolerance;
+        let followed = with_contacts && !self.stiff;
+        if followed { (TOLERANCE_FIRST * tolerance).min(TOLERANCE_AGAIN_MOST) } else { tolerance }
+    }
+
     /// Stages 2 to 6 once more from `start`, linearized at the end that the state holds. A solve that breaks off leaves
     /// that state.
     pub(super) fn solve_again(
@@ -52,14 +61,15 @@ impl RankCloth {
         rank.transport.alive()?;
 
         self.solver.vectors.x.fill_zero(rank.executor);
-        let of_first = self.settings.relative_tolerance;
-        let wider = (TOLERANCE_AGAIN * of_first).min(TOLERANCE_AGAIN_MOST);
-        let residual = stats.residual;
-        if !self.solve(rank, if self.stiff { of_first } else { wider }, false, true, stats)? {
+        let single = self.settings.relative_tolerance;
+        let wider = (TOLERANCE_AGAIN * single).min(TOLERANCE_AGAIN_MOST);
+        let of_first = std::mem::take(&mut stats.residual);
+        if !self.solve(rank, if self.stiff { single } else { wider }, false, true, stats)? {
+            stats.residual = of_first;
             return Ok(());
         }
-        // The report tells the residual of the first solve: this one is relative to something smaller.
-        stats.residual = residual;
+        // This solve's is relative to what the first one has left.
+        stats.residual *= of_first;
         clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
 
         self.state.put_back(rank.executor, start);

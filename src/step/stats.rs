@@ -117,7 +117,7 @@ pub struct StepStats {
     pub substeps: u32,
     /// PCG iterations.
     pub iterations: u32,
-    /// Relative residual reached.
+    /// Relative residual reached; of two solves the product, which leaves linearization aside.
     pub residual: f64,
     /// True if PCG met its tolerance.
     pub converged: bool,
