@@ -8,6 +8,8 @@ mod creases;
 mod elements;
 mod error;
 mod inspect;
+mod let_go;
+mod let_go_pairs;
 mod normal_forces;
 mod own_state;
 mod products;
@@ -33,12 +35,12 @@ use crate::solver::{LinearSolver, PcgError, PcgParams, Schwarz, TrafficCounter};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
 
-use collisions::{Collisions, RankContacts, Resolved};
+use collisions::{Collisions, Limits, RankContacts, Resolved};
 use elements::Elements;
 pub use error::{Failure, Imposed, SetupError};
 use own_state::StateVectors;
 use span::Span;
-pub use stats::{QueryStats, StageSeconds, StepStats};
+pub use stats::{LetGoCounts, QueryStats, StageSeconds, StepStats};
 use stats::{StageClock, peak_resident_bytes};
 pub use substeps::parts_of_step;
 pub use system::ExchangePlan;
@@ -72,6 +74,8 @@ enum Again {
     Slow,
     /// The end of the span is not free of penetrations.
     Squeezed(Vec<Imposed>),
+    /// Vertices without room between obstacles that overlap have been let go: the same span again.
+    LetGo,
     /// The solve broke off. Neither positions nor velocities have been changed.
     Unsolved,
 }
@@ -132,6 +136,9 @@ impl Simulation {
         let mut rank = RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
         self.cloth.advance_in_parts(&mut rank, span, &mut stats)?;
         self.cloth.crease(&mut rank, &mut stats)?;
+        if let Some(collisions) = &mut self.cloth.collisions {
+            collisions.take_up(&mut rank, &mut stats)?;
+        }
         self.cloth.state_is_new = false;
         if let Some(fault) = self.executor.take_fault() {
             return Err(Failure::in_step(step, fault));
@@ -151,12 +158,12 @@ impl Simulation {
         let values = cloth.rows.len() * DIM;
         assert_eq!((state.positions.len(), state.velocities.len()), (values, values), "the state of the own rows");
         cloth.elements.set_creases(executor, &state.creases);
+        if let Some(collisions) = &mut cloth.collisions {
+            collisions.forget_state(&state.let_go);
+        }
         cloth.state.set(executor, Rc::new(state));
         cloth.pins.release_all();
         cloth.system.pinned.fill_zero(executor);
-        if let Some(collisions) = &mut cloth.collisions {
-            collisions.forget_state();
-        }
         cloth.state_is_new = true;
     }
 }
@@ -223,15 +230,25 @@ impl RankCloth {
     ) -> Result<(), Failure> {
         let state = self.collisions.is_some().then(|| self.state.recorded(rank));
         let pins = self.pins.clone();
-        let again = match self.solve_over(rank, span, halvings, stats)? {
-            Attempt::Done => return Ok(()),
-            Attempt::Again(again) => again,
+        let again = loop {
+            match self.solve_over(rank, span, halvings, stats)? {
+                Attempt::Done => return Ok(()),
+                Attempt::Again(Again::LetGo) => {
+                    // Each time a pair more, of finitely many.
+                    if let Some(state) = &state {
+                        self.state.set(rank.executor, Rc::clone(state));
+                    }
+                    self.pins = pins.clone();
+                }
+                Attempt::Again(again) => break again,
+            }
         };
         if halvings == HALVINGS_MAX {
             return Err(match again {
                 Again::Slow => Failure::Squeezed { step: stats.step, imposed: Vec::new() },
                 Again::Squeezed(imposed) => Failure::Squeezed { step: stats.step, imposed },
                 Again::Unsolved => unreachable!("solves ask for at most {HALVINGS_FOR_SOLVE} halvings"),
+                Again::LetGo => unreachable!("the span was taken again"),
             });
         }
         if let (Some(state), Again::Slow | Again::Squeezed(_)) = (state, &again) {
@@ -293,8 +310,7 @@ impl RankCloth {
         }
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.
-        let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
-        self.resolve_impacts(rank, span, rounds_most, stats)
+        self.resolve_impacts(rank, span, halvings, stats)
     }
 
     fn move_pins(&mut self, rank: &mut RankContext<'_>, span: Span) -> PinTargets {
@@ -432,7 +448,7 @@ impl RankCloth {
         &mut self,
         rank: &mut RankContext<'_>,
         span: Span,
-        rounds_most: u32,
+        halvings: u32,
         stats: &mut StepStats,
     ) -> Result<Attempt, Failure> {
         let Some(collisions) = &mut self.collisions else { return Ok(Attempt::Done) };
@@ -446,9 +462,12 @@ impl RankCloth {
                 suspect: "simulation.step_s or a velocity".into(),
             });
         }
-        let moved = match collisions.resolve(rank, &own.positions, rounds_most, stats)? {
+        let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
+        let limits = Limits { rounds_most, at_last: halvings == HALVINGS_MAX };
+        let moved = match collisions.resolve(rank, &own.positions, span, limits, stats)? {
             Resolved::Free(moved) => moved,
             Resolved::Slow => return Ok(Attempt::Again(Again::Slow)),
+            Resolved::LetGo => return Ok(Attempt::Again(Again::LetGo)),
             Resolved::Squeezed(imposed) => return Ok(Attempt::Again(Again::Squeezed(imposed))),
         };
         if !moved.is_empty() {
@@ -460,7 +479,7 @@ impl RankCloth {
                 }
                 positions[at..at + 3].copy_from_slice(&x);
             }
-            self.state.set(rank.executor, Rc::new(RankState { positions, velocities, creases: Vec::new() }));
+            self.state.set(rank.executor, Rc::new(RankState { positions, velocities, ..RankState::default() }));
         }
         Ok(Attempt::Done)
     }

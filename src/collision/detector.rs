@@ -8,6 +8,7 @@
 use super::around::Around;
 use super::broad::{Broad, BroadError, BroadStats, Choice, CollisionMesh, Filter, Query, Search, Split};
 use super::contact::Surfaces;
+use super::let_go::{LeftOut, LetGo};
 use super::narrow::{ContactSink, Findings, ImpactSink, contact_of};
 use super::rules::{ContactParams, DetectorError, Rules, WIDER};
 use super::search::{RunsOn, Searches};
@@ -44,6 +45,7 @@ pub struct Detector {
     memory_limit_bytes: Option<u64>,
     /// Candidates of this rank's share that may come near on the way that the last query for contacts looked at.
     near: Vec<Candidate>,
+    let_go: LetGo,
 }
 
 impl Detector {
@@ -59,7 +61,18 @@ impl Detector {
             rules,
             memory_limit_bytes: None,
             near: Vec::new(),
+            let_go: LetGo::default(),
         })
+    }
+
+    /// Pairs of cloth and obstacles that later queries leave out, instead of those before.
+    pub fn leave_out(&mut self, pairs: Vec<LeftOut>) {
+        self.let_go = LetGo::new(pairs, self.mesh().cloth_vertices);
+    }
+
+    /// Corners of the triangles around a vertex, in the order of the mesh.
+    pub fn triangles_around(&self, vertex: u32) -> impl Iterator<Item = [u32; 3]> + '_ {
+        self.around.faces(self.mesh(), vertex)
     }
 
     /// Bounds the tables of later queries, bytes; a search that does not fit is done in batches. None, the default: no
@@ -128,7 +141,7 @@ impl Detector {
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
         out.clear();
-        let Detector { searches, around, rules, memory_limit_bytes, near } = self;
+        let Detector { searches, around, rules, memory_limit_bytes, near, let_go } = self;
         near.clear();
         let mesh = searches.native.mesh().clone();
         let surfaces = Surfaces { mesh: &mesh, around, x };
@@ -143,7 +156,8 @@ impl Detector {
             memory_limit_bytes: *memory_limit_bytes,
         };
         let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
-        let start = || ContactSink { surfaces: &surfaces, ahead, rules, found: Findings::new(), near: Vec::new() };
+        let (surfaces, let_go) = (&surfaces, &*let_go);
+        let start = || ContactSink { surfaces, ahead, rules, let_go, found: Findings::new(), near: Vec::new() };
         let mut all = Findings { items: std::mem::take(out), ..Findings::new() };
         let finish = &mut |mut sink: ContactSink| {
             all.append(sink.found);
@@ -196,7 +210,8 @@ impl Detector {
             filter: Filter::Separation { separation_m },
             memory_limit_bytes: self.memory_limit_bytes,
         };
-        let start = || ImpactSink { x_t0, x_t1, separation_m, touched, found: Findings::new() };
+        let let_go = &self.let_go;
+        let start = || ImpactSink { x_t0, x_t1, separation_m, touched, let_go, found: Findings::new() };
         let mut all = Findings { items: std::mem::take(out), ..Findings::new() };
         let finish = &mut |sink: ImpactSink| all.append(sink.found);
         let stats = self.searches.search(on.into(), &search, split, &start, finish)?;

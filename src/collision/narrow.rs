@@ -7,6 +7,7 @@ use super::broad::{Sink, nanoseconds};
 use super::contact::{Pair, Surfaces};
 use super::elementary::lanes::{Lanes, undecided, undecided_at_rest};
 use super::elementary::{CandidateKind, ccd};
+use super::let_go::LetGo;
 use super::rules::Rules;
 use super::{Candidate, Impact};
 use crate::forces::ContactElement;
@@ -144,6 +145,7 @@ pub(super) struct ContactSink<'a> {
     /// Positions that the step is heading for, if they differ.
     pub ahead: Option<&'a [f32]>,
     pub rules: &'a Rules,
+    pub let_go: &'a LetGo,
     pub found: Findings<ContactElement>,
     /// Candidates that may come near on the way.
     pub near: Vec<Candidate>,
@@ -153,9 +155,10 @@ impl Sink for ContactSink<'_> {
     fn take(&mut self, found: &[Candidate]) {
         let started = Instant::now();
         let (surfaces, ahead, rules, own) = (self.surfaces, self.ahead, self.rules, &mut self.found);
+        let let_go = self.let_go;
         for_each_group(
             found,
-            |_| true,
+            |candidate| !let_go.leaves_out(candidate),
             |kind, group, count| {
                 let reach = Vec4::from_array(group.each_ref().map(|candidate| rules.reach_m(candidate)));
                 let start = gather(surfaces.x, group);
@@ -184,6 +187,7 @@ pub(super) struct ImpactSink<'a> {
     pub x_t1: &'a [f32],
     pub separation_m: f32,
     pub touched: Option<&'a [bool]>,
+    pub let_go: &'a LetGo,
     pub found: Findings<Impact>,
 }
 
@@ -191,8 +195,10 @@ impl Sink for ImpactSink<'_> {
     fn take(&mut self, found: &[Candidate]) {
         let started = Instant::now();
         let (x_t0, x_t1, separation_m, own) = (self.x_t0, self.x_t1, self.separation_m, &mut self.found);
-        let touched = self.touched;
-        let wanted = |c: &Candidate| touched.is_none_or(|touched| c.vertices.iter().any(|&v| touched[v as usize]));
+        let (touched, let_go) = (self.touched, self.let_go);
+        let wanted = |c: &Candidate| {
+            touched.is_none_or(|touched| c.vertices.iter().any(|&v| touched[v as usize])) && !let_go.leaves_out(c)
+        };
         let at = |x: &[f32], vertex: u32| Vec3::from_slice(&x[3 * vertex as usize..]);
         for_each_group(found, wanted, |kind, group, count| {
             let (start, end) = (gather(x_t0, group), gather(x_t1, group));

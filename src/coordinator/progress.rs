@@ -33,6 +33,10 @@ impl Progress {
         if stats.contacts > 0 || stats.zones.zones > 0 {
             work += &format!("{} contacts, {} zones, ", stats.contacts, stats.zones.zones);
         }
+        if stats.let_go.pairs > 0 {
+            let vertices = if stats.let_go.pairs == 1 { "vertex" } else { "vertices" };
+            work += &format!("{} {vertices} let go between obstacles, ", stats.let_go.pairs);
+        }
         work += &format!("{:.1} ms/step", seconds_per_step * 1e3);
         match &self.bar {
             Some(bar) => {

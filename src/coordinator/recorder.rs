@@ -13,8 +13,8 @@ use crate::impact_zone::ZoneCounts;
 use crate::model::State;
 use crate::os::console::note;
 use crate::output::{
-    Checkpoint, Existing, FrameRecord, FrameWriter, QueryRecord, RankEvents, ReportHeader, ReportWriter, RunDirectory,
-    RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, take_up_formats,
+    Checkpoint, Existing, FrameRecord, FrameWriter, LetGoRecord, QueryRecord, RankEvents, ReportHeader, ReportWriter,
+    RunDirectory, RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, take_up_formats,
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
@@ -223,6 +223,7 @@ impl Recorder {
             contacts: first.contacts,
             smallest_gap_m: first.smallest_gap_m.map(f64::from),
             zones: ZoneCounts { iterations: ranks.iter().map(|rank| rank.zones.iterations).sum(), ..first.zones },
+            let_go: first.let_go,
             proximity: QueryRecord::of(ranks.iter().map(|rank| (&rank.proximity, rank.query_bytes[0]))),
             continuous: QueryRecord::of(ranks.iter().map(|rank| (&rank.continuous, rank.query_bytes[1]))),
             collision_mesh_bytes_per_rank: ranks.iter().map(|rank| rank.collision_mesh_bytes).collect(),
@@ -296,7 +297,9 @@ impl Recorder {
             }
         }
         if let Some(report) = &mut self.report {
-            let record = FrameRecord { frame, time_s, state_hash: state_hash.clone() };
+            let name = |obstacle: usize| self.obstacles.name(obstacle).to_string();
+            let let_go = LetGoRecord::of(&state.let_go, name);
+            let record = FrameRecord { frame, time_s, state_hash: state_hash.clone(), let_go };
             report.frame(record).map_err(write_error)?;
         }
         Ok(state_hash)

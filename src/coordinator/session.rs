@@ -58,6 +58,9 @@ pub enum SessionError {
     /// A state of another mesh, or of a scene of which other fabrics are plastic.
     #[error("a state of {creases} creases does not fit the loaded level, which has {hinges}")]
     UnfitCreases { creases: usize, hinges: usize },
+    /// A state that has let go of an obstacle that is not there.
+    #[error("a state that has let go of obstacle {obstacle} does not fit the loaded level, which has {obstacles}")]
+    NoObstacle { obstacle: u32, obstacles: usize },
     /// A request to a session without a level.
     #[error("no level is loaded")]
     NotLoaded,
@@ -121,6 +124,7 @@ struct Loaded {
     hinges: Vec<Vec<u32>>,
     /// Creases of a state.
     creases: usize,
+    obstacles: usize,
     step: u32,
 }
 
@@ -194,6 +198,7 @@ impl Session {
             partition: level.partition,
             hinges: RankModel::hinges_of_ranks(&model, &level.partition),
             creases: model.original_hinge.len(),
+            obstacles: model.obstacles.len(),
             order: model.original_from_global,
             step: 0,
         });
@@ -212,6 +217,10 @@ impl Session {
         }
         if state.creases.len() != loaded.creases {
             return Err(SessionError::UnfitCreases { creases: state.creases.len(), hinges: loaded.creases });
+        }
+        let obstacles = loaded.obstacles;
+        if let Some(one) = state.let_go.iter().find(|one| one.obstacle as usize >= obstacles) {
+            return Err(SessionError::NoObstacle { obstacle: one.obstacle, obstacles });
         }
         let setup_limit = self.crew.setup_limit();
         for rank in 0..loaded.partition.ranks() {

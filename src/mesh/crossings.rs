@@ -238,7 +238,7 @@ fn build(boxes: &[Bounds], start: usize, nodes: &mut Vec<Node>) -> usize {
 }
 
 /// True if the closed triangles share a point besides their common vertices. `corners` = vertex numbers.
-fn triangles_meet(corners: [[u32; 3]; 2], [a, b]: [[Vec3; 3]; 2]) -> bool {
+pub fn triangles_meet(corners: [[u32; 3]; 2], [a, b]: [[Vec3; 3]; 2]) -> bool {
     let shared = corners[0].iter().filter(|v| corners[1].contains(v)).count();
     if shared == 2 {
         return folded_flat(corners, [a, b]);

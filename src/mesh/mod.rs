@@ -27,7 +27,7 @@ use crate::input::{Input, Streams};
 use crate::math::{DVec3, FAR_M, Vec2, Vec3, bounds, local_origin};
 
 pub use adjacency::{Hinge, hinges, pieces, unique_edges};
-pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection};
+pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection, triangles_meet};
 pub use file_mesh::{FileMesh, MaterialSource, MeshOptions, extent};
 pub use intersect::edge_crosses_triangle;
 pub use material::{TextureFit, flatten_triangle, flatten_triangles};

@@ -115,7 +115,7 @@ impl GlobalModel {
 
     /// Replaces the scene's start state by another one. Order, pins and rest shape stay those of the scene.
     pub fn set_state(&mut self, state: &State) {
-        let RankState { positions, velocities, creases } =
+        let RankState { positions, velocities, creases, let_go: _ } =
             state.gather(&self.original_from_global, &self.original_hinge);
         (self.positions, self.velocities) = (positions, velocities);
         self.hinges.iter_mut().zip(creases).for_each(|(hinge, crease)| hinge.set_crease(crease));

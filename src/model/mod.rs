@@ -10,4 +10,4 @@ mod state;
 pub use collision::{CollisionArrays, CollisionModel, PinSpan};
 pub use global::{GlobalModel, stiffness_ratio};
 pub use rank::{RankArrays, RankModel, RankModelError};
-pub use state::{Crease, NotFinite, RankState, RankStateError, State, hash_words};
+pub use state::{Crease, LetGo, NotFinite, RankState, RankStateError, State, hash_words};

@@ -3,7 +3,7 @@
 //!
 //! Every function below names all fields of [`State`] and [`RankState`], so that a new field cannot be forgotten.
 
-use bytemuck::Pod;
+use bytemuck::{Pod, Zeroable};
 use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
 
@@ -20,6 +20,22 @@ pub struct State {
     pub velocities: Vec<Vec3>,
     /// Of every hinge in the order of [`crate::mesh::hinges`]; empty if no fabric of the scene is plastic.
     pub creases: Vec<Crease>,
+    /// Ascending, each vertex and obstacle once. Empty unless obstacles that overlap have pinched the cloth.
+    pub let_go: Vec<LetGo>,
+}
+
+/// A vertex and an obstacle that pass through each other, because the vertex had no room between that obstacle and one
+/// that overlaps it. The obstacle takes no notice of the vertex and its triangles until the vertex is back on its side
+/// and they are clear of the obstacle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Pod, Zeroable)]
+#[repr(C)]
+pub struct LetGo {
+    /// Vertex of the mesh in a [`State`], place among the own rows in a [`RankState`].
+    pub vertex: u32,
+    /// Obstacle, in the order of the scene.
+    pub obstacle: u32,
+    /// The side that the vertex came from: 1 inside the obstacle, 0 outside.
+    pub inside: u32,
 }
 
 /// Plastic bending of a hinge: its angle at rest (radians) and its plastic curvature so far (1/m).
@@ -41,6 +57,7 @@ impl State {
             positions: scene.mesh.positions.clone(),
             velocities: scene.velocities.clone(),
             creases: vec![Crease::default(); creases_of(scene)],
+            let_go: Vec::new(),
         }
     }
 
@@ -50,29 +67,33 @@ impl State {
             positions: vec![Vec3::ZERO; vertices],
             velocities: vec![Vec3::ZERO; vertices],
             creases: vec![Crease::default(); creases],
+            let_go: Vec::new(),
         }
     }
 
-    /// Number of vertices of the mesh; none if the fields have different lengths.
+    /// Number of vertices of the mesh; none if the fields have different lengths or name vertices that are not there.
     pub fn vertices(&self) -> Option<usize> {
-        (self.positions.len() == self.velocities.len()).then_some(self.positions.len())
+        let State { positions, velocities, creases: _, let_go } = self;
+        let is_vertex = |one: &LetGo| (one.vertex as usize) < positions.len();
+        (positions.len() == velocities.len() && let_go.iter().all(is_vertex)).then_some(positions.len())
     }
 
-    /// 16 hexadecimal digits over the bits of positions, velocities, then creases. `-0.0` and `0.0` differ, so equal
-    /// hashes mean equal bits, except with probability 2^-64.
+    /// 16 hexadecimal digits over the bits of positions, velocities, creases, then what is let go. `-0.0` and `0.0`
+    /// differ, so equal hashes mean equal bits, except with probability 2^-64.
     pub fn hash(&self) -> String {
-        let State { positions, velocities, creases } = self;
+        let State { positions, velocities, creases, let_go } = self;
         let mut hasher = Xxh3::new();
         hash_words(&mut hasher, positions);
         hash_words(&mut hasher, velocities);
         hash_words(&mut hasher, creases);
+        hash_words(&mut hasher, let_go);
         format!("{:016x}", hasher.digest())
     }
 
     /// The first value that is not finite. Positions are checked first.
     pub fn first_not_finite(&self) -> Option<NotFinite> {
         // Creases follow from positions, and a plastic curvature is finite wherever the rest is.
-        let State { positions, velocities, creases: _ } = self;
+        let State { positions, velocities, creases: _, let_go: _ } = self;
         [("position", positions), ("velocity", velocities)].into_iter().find_map(|(quantity, values)| {
             let vertex = values.iter().position(|value| !value.is_finite())? as u32;
             Some(NotFinite { vertex, quantity })
@@ -82,19 +103,31 @@ impl State {
     /// The part of a rank. `order`: the vertex of each row, in the order of the rows; `hinges`: the hinges of the mesh
     /// that touch them ([`super::RankModel::hinges_of_ranks`]).
     pub fn gather(&self, order: &[u32], hinges: &[u32]) -> RankState {
-        let State { positions, velocities, creases } = self;
+        let State { positions, velocities, creases, let_go } = self;
+        let mut own = Vec::new();
+        if !let_go.is_empty() {
+            for (row, &v) in (0..).zip(order) {
+                let first = let_go.partition_point(|one| one.vertex < v);
+                let of_vertex = let_go[first..].iter().take_while(|one| one.vertex == v);
+                own.extend(of_vertex.map(|one| LetGo { vertex: row, ..*one }));
+            }
+        }
         let rows = |values: &[Vec3]| order.iter().flat_map(|&v| values[v as usize].to_array()).collect();
         RankState {
             positions: rows(positions),
             velocities: rows(velocities),
             creases: hinges.iter().map(|&hinge| creases[hinge as usize]).collect(),
+            let_go: own,
         }
     }
 
-    /// Copies the part of a rank into the state; the inverse of [`State::gather`]. A hinge that touches rows of several
-    /// ranks has the same bits on each.
+    /// Copies the part of a rank into the state, which has nothing let go for its rows yet; the inverse of
+    /// [`State::gather`]. A hinge that touches rows of several ranks has the same bits on each.
     pub fn scatter(&mut self, order: &[u32], hinges: &[u32], part: &RankState) {
-        let State { positions, velocities, creases } = self;
+        let State { positions, velocities, creases, let_go } = self;
+        let in_mesh = |one: &LetGo| LetGo { vertex: order[one.vertex as usize], ..*one };
+        let_go.extend(part.let_go.iter().map(in_mesh));
+        let_go.sort_unstable();
         for (values, rows) in [(positions, &part.positions), (velocities, &part.velocities)] {
             assert_eq!(rows.len(), order.len() * DIM, "a rank's state has as many rows as its part of the order");
             for (&v, row) in order.iter().zip(rows.as_chunks::<DIM>().0) {
@@ -123,6 +156,8 @@ pub struct RankState {
     pub velocities: Vec<f32>,
     /// In the order of the rank's hinges; empty if no fabric of the scene is plastic.
     pub creases: Vec<Crease>,
+    /// Ascending.
+    pub let_go: Vec<LetGo>,
 }
 
 /// Error of bytes that are not the state of a rank.
@@ -137,13 +172,19 @@ impl RankState {
             positions: vec![0.0; rows * DIM],
             velocities: vec![0.0; rows * DIM],
             creases: vec![Crease::default(); creases],
+            let_go: Vec::new(),
         }
     }
 
     /// The arrays as bytes, in a fixed order; a message carries them unserialized.
-    pub fn to_bytes(&self) -> [&[u8]; 3] {
-        let RankState { positions, velocities, creases } = self;
-        [bytemuck::cast_slice(positions), bytemuck::cast_slice(velocities), bytemuck::cast_slice(creases)]
+    pub fn to_bytes(&self) -> [&[u8]; 4] {
+        let RankState { positions, velocities, creases, let_go } = self;
+        [
+            bytemuck::cast_slice(positions),
+            bytemuck::cast_slice(velocities),
+            bytemuck::cast_slice(creases),
+            bytemuck::cast_slice(let_go),
+        ]
     }
 
     /// The arrays from bytes in the order of [`RankState::to_bytes`].
@@ -152,11 +193,14 @@ impl RankState {
     /// The bytes are not the arrays of `rows` rows and `creases` creases.
     pub fn from_bytes(arrays: &[&[u8]], rows: usize, creases: usize) -> Result<RankState, RankStateError> {
         let mut state = RankState::zeros(rows, creases);
-        let RankState { positions, velocities, creases } = &mut state;
-        let fields: [&mut [u8]; 3] = [
+        let RankState { positions, velocities, creases, let_go } = &mut state;
+        let pairs = arrays.last().map_or(0, |bytes| bytes.len() / size_of::<LetGo>());
+        let_go.resize(pairs, LetGo::zeroed());
+        let fields: [&mut [u8]; 4] = [
             bytemuck::cast_slice_mut(positions),
             bytemuck::cast_slice_mut(velocities),
             bytemuck::cast_slice_mut(creases),
+            bytemuck::cast_slice_mut(let_go),
         ];
         if arrays.len() != fields.len() {
             return Err(RankStateError(format!("{} arrays instead of {}", arrays.len(), fields.len())));
@@ -171,7 +215,10 @@ impl RankState {
             }
             field.copy_from_slice(bytes);
         }
-        Ok(state)
+        match let_go.iter().find(|one| one.vertex as usize >= rows) {
+            Some(one) => Err(RankStateError(format!("row {} of {rows} is let go", one.vertex))),
+            None => Ok(state),
+        }
     }
 
     /// Bytes of the arrays.
@@ -199,6 +246,11 @@ mod tests {
             positions: (0..vertices).map(|v| at(v, 0.5)).collect(),
             velocities: (0..vertices).map(|v| at(v, 7.0)).collect(),
             creases: vec![[0.25, 2.0], [-0.5, 8.0], [0.75, 16.0]],
+            let_go: [(0, 1, 0), (2, 0, 1), (2, 3, 0), (4, 1, 0)]
+                .map(|(vertex, obstacle, inside)| LetGo { vertex, obstacle, inside })
+                .into_iter()
+                .filter(|one| (one.vertex as usize) < vertices)
+                .collect(),
         }
     }
 
@@ -211,6 +263,8 @@ mod tests {
         assert_eq!(parts[0].2.positions, [3.0, 0.5, -3.0, 0.0, 0.5, -0.0]);
         assert_eq!(parts[0].2.velocities[..3], [3.0, 7.0, -3.0]);
         assert_eq!(parts[0].2.creases, [[0.25, 2.0], [0.75, 16.0]]);
+        assert_eq!(parts[0].2.let_go, [LetGo { vertex: 1, obstacle: 1, inside: 0 }]);
+        assert_eq!(parts[1].2.let_go.iter().map(|one| one.vertex).collect::<Vec<_>>(), [0, 2, 2]);
         let mut again = State::zeros(5, 3);
         for (rows, hinges, part) in parts {
             let part = RankState::from_bytes(&part.to_bytes(), rows.len(), hinges.len()).unwrap();
@@ -220,18 +274,25 @@ mod tests {
         assert_eq!(again.hash(), whole.hash());
         again.creases[1][0] = 0.5;
         assert_ne!(again.hash(), whole.hash());
+        again = whole.clone();
+        again.let_go[1].inside = 0;
+        assert_ne!(again.hash(), whole.hash());
+        assert_eq!(State { positions: Vec::new(), velocities: Vec::new(), ..whole }.vertices(), None);
     }
 
     #[test]
     fn bytes_of_another_shape_are_refused() {
         let part = numbered(2).gather(&[0, 1], &[1]);
         let bytes = part.to_bytes();
-        assert_eq!(part.bytes(), 56);
-        let shorter = [bytes[0], &bytes[1][1..], bytes[2]];
+        assert_eq!(part.bytes(), 68);
+        let shorter = [bytes[0], &bytes[1][1..], bytes[2], bytes[3]];
         for (arrays, rows, creases) in [(&bytes[..1], 2, 1), (&bytes[..], 1, 1), (&bytes[..], 2, 0), (&shorter, 2, 1)] {
             let error = RankState::from_bytes(arrays, rows, creases).unwrap_err().to_string();
             assert!(error.contains("instead of"), "{error}");
         }
+        let beyond = RankState { let_go: vec![LetGo { vertex: 2, obstacle: 0, inside: 0 }], ..part.clone() };
+        let error = RankState::from_bytes(&beyond.to_bytes(), 2, 1).unwrap_err().to_string();
+        assert!(error.contains("row 2 of 2 is let go"), "{error}");
     }
 
     #[test]

@@ -2,8 +2,9 @@
 //!
 //! `checkpoint/step_%08d.ltc` (the newest three) and `states/step_%08d.ltc` (all that were requested), little-endian:
 //! "LOOMCKPT", version (u32), header length (u32), header (bincode), positions and velocities (3 f32 per vertex,
-//! original vertex order), creases (2 f32 per hinge), xxh3 of all bytes before (u64). A damaged file is detected and
-//! skipped, not repaired. A state without creases is written in layout 1, whose header does not count them.
+//! original vertex order), creases (2 f32 per hinge), what is let go (3 u32 per pair), xxh3 of all bytes before (u64).
+//! A damaged file is detected and skipped, not repaired. A state that has let nothing go is written in layout 2, one
+//! without creases in layout 1: their headers do not count what is not there.
 
 use std::fs;
 use std::io::{self, Write};
@@ -15,12 +16,13 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use super::atomic::{WriteError, write_atomically};
 use super::ply::{positions_from_bytes, write_words};
-use crate::model::{Crease, State};
+use crate::model::{Crease, LetGo, State};
 
 const MAGIC: &[u8; 8] = b"LOOMCKPT";
-/// Layouts without and with creases.
-const VERSIONS: [u32; 2] = [1, 2];
+/// Layouts without creases, with creases, and with what is let go as well.
+const VERSIONS: [u32; 3] = [1, 2, 3];
 const CREASE_BYTES: u64 = size_of::<Crease>() as u64;
+const LET_GO_BYTES: u64 = size_of::<LetGo>() as u64;
 /// Magic, version and header length.
 const PREFIX_BYTES: usize = 16;
 /// Limit of the header length. A longer one in a file means damage.
@@ -61,7 +63,7 @@ pub enum CheckpointError {
     #[error("it is not a checkpoint")]
     Magic,
     /// The file was written by a version with another layout.
-    #[error("it has layout {0}, this program reads layouts 1 and 2")]
+    #[error("it has layout {0}, this program reads layouts 1 to 3")]
     Version(u32),
     /// The file is too short or too long.
     #[error("it is cut off or damaged: {got} bytes where its header asks for {expected}")]
@@ -83,7 +85,7 @@ impl Checkpoint {
     /// Writes the content of the file.
     fn put(&self, out: &mut dyn Write) -> io::Result<()> {
         let Some(vertices) = self.state.vertices() else {
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "as many velocities as positions are needed"));
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "the lists of the state do not fit each other"));
         };
         let header = Header {
             program: env!("CARGO_PKG_VERSION").to_string(),
@@ -93,21 +95,28 @@ impl Checkpoint {
             fingerprint: self.fingerprint,
             vertices: vertices as u64,
         };
-        let creases = &self.state.creases;
-        let header = match creases.len() {
-            0 => bincode::serde::encode_to_vec(header, bincode_form()),
-            count => bincode::serde::encode_to_vec((header, count as u64), bincode_form()),
+        let State { positions, velocities, creases, let_go } = &self.state;
+        let counts = [creases.len() as u64, let_go.len() as u64];
+        let (version, header) = match counts {
+            [0, 0] => (VERSIONS[0], bincode::serde::encode_to_vec(header, bincode_form())),
+            [creases, 0] => (VERSIONS[1], bincode::serde::encode_to_vec((header, creases), bincode_form())),
+            [creases, let_go] => {
+                (VERSIONS[2], bincode::serde::encode_to_vec((header, creases, let_go), bincode_form()))
+            }
         };
         let header = header.map_err(io::Error::other)?;
         let mut out = Hashing { out, hasher: Xxh3::new() };
         out.write_all(MAGIC)?;
-        out.write_all(&VERSIONS[usize::from(!creases.is_empty())].to_le_bytes())?;
+        out.write_all(&version.to_le_bytes())?;
         out.write_all(&(header.len() as u32).to_le_bytes())?;
         out.write_all(&header)?;
         let mut buffer = Vec::new();
-        write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.state.positions))?;
-        write_words(&mut out, &mut buffer, bytemuck::cast_slice(&self.state.velocities))?;
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(positions))?;
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(velocities))?;
         write_words(&mut out, &mut buffer, bytemuck::cast_slice(creases))?;
+        for one in let_go {
+            [one.vertex, one.obstacle, one.inside].iter().try_for_each(|word| out.write_all(&word.to_le_bytes()))?;
+        }
         let checksum = out.hasher.digest();
         out.out.write_all(&checksum.to_le_bytes())
     }
@@ -130,18 +139,24 @@ impl Checkpoint {
         }
         let body = PREFIX_BYTES + header_bytes;
         let Some(header) = bytes.get(PREFIX_BYTES..body) else { return Err(cut_off((body + CHECKSUM_BYTES) as u64)) };
-        let decoded = if version == VERSIONS[0] {
-            bincode::serde::decode_from_slice(header, bincode_form()).map(|(header, used)| ((header, 0), used))
+        let form = bincode_form();
+        let decoded: Result<((Header, u64, u64), usize), _> = if version == VERSIONS[0] {
+            bincode::serde::decode_from_slice(header, form).map(|(header, used)| ((header, 0, 0), used))
+        } else if version == VERSIONS[1] {
+            bincode::serde::decode_from_slice(header, form)
+                .map(|((header, creases), used)| ((header, creases, 0), used))
         } else {
-            bincode::serde::decode_from_slice(header, bincode_form())
+            bincode::serde::decode_from_slice(header, form)
         };
-        let ((header, creases), used): ((Header, u64), usize) = decoded.map_err(|_| CheckpointError::Header)?;
+        let ((header, creases, let_go), used) = decoded.map_err(|_| CheckpointError::Header)?;
         if used != header_bytes {
             return Err(CheckpointError::Header);
         }
         let of_creases = creases.checked_mul(CREASE_BYTES).ok_or(CheckpointError::Header)?;
+        let of_let_go = let_go.checked_mul(LET_GO_BYTES).ok_or(CheckpointError::Header)?;
         let of_vertices = header.vertices.checked_mul(24).and_then(|n| n.checked_add((body + CHECKSUM_BYTES) as u64));
-        let expected = of_vertices.and_then(|n| n.checked_add(of_creases)).ok_or(CheckpointError::Header)?;
+        let expected = of_vertices.and_then(|n| n.checked_add(of_creases)).and_then(|n| n.checked_add(of_let_go));
+        let expected = expected.ok_or(CheckpointError::Header)?;
         if expected != got {
             return Err(cut_off(expected));
         }
@@ -149,18 +164,24 @@ impl Checkpoint {
         if xxh3_64(content).to_le_bytes() != checksum {
             return Err(CheckpointError::Checksum);
         }
-        let (of_vertices, creases) = content[body..].split_at(content.len() - body - of_creases as usize);
+        let (rest, let_go) = content[body..].split_at(content.len() - body - of_let_go as usize);
+        let (of_vertices, creases) = rest.split_at(rest.len() - of_creases as usize);
         let (positions, velocities) = of_vertices.split_at(of_vertices.len() / 2);
+        let state = State {
+            positions: positions_from_bytes(positions),
+            velocities: positions_from_bytes(velocities),
+            creases: creases_from_bytes(creases),
+            let_go: let_go_from_bytes(let_go),
+        };
+        if state.vertices().is_none() {
+            return Err(CheckpointError::Header);
+        }
         Ok(Checkpoint {
             frame: header.frame,
             step: header.step,
             time_s: header.time_s,
             fingerprint: header.fingerprint,
-            state: State {
-                positions: positions_from_bytes(positions),
-                velocities: positions_from_bytes(velocities),
-                creases: creases_from_bytes(creases),
-            },
+            state,
         })
     }
 }
@@ -168,6 +189,12 @@ impl Checkpoint {
 fn creases_from_bytes(bytes: &[u8]) -> Vec<Crease> {
     let words = bytes.as_chunks().0.iter().map(|&word| f32::from_le_bytes(word)).collect::<Vec<_>>();
     words.as_chunks().0.to_vec()
+}
+
+fn let_go_from_bytes(bytes: &[u8]) -> Vec<LetGo> {
+    let words = bytes.as_chunks().0.iter().map(|&word| u32::from_le_bytes(word)).collect::<Vec<_>>();
+    let pairs = words.as_chunks().0.iter();
+    pairs.map(|&[vertex, obstacle, inside]| LetGo { vertex, obstacle, inside }).collect()
 }
 
 fn bincode_form() -> impl bincode::config::Config {

@@ -34,7 +34,8 @@ pub use machine::Machine;
 pub use manifest::{Input, ManifestError, RunManifest};
 pub use read::{FrameSource, FramesError};
 pub use report::{
-    FrameRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, Status, StepRecord,
+    FrameRecord, LetGoRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, Status,
+    StepRecord,
 };
 pub use take_up::take_up_formats;
 pub use timeline::{Timeline, TimelineBox, timeline_svg, write_timeline};

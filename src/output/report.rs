@@ -3,6 +3,7 @@
 //! The file is replaced as a whole, at most once a second, before every checkpoint and at the end. After a crash it is
 //! still valid, says `running`, and lacks at most the records after the newest checkpoint.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -14,8 +15,9 @@ use thiserror::Error;
 use super::atomic::{WriteError, write_atomically};
 use super::machine::Machine;
 use crate::impact_zone::ZoneCounts;
+use crate::model::LetGo;
 use crate::scene::Untangling;
-use crate::step::{QueryStats, StageSeconds};
+use crate::step::{LetGoCounts, QueryStats, StageSeconds};
 
 /// State of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -155,6 +157,33 @@ pub struct FrameRecord {
     pub time_s: f64,
     /// [`crate::model::State::hash`] of the state.
     pub state_hash: String,
+    /// What the state has let go, by obstacle; omitted if nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub let_go: Vec<LetGoRecord>,
+}
+
+/// Vertices that pass through an obstacle, because they had no room between it and one that overlaps it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LetGoRecord {
+    /// Name of the obstacle.
+    pub obstacle: String,
+    /// The side of the obstacle that the cloth came from, and on which it is taken up again: `outside` or `inside`.
+    pub side: String,
+    /// Vertices of the mesh, ascending.
+    pub vertices: Vec<u32>,
+}
+
+impl LetGoRecord {
+    /// The records of a state; `name`: that of an obstacle.
+    pub fn of(let_go: &[LetGo], name: impl Fn(usize) -> String) -> Vec<LetGoRecord> {
+        let mut groups: BTreeMap<(u32, u32), Vec<u32>> = BTreeMap::new();
+        let_go.iter().for_each(|one| groups.entry((one.obstacle, one.inside)).or_default().push(one.vertex));
+        let record = |((obstacle, inside), vertices): ((u32, u32), Vec<u32>)| {
+            let side = if inside == 0 { "outside" } else { "inside" };
+            LetGoRecord { obstacle: name(obstacle as usize), side: side.to_string(), vertices }
+        };
+        groups.into_iter().map(record).collect()
+    }
 }
 
 /// Figures of the collision queries of one kind in a step.
@@ -219,6 +248,9 @@ pub struct StepRecord {
     /// Impact zones. Iterations are summed over all ranks.
     #[serde(flatten)]
     pub zones: ZoneCounts,
+    /// Pairs of vertices and obstacles that are let go; omitted if there are none and were none. The frames list them.
+    #[serde(skip_serializing_if = "are_none")]
+    pub let_go: LetGoCounts,
     /// Proximity query.
     pub proximity: QueryRecord,
     /// Continuous queries.
@@ -236,6 +268,10 @@ pub struct StepRecord {
 
 fn is_zero_point(point: &[f64; 3]) -> bool {
     *point == [0.0; 3]
+}
+
+fn are_none(counts: &LetGoCounts) -> bool {
+    *counts == LetGoCounts::default()
 }
 
 fn is_none(count: &u32) -> bool {

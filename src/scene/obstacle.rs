@@ -1,6 +1,8 @@
 //! Obstacles: surfaces that collide with cloth and follow a prescribed motion. Every rank evaluates their positions
 //! from the same numbers in the same order, so all ranks hold the same bits.
 
+use std::ops::Range;
+
 use bytemuck::cast_slice;
 
 use crate::math::{DAffine3, Vec3};
@@ -186,6 +188,17 @@ impl Obstacles {
         found.expect("a vertex of the obstacles")
     }
 
+    /// Vertices and triangles of every obstacle, in order.
+    pub fn ranges(&self) -> Vec<[Range<usize>; 2]> {
+        let mut ends = [0; 2];
+        let mut next = |counts: [u32; 2]| {
+            let starts = ends;
+            ends = [0, 1].map(|i| starts[i] + counts[i] as usize);
+            [0, 1].map(|i| starts[i]..ends[i])
+        };
+        self.header.parts.iter().map(|part| next([part.vertices, part.triangles])).collect()
+    }
+
     /// Name of an obstacle.
     pub fn name(&self, obstacle: usize) -> &str {
         &self.header.parts[obstacle].name
@@ -269,6 +282,7 @@ mod tests {
         assert_eq!((all.len(), all.vertices(), all.triangles()), (3, 9, &[[0, 1, 2], [3, 4, 5], [6, 7, 8]][..]));
         assert_eq!([0, 2, 3, 8].map(|v| all.obstacle_of_vertex(v)), [0, 0, 1, 2]);
         assert_eq!((all.name(1), all.friction(0), all.moving()), ("moved", 7.0, true));
+        assert_eq!(all.ranges(), [[0..3, 0..1], [3..6, 1..2], [6..9, 2..3]]);
         assert!(!Obstacles::new(&[triangle("a", 0.0, Movement::Still)]).moving());
         let key = Motion { keyframes: vec![Keyframe::identity(0.0), Keyframe::identity(1.0)] };
         assert!(!Obstacles::new(&[triangle("a", 0.0, Movement::Keyframes(key))]).moving());

@@ -21,6 +21,7 @@ use crate::telemetry::EventName;
 use crate::transport::{TracedTransport, Transport, share_lists, share_positions};
 
 use super::error::{Failure, Imposed, SetupError};
+use super::let_go_pairs::{LetGoPairs, Pressed};
 use super::normal_forces::NormalForces;
 use super::span::Span;
 use super::stats::{StageClock, StepStats};
@@ -37,6 +38,25 @@ pub(super) struct RankContacts {
     pub obstacle_velocities: Vec<f32>,
 }
 
+/// How far [`Collisions::resolve`] goes before it asks for shorter steps.
+#[derive(Clone, Copy)]
+pub(super) struct Limits {
+    /// Rounds of impact zones.
+    pub rounds_most: u32,
+    /// Whether steps get no shorter.
+    pub at_last: bool,
+}
+
+/// The contacts of all ranks that touch own rows.
+struct SharedContacts {
+    /// Sorted, each once; vertices are global.
+    elements: Vec<ContactElement>,
+    /// See [`Collisions::pressed_from_both_sides`].
+    pressed: Vec<Pressed>,
+    /// Whether any rank has such vertices.
+    any_pressed: bool,
+}
+
 /// How the end of a step was freed of penetrations.
 pub(super) enum Resolved {
     /// Own rows (within the row block) that zones moved, and where to.
@@ -45,20 +65,22 @@ pub(super) enum Resolved {
     Slow,
     /// Not at all: what the scene moves leaves no room.
     Squeezed(Vec<Imposed>),
+    /// Not as it was: vertices between obstacles that overlap have been let go.
+    LetGo,
 }
 
 /// Collision detection and response of one rank.
 pub(super) struct Collisions {
-    model: CollisionModel,
-    obstacles: Obstacles,
-    detector: Detector,
-    cpu: CpuExecutor,
-    partition: RowPartition,
+    pub(super) model: CollisionModel,
+    pub(super) obstacles: Obstacles,
+    pub(super) detector: Detector,
+    pub(super) cpu: CpuExecutor,
+    pub(super) partition: RowPartition,
     /// Halo plan without contacts.
-    plan: HaloPlan,
+    pub(super) plan: HaloPlan,
     /// Positions of all vertices at the ends of the step, cloth rows, then obstacle vertices, xyz.
-    x_t0: Vec<f32>,
-    x_t1: Vec<f32>,
+    pub(super) x_t0: Vec<f32>,
+    pub(super) x_t1: Vec<f32>,
     /// Positions of the obstacles at some time, xyz.
     obstacle_positions: Vec<f32>,
     /// What friction goes by.
@@ -66,7 +88,8 @@ pub(super) struct Collisions {
     /// Whether any vertex has friction.
     rough: bool,
     /// Whether `x_t0` holds the cloth's state.
-    state_known: bool,
+    pub(super) state_known: bool,
+    pub(super) let_go: LetGoPairs,
 }
 
 impl Collisions {
@@ -123,14 +146,10 @@ impl Collisions {
             state_known: false,
             normal_forces,
             rough,
+            let_go: LetGoPairs::new(&obstacles, step_s),
             obstacles,
             model,
         })
-    }
-
-    /// The state is no longer the end of the step before.
-    pub(super) fn forget_state(&mut self) {
-        self.state_known = false;
     }
 
     /// Displacements of the obstacles' vertices from one time to another, meters.
@@ -173,6 +192,9 @@ impl Collisions {
         stats: &mut StepStats,
     ) -> Result<RankContacts, Failure> {
         let clock = StageClock::start();
+        if !self.state_known {
+            self.share_let_go(rank)?;
+        }
         let (query, share) = (EventName::ProximityQuery, EventName::SharePositions);
         let mut traced = TracedTransport::new(rank.transport, rank.recorder, query, share);
         if !self.state_known {
@@ -196,21 +218,29 @@ impl Collisions {
             });
         }
         share_positions(&mut traced, &ahead, &mut self.x_t1, |rank| values_of(&self.partition, rank))?;
-        traced.shares(EventName::ShareQuery);
-        let mut found = Vec::new();
-        let on = RunsOn::new(rank.executor, &self.cpu);
-        let query = self
-            .detector
-            .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(&mut traced), &mut found)
-            .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
-        stats.proximity.add(&query);
-        stats.query_bytes[0] = stats.query_bytes[0].max(query.bytes);
-        stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
-        traced.finish(query.bytes);
-        clock.lap(&mut stats.seconds.proximity);
-        rank.transport.alive()?;
-
-        let elements = self.share_contacts(rank, &found, query.smallest_gap_m, stats)?;
+        traced.finish(0);
+        let mut elements = loop {
+            let mut traced = TracedTransport::new(rank.transport, rank.recorder, query, EventName::ShareQuery);
+            let mut found = Vec::new();
+            let on = RunsOn::new(rank.executor, &self.cpu);
+            let query = self
+                .detector
+                .contacts_ahead(on, &self.x_t0, &self.x_t1, &mut Split::together(&mut traced), &mut found)
+                .map_err(|error| detection_failed(stats.step, &self.obstacles, self.partition.rows(), error))?;
+            stats.proximity.add(&query);
+            stats.query_bytes[0] = stats.query_bytes[0].max(query.bytes);
+            stats.collision_mesh_bytes = query.replicated_bytes + self.mesh_bytes();
+            traced.finish(query.bytes);
+            clock.lap(&mut stats.seconds.proximity);
+            rank.transport.alive()?;
+            let counted = stats.contacts;
+            let shared = self.share_contacts(rank, &found, query.smallest_gap_m, stats)?;
+            if !shared.any_pressed || self.let_go_pressed(rank, &shared.pressed, stats)? == 0 {
+                break shared.elements;
+            }
+            // Once more without them; each time a pair more, of finitely many.
+            stats.contacts = counted;
+        };
         if self.rough {
             let inverse_masses = &self.detector.params().inverse_masses_per_kg;
             let fall_m = Vec3::from(gravity_m_s2) * (span.length_s * span.length_s) as f32;
@@ -218,6 +248,8 @@ impl Collisions {
             let ratio = self.model.stiffness as f32;
             self.normal_forces.take_first(&elements, &self.x_t0, &self.x_t1, fall_m, falls, ratio);
         }
+        self.find_ways_out(&elements);
+        self.add_ways_out(&mut elements);
         let contacts = self.localize(rank, elements, span)?;
         clock.lap(&mut stats.seconds.contacts);
         Ok(contacts)
@@ -243,7 +275,7 @@ impl Collisions {
         clock.lap(&mut stats.seconds.proximity);
         rank.transport.alive()?;
         let counted = stats.contacts;
-        let mut elements = self.share_contacts(rank, &found, f32::INFINITY, stats)?;
+        let mut elements = self.share_contacts(rank, &found, f32::INFINITY, stats)?.elements;
         let count = std::mem::replace(&mut stats.contacts, counted) - counted;
         if self.rough {
             self.normal_forces.first_ends(&self.x_t0, &self.x_t1);
@@ -256,6 +288,7 @@ impl Collisions {
             traced.finish(0);
             self.normal_forces.scale(&mut elements);
         }
+        self.add_ways_out(&mut elements);
         let contacts = self.localize(rank, elements, span)?;
         clock.lap(&mut stats.seconds.contacts);
         Ok((contacts, count))
@@ -268,12 +301,12 @@ impl Collisions {
         found: &[ContactElement],
         smallest_gap_m: f32,
         stats: &mut StepStats,
-    ) -> Result<Vec<ContactElement>, Failure> {
+    ) -> Result<SharedContacts, Failure> {
         let mut traced =
             TracedTransport::new(rank.transport, rank.recorder, EventName::LocalContacts, EventName::ShareContacts);
-        let elements = self.own_contacts(&mut traced, found, smallest_gap_m, stats)?;
+        let shared = self.own_contacts(&mut traced, found, smallest_gap_m, stats)?;
         traced.finish(0);
-        Ok(elements)
+        Ok(shared)
     }
 
     /// Where the own rows would be at the end of `span` if nothing but gravity acted on them.
@@ -296,7 +329,7 @@ impl Collisions {
         found: &[ContactElement],
         smallest_gap_m: f32,
         stats: &mut StepStats,
-    ) -> Result<Vec<ContactElement>, Failure> {
+    ) -> Result<SharedContacts, Failure> {
         let own = self.partition.rows_of(self.plan.rank);
         let mut lists = vec![Vec::new(); transport.ranks()];
         share_lists(transport, found, &mut |source, part: &[ContactElement]| {
@@ -307,13 +340,15 @@ impl Collisions {
         let rows = self.partition.rows() as u32;
         let first = |c: &ContactElement| c.vertices.into_iter().find(|&v| v < rows).unwrap_or(NO_VERTEX);
         let counted = elements.iter().filter(|c| own.contains(&(first(c) as usize))).count();
+        let pressed = self.pressed_from_both_sides(&elements);
         let mut all = Vec::new();
-        transport.all_gather(&[counted as f64, f64::from(smallest_gap_m)], &mut all)?;
+        transport.all_gather(&[counted as f64, f64::from(smallest_gap_m), pressed.len() as f64], &mut all)?;
         stats.contacts += all.iter().map(|of_rank| of_rank[0] as u64).sum::<u64>();
         let gap = all.iter().map(|of_rank| of_rank[1] as f32).fold(f32::INFINITY, f32::min);
         let before = stats.smallest_gap_m.unwrap_or(f32::INFINITY);
         stats.smallest_gap_m = Some(gap.min(before)).filter(|gap| gap.is_finite());
-        Ok(elements)
+        let any_pressed = all.iter().any(|of_rank| of_rank[2] > 0.0);
+        Ok(SharedContacts { elements, pressed, any_pressed })
     }
 
     /// Global vertices to local ones: extends the halo on all ranks.
@@ -360,13 +395,14 @@ impl Collisions {
     }
 
     /// Continuous detection from the start of the step to `own` (own rows' candidate positions, xyz) and impact zones
-    /// until nothing penetrates; in at most `rounds_most` rounds, twice as many while the impacts become few or half as
-    /// many.
+    /// until nothing penetrates; in at most as many rounds as `limits` says, twice as many while the impacts become few
+    /// or half as many.
     pub(super) fn resolve(
         &mut self,
         rank: &mut RankContext<'_>,
         own: &[f32],
-        rounds_most: u32,
+        span: Span,
+        limits: Limits,
         stats: &mut StepStats,
     ) -> Result<Resolved, Failure> {
         let clock = StageClock::start();
@@ -387,7 +423,7 @@ impl Collisions {
             }
             most = most.max(impacts.len());
             let ends_soon = impacts.len() <= (last / 2).max(most / 16);
-            let rounds_most = if ends_soon { rounds_most.saturating_mul(2) } else { rounds_most };
+            let rounds_most = limits.rounds_most.saturating_mul(if ends_soon { 2 } else { 1 });
             if zones.counts().rounds >= rounds_most {
                 stats.zones.add(&zones.counts());
                 return Ok(Resolved::Slow);
@@ -399,6 +435,9 @@ impl Collisions {
             let step = StepPositions { x_t0: &self.x_t0, x_t1: &self.x_t1, inverse_masses };
             if let Err(impossible) = zones.add(&step, &impacts) {
                 stats.zones.add(&zones.counts());
+                if self.let_go_of(&impossible, span, limits.at_last, stats) > 0 {
+                    return Ok(Resolved::LetGo);
+                }
                 return Ok(Resolved::Squeezed(self.imposed(&impossible.imposed)));
             }
             let share = zones.share(traced.rank(), traced.ranks());

@@ -10,7 +10,8 @@ impl Simulation {
     /// State of the own rows. It waits for the executor once if the state has changed since the last call.
     pub fn state(&self) -> RankState {
         let creases = self.cloth.elements.creases(&self.executor);
-        RankState { creases, ..self.cloth.state.own(&self.executor).as_ref().clone() }
+        let let_go = self.cloth.collisions.as_ref().map_or(Vec::new(), |collisions| collisions.let_go_of_rows());
+        RankState { creases, let_go, ..self.cloth.state.own(&self.executor).as_ref().clone() }
     }
 
     /// Number of creases in a state of this rank.

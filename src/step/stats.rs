@@ -108,6 +108,18 @@ impl QueryStats {
     }
 }
 
+/// Vertices without room between obstacles that overlap, and those obstacles: see [`crate::model::LetGo`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LetGoCounts {
+    /// Pairs after the step.
+    pub pairs: u64,
+    /// Pairs that the step has let go.
+    pub new: u64,
+    /// Pairs that the step has taken up again.
+    pub taken_up: u64,
+}
+
 /// Report of a rank on a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepStats {
@@ -145,6 +157,8 @@ pub struct StepStats {
     pub query_bytes: [u64; 2],
     /// Impact zones.
     pub zones: ZoneCounts,
+    /// Pairs of vertices and obstacles that are let go.
+    pub let_go: LetGoCounts,
     /// Bytes held for collisions: mesh, positions of all vertices.
     pub collision_mesh_bytes: u64,
     /// Stage times.

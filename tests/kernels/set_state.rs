@@ -9,7 +9,7 @@ use loomtree::scene::{Keyframe, Motion, Pin, Plasticity, PreconditionerKind, Sce
 use loomtree::solver::ExchangeMode;
 use loomtree::step::{ExchangePlan, Simulation};
 use loomtree::transport::Transport;
-use support::contact::{ball, contact_scene, floor, together};
+use support::contact::{ball, between_balls, contact_scene, floor, together};
 use support::{cpu, direct_queue, isotropic_fabric, on_ranks, scene, sheet, whole_state};
 
 const STEPS: u32 = 14;
@@ -95,6 +95,7 @@ fn assert_bits(name: &str, states: &[RankState], expected: &[RankState]) {
     for (rank, (state, expected)) in states.iter().zip(expected).enumerate() {
         assert!(bits(&state.positions) == bits(&expected.positions), "{name}: positions of rank {rank}");
         assert!(bits(&state.velocities) == bits(&expected.velocities), "{name}: velocities of rank {rank}");
+        assert_eq!(state.let_go, expected.let_go, "{name}: what rank {rank} has let go");
         let (creases, expected) = (state.creases.as_flattened(), expected.creases.as_flattened());
         assert!(bits(creases) == bits(expected), "{name}: creases of rank {rank}");
     }
@@ -188,6 +189,19 @@ fn a_sphere_in_contact() {
         check("sphere", &sphere(), ranks, ExchangeMode::Halo);
     }
     check("sphere", &sphere(), 3, ExchangeMode::Full);
+}
+
+#[test]
+fn a_sheet_pinched_between_balls() {
+    let scene = between_balls(0.006, [0.0, 0.032, 0.064]);
+    let model = GlobalModel::new(&scene);
+    let middle = on_ranks(&model, 1, ExchangeMode::Halo, cpu, |simulation, transport| {
+        (1..=MIDDLE).map(|number| step(simulation, transport, number)).last().expect("a step")
+    });
+    assert!(!middle[0].let_go.is_empty(), "what is let go is a part of the state in the middle");
+    for ranks in [1, 3] {
+        check("pinched", &scene, ranks, ExchangeMode::Halo);
+    }
 }
 
 #[test]

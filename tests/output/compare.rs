@@ -40,8 +40,10 @@ fn run_of(folder: &Path, mesh: &TriangleMesh, frames: u32, shift: Vec3, format: 
         let positions: Vec<Vec3> = mesh.positions.iter().map(|p| *p + moved).collect();
         let velocities = vec![2.0 * moved; positions.len()];
         writer.write(frame, mesh, &positions).unwrap();
-        let state = State { positions, velocities, creases: Vec::new() };
-        report.frame(FrameRecord { frame, time_s: f64::from(frame), state_hash: state.hash() }).unwrap();
+        let state = State { positions, velocities, ..State::default() };
+        report
+            .frame(FrameRecord { frame, time_s: f64::from(frame), state_hash: state.hash(), ..FrameRecord::default() })
+            .unwrap();
         keep(&directory.states(), &Checkpoint { frame, step: u64::from(2 * frame), state, ..Checkpoint::default() })
             .unwrap();
     }

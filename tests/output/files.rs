@@ -6,7 +6,7 @@ use std::path::Path;
 
 use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
-use loomtree::model::State;
+use loomtree::model::{LetGo, State};
 use loomtree::output::*;
 use proptest::prelude::*;
 
@@ -154,7 +154,9 @@ fn checkpoint(step: u64) -> Checkpoint {
     let positions: Vec<Vec3> = (0..step).map(|i| Vec3::new(i as f32, 0.5, -0.0)).collect();
     // Every other one has creases, which is another layout.
     let creases = (0..step / 2 % 2 * 3).map(|i| [i as f32, 0.25]).collect();
-    let state = State { velocities: positions.clone(), positions, creases };
+    // None of the first, so that all layouts are written.
+    let let_go = (3..step as u32).map(|vertex| LetGo { vertex, obstacle: 7, inside: vertex % 2 }).collect();
+    let state = State { velocities: positions.clone(), positions, creases, let_go };
     Checkpoint { frame: 2, step, time_s: 0.25, fingerprint: 77, state }
 }
 

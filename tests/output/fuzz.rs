@@ -16,7 +16,7 @@ use loomtree::interconnect::Topology;
 use loomtree::linear_system::{parse_block_csr, parse_matrix_market, parse_right_hand_side};
 use loomtree::math::{DVec3, Vec3};
 use loomtree::mesh::{MaterialSource, MeshOptions, first_intersection, parse_obj, parse_ply, validate};
-use loomtree::model::State;
+use loomtree::model::{LetGo, State};
 use loomtree::output::pc2::{self, Pc2Writer};
 use loomtree::output::{Checkpoint, Report, RunDirectory, RunManifest, checkpoint, obj, ply, read_trace};
 use loomtree::scene::{self, Overrides, parse, parse_fabric};
@@ -78,7 +78,8 @@ fn checkpoint(bytes: &[u8]) -> Result<(), String> {
 
 fn checkpoint_seed() -> Vec<u8> {
     let positions = vec![Vec3::ZERO, Vec3::X, Vec3::new(0.5, -1.0, 2.0)];
-    let state = State { velocities: vec![Vec3::Y; positions.len()], positions, creases: vec![[0.5, 2.0]; 2] };
+    let let_go = vec![LetGo { vertex: 1, obstacle: 2, inside: 0 }];
+    let state = State { velocities: vec![Vec3::Y; positions.len()], positions, creases: vec![[0.5, 2.0]; 2], let_go };
     let whole = Checkpoint { frame: 2, step: 20, time_s: 0.08, fingerprint: 0x1234_5678_9abc_def0, state };
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::read(checkpoint::keep(folder.path(), &whole).expect("a checkpoint")).expect("its bytes")

@@ -6,7 +6,7 @@ use std::path::Path;
 use loomtree::impact_zone::ZoneCounts;
 use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
-use loomtree::model::State;
+use loomtree::model::{LetGo, State};
 use loomtree::output::*;
 use loomtree::scene::{Fabric, Pin, Scene, Settings};
 use loomtree::step::{QueryStats, StageSeconds};
@@ -23,12 +23,13 @@ fn state_hash_has_a_known_value_and_feels_every_bit() {
     let state = State {
         positions: vec![Vec3::new(1.0, 2.0, 3.0), Vec3::new(-4.0, 0.5, 0.0)],
         velocities: vec![Vec3::ZERO, Vec3::new(0.0, 0.0, 9.0)],
-        creases: Vec::new(),
+        ..State::default()
     };
     let hash = state.hash();
     assert_eq!(hash, "4ce35b4d826ae86d");
-    let State { positions, velocities, creases } = state.clone();
-    assert_ne!(hash, State { positions: velocities, velocities: positions, creases }.hash());
+    let State { positions, velocities, .. } = state.clone();
+    assert_ne!(hash, State { positions: velocities, velocities: positions, ..State::default() }.hash());
+    assert_ne!(hash, State { let_go: vec![LetGo { vertex: 0, obstacle: 0, inside: 0 }], ..state.clone() }.hash());
     assert_ne!(hash, State { creases: vec![[0.0; 2]], ..state.clone() }.hash());
     for (vertex, bit) in (0..2).flat_map(|vertex| (0..96).map(move |bit| (vertex, bit))) {
         for field in 0..2 {
@@ -93,7 +94,7 @@ fn the_fields_of_a_step_keep_their_names() {
 }
 
 fn frame_record(frame: u32) -> FrameRecord {
-    FrameRecord { frame, time_s: f64::from(frame) / 250.0, state_hash: "00ff".to_string() }
+    FrameRecord { frame, time_s: f64::from(frame) / 250.0, state_hash: "00ff".to_string(), let_go: Vec::new() }
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod contact_friction;
 mod contact_scenes;
 mod creases;
 mod motion;
+mod overlaps;
 mod pins;
 mod plates;
 mod rest;

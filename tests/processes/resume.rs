@@ -101,6 +101,56 @@ fn a_resume_that_does_not_fit_is_refused_and_changes_nothing() {
     assert_eq!((place.hashes("out"), fs::read(place.path("out/run.toml")).expect("run.toml")), before);
 }
 
+/// A sheet between two balls that move into each other and apart again.
+const PINCHED: &str = r#"
+name = "pinched"
+resolution = 512
+[simulation]
+step_s = 0.004
+steps_per_frame = 2
+frames = 10
+thickness_m = 0.0015
+[[cloth]]
+sheet = { size_m = [0.2, 0.2] }
+origin_m = [-0.1, -0.1, 0.0]
+fabric = "cotton"
+[[pin]]
+edge = "top"
+[[obstacle]]
+name = "arm"
+sphere = { center_m = [0.004, 0.0, 0.06], radius_m = 0.05 }
+motion = [{ time_s = 0.0 }, { time_s = 0.04, translate_m = [0.0, 0.0, -0.013] }, { time_s = 0.08 }]
+[[obstacle]]
+name = "body"
+sphere = { center_m = [0.004, 0.0, -0.06], radius_m = 0.05 }
+motion = [{ time_s = 0.0 }, { time_s = 0.04, translate_m = [0.0, 0.0, 0.013] }, { time_s = 0.08 }]
+"#;
+
+#[test]
+fn what_is_let_go_between_obstacles_goes_on_on_other_workers() {
+    let place = Place::new();
+    place.write("pinched.toml", PINCHED);
+    place.run("run pinched.toml --executor cpu --workers 1 --out straight").expect(0);
+    place
+        .run("run pinched.toml --executor cpu --workers 3 --frames 5 --out out")
+        .expect(0)
+        .says(&["let go between obstacles"]);
+    place.run("run --resume --out out --workers 2 --frames 10").expect(0);
+    assert_eq!(place.hashes("out"), place.hashes("straight"));
+    let [report, straight] = ["out", "straight"].map(|out| place.report(out)["frames"].clone());
+    assert_eq!(report, straight);
+    let listed = |frame: usize| &report[frame]["let_go"];
+    assert_eq!((&listed(5)[0]["obstacle"], &listed(5)[0]["side"]), (&"body".into(), &"outside".into()), "{report}");
+    assert!(!listed(5)[0]["vertices"].as_array().expect("vertices").is_empty());
+    assert!(listed(2).is_null() && listed(10).is_null(), "before and after: {report}");
+    let steps = place.report("out")["steps"].clone();
+    let sum = |field: &str| {
+        let steps = steps.as_array().expect("steps").iter();
+        steps.map(|step| step["let_go"][field].as_u64().unwrap_or(0)).sum::<u64>()
+    };
+    assert!(sum("new") > 0 && sum("new") == sum("taken_up"), "{} and {}", sum("new"), sum("taken_up"));
+}
+
 /// A checkpoint may be newer than the last report that was due, and the coordinator may be killed right after it.
 #[test]
 fn a_killed_coordinator_leaves_no_hole_in_the_report() {

@@ -1,5 +1,5 @@
-//! Ranks as threads of this process, for benchmarks that need single products of a scene's matrix: a state in which contacts
-//! act, and its matrix split over any number of ranks.
+//! Ranks as threads of this process, for benchmarks that need single products of a scene's matrix: a state in which
+//! contacts act, and its matrix split over any number of ranks.
 
 use std::time::Instant;
 
@@ -24,8 +24,8 @@ pub(super) struct ModelState {
 }
 
 impl ModelState {
-    /// Advances `model` until at least `contacts_per_vertex` act, or by `steps_max` steps, with all cores: threads change no
-    /// bit.
+    /// Advances `model` until at least `contacts_per_vertex` act, or by `steps_max` steps, with all cores: threads
+    /// change no bit.
     pub(super) fn in_contact(
         mut model: GlobalModel,
         common: &Common,
@@ -45,7 +45,7 @@ impl ModelState {
                 break;
             }
         }
-        let RankState { positions, velocities, creases } = simulation.state();
+        let RankState { positions, velocities, creases, let_go: _ } = simulation.state();
         (model.positions, model.velocities) = (positions, velocities);
         // One rank holds all hinges in the order of the model.
         model.hinges.iter_mut().zip(creases).for_each(|(hinge, crease)| hinge.set_crease(crease));
@@ -59,8 +59,8 @@ impl ModelState {
         alone(&self.model, common)
     }
 
-    /// Assembles the matrix of the step on `queues.len()` ranks and calls `with` on each of them, all at once. Results in the
-    /// order of the ranks.
+    /// Assembles the matrix of the step on `queues.len()` ranks and calls `with` on each of them, all at once. Results
+    /// in the order of the ranks.
     pub(super) fn on_ranks<T: Send>(
         &self,
         common: &Common,

@@ -4,12 +4,13 @@
 use loomtree::gpu::Executor;
 use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::{Group, GroupKind, Surface, TriangleMesh, crossings, shapes};
-use loomtree::model::GlobalModel;
-use loomtree::scene::{Keyframe, Motion, Movement, Obstacle, Obstacles, Scene};
+use loomtree::model::{GlobalModel, LetGo};
+use loomtree::scene::{Keyframe, Motion, Movement, Obstacle, Obstacles, Pin, Scene};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::StepStats;
 
-use crate::{isotropic_fabric, on_ranks, scene};
+use crate::physics::DOWN;
+use crate::{isotropic_fabric, on_ranks, scene, sheet, whole_state};
 
 /// A cloth of 150 g/m^2.
 pub const DENSITY_KG_M2: f64 = 0.15;
@@ -91,6 +92,29 @@ pub fn plate(name: &str, size_m: [f64; 3], center: Vec3, by: DVec3, from_s: f64,
     Obstacle { movement: Movement::Keyframes(Motion { keyframes }), ..obstacle(name, surface, 0.4) }
 }
 
+/// A body that is moved by `by` and back between three times.
+pub fn there_and_back(body: Obstacle, name: &str, by: DVec3, times_s: [f64; 3]) -> Obstacle {
+    let key = |time_s, translation_m| Keyframe { translation_m, ..Keyframe::identity(time_s) };
+    let [start, turn, end] = times_s;
+    let keyframes = vec![key(start, DVec3::ZERO), key(turn, by), key(end, DVec3::ZERO)];
+    Obstacle { name: name.into(), movement: Movement::Keyframes(Motion { keyframes }), ..body }
+}
+
+/// A sheet hung at its upper edge, between two balls that move into each other by `depth_m` and apart again.
+pub fn between_balls(depth_m: f64, times_s: [f64; 3]) -> Scene {
+    let mesh = sheet(17, 17, [0.2; 2], Vec3::new(-0.1, 0.0, -0.1), Vec3::X, Vec3::Z);
+    let mut scene = contact_scene(mesh, 1.5e-3, 0.3, DOWN);
+    let held = |vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY };
+    scene.pins = (16 * 17..17 * 17).map(held).collect();
+    scene.obstacles = [("left", -1.0), ("right", 1.0)]
+        .map(|(name, side)| {
+            let body = ball(0.05, 6, Vec3::new(0.004, side * 0.06, -0.03), 0.3);
+            there_and_back(body, name, DVec3::Y * -f64::from(side) * (0.01 + 0.5 * depth_m), times_s)
+        })
+        .to_vec();
+    scene
+}
+
 /// Every state of a run, in the mesh's order; `steps[0]` is the one after step 1.
 pub struct Watched {
     pub positions: Vec<Vec<Vec3>>,
@@ -98,6 +122,8 @@ pub struct Watched {
     /// Of rank 0.
     pub stats: Vec<StepStats>,
     pub masses: Vec<f64>,
+    /// What each state has let go.
+    pub let_go: Vec<Vec<LetGo>>,
 }
 
 impl Watched {
@@ -147,11 +173,14 @@ pub fn watch(scene: &Scene, ranks: usize, steps: u32, executor: fn(usize) -> Exe
     };
     let mut masses = vec![0.0; model.rows()];
     model.original_from_global.iter().zip(&model.masses).for_each(|(&v, &m)| masses[v as usize] = f64::from(m));
-    let mut watched = Watched { positions: Vec::new(), velocities: Vec::new(), stats: Vec::new(), masses };
+    let mut watched =
+        Watched { positions: Vec::new(), velocities: Vec::new(), stats: Vec::new(), masses, let_go: Vec::new() };
     for step in 0..steps as usize {
         watched.positions.push(original(results.iter().map(|rank| &rank[step].0.positions[..]).collect()));
         watched.velocities.push(original(results.iter().map(|rank| &rank[step].0.velocities[..]).collect()));
         watched.stats.push(results[0][step].1);
+        let whole = whole_state(&model, results.iter().map(|rank| &rank[step].0));
+        watched.let_go.push(whole.let_go);
     }
     watched
 }
