@@ -11,6 +11,9 @@
 // Spacing of the curvature samples of the bending table, 1/m.
 const CURVATURE_SPACING: f32 = 5.0;
 
+// Altitude of a side, in mean altitudes of both at rest, below which k falls with its square.
+const COLLAPSED: f32 = 0.02;
+
 // Bending stiffness (N m) of one side at a curvature (1/m) and direction.
 fn bending_stiffness(fabric: u32, curvature: f32, bias: f32) -> f32 {
     let along = min(abs(curvature) / CURVATURE_SPACING, 4.0);
@@ -71,6 +74,11 @@ fn bend(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let fabric = yields_first(element.fabric);
         let y = fabrics[fabric].yield_curvature;
         k *= y / (y + fabrics[fabric].weakening * element.plastic_curvature);
+    }
+    let floor_m = COLLAPSED / element.curvature_from_angle;
+    let collapse = max(dot(g2, g2), dot(g3, g3)) * (floor_m * floor_m);
+    if (collapse > 1.0) {
+        k /= collapse;
     }
     let damping = 0.5 * (fabrics[element.fabric.x].damping_s + fabrics[element.fabric.y].damping_s);
     let rate = dot(g0, unpacked(velocities[element.vertices.x])) + dot(g1, unpacked(velocities[element.vertices.y]))

@@ -8,6 +8,10 @@ use super::element::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,
 use crate::gpu::CpuExecutor;
 use crate::math::Vec3;
 
+/// Altitude of a side, in mean altitudes of both sides at rest, below which it counts as collapsed. The gradient of the
+/// angle grows as 1 / altitude, and k g g^T as its square, until single precision cannot solve the system any more;
+/// there k falls with the square of the altitude.
+const COLLAPSED: f32 = 0.02;
 /// Spacing of the curvature samples of the bending table, 1/m.
 const CURVATURE_SPACING: f32 = 5.0;
 
@@ -75,7 +79,11 @@ pub(super) fn bend(
         for (element, record) in elements[range].iter().zip(out.chunks_exact_mut(HINGE_RECORD_FLOATS)) {
             let (angle, g) = dihedral_angle(element.vertices.map(|v| vertex(positions, v)));
             let v = element.vertices.map(|v| vertex(velocities, v));
-            let k = hinge_stiffness(fabrics, element, angle);
+            let steep = g[2].length_squared().max(g[3].length_squared());
+            let floor_m = COLLAPSED / element.curvature_from_angle;
+            let collapse = steep * (floor_m * floor_m);
+            let stiffness = hinge_stiffness(fabrics, element, angle);
+            let k = if collapse > 1.0 { stiffness / collapse } else { stiffness };
             let damping =
                 0.5 * (fabrics[element.fabric[0] as usize].damping_s + fabrics[element.fabric[1] as usize].damping_s);
             let rate = g[0].dot(v[0]) + g[1].dot(v[1]) + g[2].dot(v[2]) + g[3].dot(v[3]);

@@ -168,6 +168,27 @@ fn bending_moment_is_the_derivative_of_the_energy() {
     assert!((record[7] as f64 - expected).abs() < 1e-3 * expected.abs(), "{} {expected}", record[7]);
 }
 
+/// The mean altitude at rest is 1 cm. A side of 5 % of it has its whole stiffness; below 2 % the largest entry of the
+/// Jacobian grows no more.
+#[test]
+fn a_collapsed_side_bends_no_harder_than_a_thin_one() {
+    let fabric = [isotropic(0.0, 0.0, 2e-5)];
+    let uv = [Vec2::ZERO, Vec2::new(0.01, 0.0)];
+    let element = hinge_element([0, 1, 2, 3], [0, 0], [uv, uv], [5e-5, 5e-5], 0.0);
+    let largest = |altitude_m: f32| {
+        let x = [Vec3::ZERO, Vec3::X * 0.01, Vec3::new(0.004, altitude_m, 0.0), Vec3::new(0.006, -0.01, 0.001)];
+        let mut record = vec![0.0; HINGE_RECORD_FLOATS];
+        let params = still_air(0.004, 1);
+        bend_cpu::bend(&CpuExecutor::new(1), &params, &fabric, &[element], &flat(x), &[0.0; 12], &mut record);
+        record[3] * Vec3::from_slice(&record[8..11]).length_squared()
+    };
+    let whole = largest(0.01);
+    assert!((largest(5e-4) / whole - 400.0).abs() < 4.0, "{} of {whole}", largest(5e-4));
+    for altitude_m in [2e-4, 1e-4, 1e-5, 1e-6, 1e-7] {
+        assert!((largest(altitude_m) / whole - 2500.0).abs() < 25.0, "{altitude_m}: {}", largest(altitude_m) / whole);
+    }
+}
+
 #[test]
 fn measured_tables_give_a_positive_semidefinite_stiffness_at_every_strain() {
     let mut random = Seeded::new(5);
