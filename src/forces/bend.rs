@@ -24,7 +24,8 @@ impl Bend {
         Bend {}
     }
 
-    /// Fills `records` from the state of `elements`. `positions`, `velocities`: xyz of every local vertex.
+    /// Fills `records` from the state of the first `params.count` of `elements`; further ones have records of their own
+    /// (`fiber`). `positions`, `velocities`: xyz of every local vertex.
     #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
     pub fn apply(
         &self,
@@ -37,18 +38,19 @@ impl Bend {
         records: &mut DeviceVec<f32>,
     ) {
         assert_eq!(records.len(), elements.len() * HINGE_RECORD_FLOATS);
+        let hinges = params.count as usize;
         match executor {
             Executor::Cpu(cpu) => bend_cpu::bend(
                 cpu,
                 params,
                 fabrics.as_slice(),
-                elements.as_slice(),
+                &elements.as_slice()[..hinges],
                 positions.as_slice(),
                 velocities.as_slice(),
-                records.as_mut_slice(),
+                &mut records.as_mut_slice()[..hinges * HINGE_RECORD_FLOATS],
             ),
             Executor::Gpu(gpu) => {
-                for window in gpu.windows(elements.len(), HINGE_RECORD_FLOATS * 4) {
+                for window in gpu.windows(hinges, HINGE_RECORD_FLOATS * 4) {
                     let (first, count) = (window.start, window.len());
                     let bindings = [
                         fabrics.binding(),

@@ -28,19 +28,20 @@ static CREASE: KernelSource =
         .with_libraries(&[include_str!("element.wgsl")])
         .with_structs(&[FabricTable::LAYOUT, HingeElement::LAYOUT]);
 
-/// Applies the return map to `elements` at `positions` (xyz of every local vertex).
+/// Applies the return map to the first `hinges` of `elements` at `positions` (xyz of every local vertex).
 pub fn apply(
     executor: &Executor,
     fabrics: &DeviceVec<FabricTable>,
     positions: &DeviceVec<f32>,
+    hinges: usize,
     elements: &mut DeviceVec<HingeElement>,
 ) {
     match executor {
         Executor::Cpu(cpu) => {
-            crease_cpu::crease(cpu, fabrics.as_slice(), positions.as_slice(), elements.as_mut_slice());
+            crease_cpu::crease(cpu, fabrics.as_slice(), positions.as_slice(), &mut elements.as_mut_slice()[..hinges]);
         }
         Executor::Gpu(gpu) => {
-            for window in gpu.windows(elements.len(), size_of::<HingeElement>()) {
+            for window in gpu.windows(hinges, size_of::<HingeElement>()) {
                 let params = CreaseParams { count: window.len() as u32, padding: 0 };
                 let bindings =
                     [fabrics.binding(), positions.binding(), elements.window_mut(window.start, window.len())];

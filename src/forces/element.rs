@@ -105,8 +105,12 @@ gpu_struct! {
     }
 }
 
+/// [`FabricTable::limit_stiffness`] over the largest stiffness of the fabric (docs/papers.md, D27).
+const LIMIT_STIFFENING: f64 = 80.0;
+
 gpu_struct! {
-    /// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping, plasticity; 44 floats.
+    /// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping, plasticity, strain limits; 48
+    /// floats.
     pub struct FabricTable {
         /// As [`Fabric::stretching_n_m`].
         pub stretching: [[f32; 4]; 6],
@@ -120,12 +124,21 @@ gpu_struct! {
         pub hardening: f32,
         /// As [`Plasticity::weakening`].
         pub weakening: f32,
+        /// Least and largest stretch in any direction.
+        pub strain_limit: [f32; 2],
+        /// Largest stiffness of a fiber beyond the strain limit, N/m; 0 = no limit.
+        pub limit_stiffness: f32,
         /// Fills the struct to a multiple of 16 bytes.
-        pub padding: f32,
+        pub padding: [f32; 2],
     }
 }
 
 impl FabricTable {
+    /// True if the fabric has a strain limit.
+    pub fn is_limited(&self) -> bool {
+        self.limit_stiffness > 0.0
+    }
+
     /// Which of the two fabrics of a hinge yields first; the first one if none does.
     pub(super) fn yields_first(of_sides: [&FabricTable; 2]) -> &FabricTable {
         let [one, other] = of_sides;
@@ -148,6 +161,7 @@ impl From<&Fabric> for FabricTable {
         }
         let none = Plasticity { yield_curvature_1_m: 0.0, hardening: 0.0, weakening: 0.0 };
         let Plasticity { yield_curvature_1_m, hardening, weakening } = fabric.plasticity.unwrap_or(none);
+        let stiffest = fabric.stretching_n_m.iter().map(|row| row[0].max(row[2])).fold(0.0, f64::max);
         FabricTable {
             stretching: fabric.stretching_n_m.map(|row| row.map(|k| k as f32)),
             bending,
@@ -155,7 +169,9 @@ impl From<&Fabric> for FabricTable {
             yield_curvature: yield_curvature_1_m as f32,
             hardening: hardening as f32,
             weakening: weakening as f32,
-            padding: 0.0,
+            strain_limit: fabric.strain_limit.map_or([0.0, f32::MAX], |limit| limit.map(|stretch| stretch as f32)),
+            limit_stiffness: if fabric.strain_limit.is_some() { (LIMIT_STIFFENING * stiffest) as f32 } else { 0.0 },
+            padding: [0.0; 2],
         }
     }
 }

@@ -26,7 +26,10 @@ struct FabricTable {
     yield_curvature: f32,
     hardening: f32,
     weakening: f32,
-    padding: f32,
+    // Not a vec2: it would be aligned to 8 bytes.
+    strain_limit: array<f32, 2>,
+    limit_stiffness: f32,
+    padding: array<f32, 2>,
 }
 
 struct StepParams {

@@ -13,6 +13,8 @@ mod contact_element;
 pub mod crease;
 mod crease_cpu;
 mod element;
+pub mod fiber;
+mod fiber_cpu;
 pub mod stretch;
 mod stretch_cpu;
 

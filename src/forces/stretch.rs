@@ -16,7 +16,7 @@ use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource};
 
 static STRETCH: KernelSource =
     KernelSource::new::<StepParams>("forces/stretch.wgsl", include_str!("stretch.wgsl"), "stretch")
-        .with_libraries(&[include_str!("element.wgsl")])
+        .with_libraries(&[include_str!("element.wgsl"), include_str!("limit.wgsl")])
         .with_structs(&[FabricTable::LAYOUT, TriangleElement::LAYOUT]);
 
 /// The stretch kernel on one executor.

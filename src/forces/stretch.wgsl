@@ -1,6 +1,7 @@
 // Stretch and air elements: one triangle record per triangle; stretch.rs explains the record, stretch_cpu.rs the
 // physics.
 // needs element.wgsl
+// needs limit.wgsl
 
 @group(0) @binding(0) var<storage, read> fabrics: array<FabricTable>;
 @group(0) @binding(1) var<storage, read> elements: array<TriangleElement>;
@@ -71,21 +72,38 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let cross_stiffness = k.y;
     let weft = k.z;
     let shear = k.w;
-    let suu = warp * uu + cross_stiffness * vv;
-    let svv = weft * vv + cross_stiffness * uu;
-    let suv = 0.5 * shear * uv;
+    var suu = warp * uu + cross_stiffness * vv;
+    var svv = weft * vv + cross_stiffness * uu;
+    var suv = 0.5 * shear * uv;
+    let wu = (v1 - v0) * element.weights_u.x + (v2 - v0) * element.weights_u.y;
+    let wv = (v1 - v0) * element.weights_v.x + (v2 - v0) * element.weights_v.y;
+    // K w of a limit counts as far as its stress is not that of the end of the step, and it has no damping.
+    var limits = 0.0;
+    var limits_ahead = 0.0;
+    if (fabrics[element.fabric].limit_stiffness > 0.0) {
+        let range = vec2<f32>(fabrics[element.fabric].strain_limit[0], fabrics[element.fabric].strain_limit[1]);
+        let found = limit_of(range, fabrics[element.fabric].limit_stiffness, xu, xv, wu, wv, params.ahead_s);
+        suu += found.stress.x;
+        svv += found.stress.y;
+        suv += found.stress.z;
+        limits = found.isotropic;
+        limits_ahead = found.isotropic * found.ahead_s;
+    }
     let p = positive_part(suu, suv, svv);
 
     // K w: rate of the stress gradient along the velocity, for dt K v and the damping force.
-    let wu = (v1 - v0) * element.weights_u.x + (v2 - v0) * element.weights_u.y;
-    let wv = (v1 - v0) * element.weights_v.x + (v2 - v0) * element.weights_v.y;
     let quarter = 0.25 * shear;
     let shear_rate = quarter * (dot(xv, wu) + dot(xu, wv));
     let ku = xu * (warp * dot(xu, wu) + cross_stiffness * dot(xv, wv)) + xv * shear_rate + wu * p.x + wv * p.y;
     let kv = xv * (weft * dot(xv, wv) + cross_stiffness * dot(xu, wu)) + xu * shear_rate + wv * p.z + wu * p.y;
     let rate = params.ahead_s + damping;
-    let pu = (xu * suu + xv * suv + ku * rate) * area;
-    let pv = (xu * suv + xv * svv + kv * rate) * area;
+    var pu = (xu * suu + xv * suv + ku * rate) * area;
+    var pv = (xu * suv + xv * svv + kv * rate) * area;
+    if (limits_ahead > 0.0) {
+        let limit_shear = 0.5 * (dot(xv, wu) + dot(xu, wv));
+        pu += (xu * dot(xu, wu) + xv * limit_shear) * (limits_ahead * area);
+        pv += (xv * dot(xv, wv) + xu * limit_shear) * (limits_ahead * area);
+    }
 
     // Air: pressure and tangential drag, each corner a third.
     let normal = cross(xu, xv);
@@ -103,9 +121,9 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
 
     let h = dt * (dt + damping) * area;
     let at = e * 6u;
-    records[at] = vec4<f32>(xu, h * warp);
+    records[at] = vec4<f32>(xu, h * (warp + limits));
     records[at + 1u] = vec4<f32>(xv, h * cross_stiffness);
-    records[at + 2u] = vec4<f32>(h * weft, h * quarter, h * p.x, h * p.y);
+    records[at + 2u] = vec4<f32>(h * (weft + limits), h * (quarter + 0.5 * limits), h * p.x, h * p.y);
     records[at + 3u] = vec4<f32>(h * p.z, air_normal, air_tangent, air.x);
     records[at + 4u] = vec4<f32>(pu, air.y);
     records[at + 5u] = vec4<f32>(pv, air.z);

@@ -5,6 +5,7 @@
 //! derivative is not in the Jacobian).
 
 use super::element::{FabricTable, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement, vertex};
+use super::fiber_cpu::limit;
 use crate::gpu::CpuExecutor;
 use crate::math::Vec3;
 
@@ -98,18 +99,30 @@ fn stretch_record(
     let (uu, vv, uv) = (0.5 * (xu.dot(xu) - 1.0), 0.5 * (xv.dot(xv) - 1.0), 0.5 * xu.dot(xv));
     let [warp, cross, weft, shear] = stretch_stiffness(fabric, [uu, vv, uv]);
     // Second Piola stress; the shear term of the energy is k/2 (uv)^2 with uv counted once.
-    let (suu, svv, suv) = (warp * uu + cross * vv, weft * vv + cross * uu, 0.5 * shear * uv);
+    let (mut suu, mut svv, mut suv) = (warp * uu + cross * vv, weft * vv + cross * uu, 0.5 * shear * uv);
+    let (wu, wv) = deformation(element, v);
+    // K w of a limit counts as far as its stress is not that of the end of the step, and it has no damping.
+    let (mut limits, mut limits_ahead) = (0.0, 0.0);
+    if fabric.is_limited() {
+        let limit = limit(fabric, [xu, xv], [wu, wv], params.ahead_s);
+        (suu, svv, suv) = (suu + limit.stress[0], svv + limit.stress[1], suv + limit.stress[2]);
+        (limits, limits_ahead) = (limit.isotropic, limit.isotropic * limit.ahead_s);
+    }
     let [puu, puv, pvv] = positive_part(suu, suv, svv);
 
     // K w: rate of the stress gradient along the velocity, for dt K v and the damping force.
-    let (wu, wv) = deformation(element, v);
     let quarter = 0.25 * shear;
     let shear_rate = quarter * (xv.dot(wu) + xu.dot(wv));
     let ku = xu * (warp * xu.dot(wu) + cross * xv.dot(wv)) + xv * shear_rate + wu * puu + wv * puv;
     let kv = xv * (weft * xv.dot(wv) + cross * xu.dot(wu)) + xu * shear_rate + wv * pvv + wu * puv;
     let rate = params.ahead_s + fabric.damping_s;
-    let pu = (xu * suu + xv * suv + ku * rate) * area;
-    let pv = (xu * suv + xv * svv + kv * rate) * area;
+    let mut pu = (xu * suu + xv * suv + ku * rate) * area;
+    let mut pv = (xu * suv + xv * svv + kv * rate) * area;
+    if limits_ahead > 0.0 {
+        let shear_rate = 0.5 * (xv.dot(wu) + xu.dot(wv));
+        pu += (xu * xu.dot(wu) + xv * shear_rate) * (limits_ahead * area);
+        pv += (xv * xv.dot(wv) + xu * shear_rate) * (limits_ahead * area);
+    }
 
     // Air: pressure rho |vn| vn n and tangential drag, each corner a third; the Jacobian blocks of all corner pairs are
     // equal.
@@ -124,6 +137,7 @@ fn stretch_record(
     let air_tangent = dt * area * params.air_drag * (1.0 / 9.0);
 
     let h = dt * (dt + fabric.damping_s) * area;
+    let (warp, weft, quarter) = (warp + limits, weft + limits, quarter + 0.5 * limits);
     record.copy_from_slice(&[
         xu.x,
         xu.y,

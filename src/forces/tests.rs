@@ -20,6 +20,7 @@ pub(super) fn isotropic(eh: f64, nu: f64, bending: f64) -> FabricTable {
         bending_n_m: [[bending; 5]; 3],
         damping_s: 0.0,
         plasticity: None,
+        strain_limit: None,
     })
 }
 
@@ -203,6 +204,7 @@ fn measured_tables_give_a_positive_semidefinite_stiffness_at_every_strain() {
             bending_n_m: [[0.0; 5]; 3],
             damping_s: 0.0,
             plasticity: None,
+            strain_limit: None,
         });
         let [warp, cross, weft, shear] =
             stretch_stiffness(&fabric, [random.signed() * 0.4, random.signed() * 0.4, random.signed() * 0.4]);
@@ -222,6 +224,7 @@ fn stiffness_at_the_samples_is_the_table() {
         bending_n_m: [[0.0; 5]; 3],
         damping_s: 0.0,
         plasticity: None,
+        strain_limit: None,
     });
     assert_eq!(stretch_stiffness(&fabric, [0.0; 3])[0], 100.0);
     // A principal strain of 1/6 along the warp, the weft and 45 degrees.

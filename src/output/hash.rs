@@ -26,7 +26,7 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     // Formatting cannot fail, because the sink never fails.
     // A field that later versions have added is left out at its default, so that older checkpoints still fit.
     let settings = format!("{settings:?}").replace(", substeps: Auto", "");
-    let fabrics = format!("{:?}", scene.fabrics).replace(", plasticity: None", "");
+    let fabrics = format!("{:?}", scene.fabrics).replace(", plasticity: None", "").replace(", strain_limit: None", "");
     let _ = write!(TextSink(&mut hasher), "{fabrics} {:?} {:?} {settings}", scene.pins, scene.motions);
     let obstacles = Obstacles::new(&scene.obstacles);
     let (positions, triangles) = obstacles.arrays();

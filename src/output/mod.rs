@@ -18,6 +18,7 @@ pub mod plot;
 pub mod ply;
 mod read;
 mod report;
+mod stretch;
 mod take_up;
 mod timeline;
 mod trace;
@@ -37,6 +38,7 @@ pub use report::{
     FrameRecord, LetGoRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, Status,
     StepRecord,
 };
+pub use stretch::principal_stretches;
 pub use take_up::take_up_formats;
 pub use timeline::{Timeline, TimelineBox, timeline_svg, write_timeline};
 pub use trace::{RankEvents, TraceWriter};

@@ -20,7 +20,7 @@ use super::model::CONTACT_STIFFNESS;
 use super::parsed::ParsedScene;
 use super::pins::{PinSource, Selection};
 use super::placement::unplaced_mesh;
-use super::{Fabric, Motion, SceneError, Settings, load_fabric};
+use super::{Fabric, Motion, Plasticity, SceneError, Settings, load_fabric};
 
 use common::{UNMOVED, find, placement};
 use left_out::LeftOut;
@@ -145,7 +145,7 @@ fn velocity_field(cloth: &Json) -> Result<[DVec3; 3], SceneError> {
     })
 }
 
-fn material(json: &Json, left_out: &mut LeftOut) -> Result<Fabric, SceneError> {
+fn material(json: &Json, left_out: &LeftOut) -> Result<Fabric, SceneError> {
     let fabric = load_fabric(&find(&json.required("data")?)?)?;
     let factor = |key| json.or(key, 1.0, Json::positive);
     let thicken = factor("thicken")?;
@@ -155,13 +155,19 @@ fn material(json: &Json, left_out: &mut LeftOut) -> Result<Fabric, SceneError> {
         thicken * factor("bending_mult")?,
     );
     fabric.damping_s = json.or("damping", fabric.damping_s, Json::not_negative)?;
+    if !left_out.disabled.contains(&"strainlimiting")
+        && let Some(limits) = json.get("strain_limits")
+    {
+        fabric.strain_limit = Some(limits.pair()?);
+    }
+    if !left_out.disabled.contains(&"plasticity")
+        && let Some(yields_at) = json.get("yield_curv")
+    {
+        let weakening = json.or("weakening", 0.0, Json::not_negative)?;
+        let yield_curvature_1_m = yields_at.positive()?;
+        fabric.plasticity = Some(Plasticity { yield_curvature_1_m, hardening: 0.0, weakening });
+    }
     fabric.check().map_err(|what| json.error(what))?;
-    if json.get("strain_limits").is_some() {
-        left_out.module("strainlimiting", "strain_limits: left out, the cloth stretches as its stiffness allows");
-    }
-    if json.get("yield_curv").is_some() || json.get("weakening").is_some() {
-        left_out.module("plasticity", "yield_curv and weakening: left out, the cloth is elastic");
-    }
     Ok(fabric)
 }
 

@@ -12,7 +12,7 @@ use super::files::find;
 use super::placement::{Placement, unplaced_mesh};
 use super::{Fabric, Plasticity, RESOLUTIONS, SceneError};
 
-pub(super) const FABRIC_FIELDS: [&str; 9] = [
+pub(super) const FABRIC_FIELDS: [&str; 10] = [
     "name",
     "density_kg_m2",
     "stretching_n_m",
@@ -22,6 +22,7 @@ pub(super) const FABRIC_FIELDS: [&str; 9] = [
     "yield_curvature",
     "hardening",
     "weakening",
+    "strain_limit",
 ];
 
 /// Bending stiffness in ARCSim's form over flexural rigidity (docs/papers.md, D13).
@@ -50,6 +51,7 @@ pub(super) fn fabric(fields: &Fields) -> Result<Fabric, SceneError> {
         bending_n_m,
         damping_s: fields.or("damping_s", 0.0, Value::not_negative)?,
         plasticity: plasticity(fields, None)?,
+        strain_limit: fields.optional("strain_limit", Value::numbers)?,
     };
     fabric.check().map_err(|what| fields.error(what))?;
     Ok(fabric)
@@ -78,7 +80,7 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 17] = [
+pub(super) const CLOTH_FIELDS: [&str; 18] = [
     "name",
     "sheet",
     "mesh",
@@ -94,6 +96,7 @@ pub(super) const CLOTH_FIELDS: [&str; 17] = [
     "yield_curvature",
     "hardening",
     "weakening",
+    "strain_limit",
     "velocity_m_s",
     "friction",
 ];
@@ -158,6 +161,7 @@ pub(super) fn cloth(
     }
     fabric.damping_s = fields.or("damping_s", fabric.damping_s, Value::not_negative)?;
     fabric.plasticity = plasticity(fields, fabric.plasticity)?;
+    fabric.strain_limit = fields.optional("strain_limit", Value::numbers)?.or(fabric.strain_limit);
     fabric.check().map_err(|what| fields.error_at("fabric", what))?;
     let source = ClothSource {
         name: fields.or("name", format!("cloth {index}"), |value| value.text().map(str::to_owned))?,

@@ -27,6 +27,9 @@ pub struct Fabric {
     /// Bending beyond which folds stay; none = elastic.
     #[serde(default)]
     pub plasticity: Option<Plasticity>,
+    /// Least and largest stretch (length / length at rest) in any direction; none = as the stiffness allows.
+    #[serde(default)]
+    pub strain_limit: Option<[f64; 2]>,
 }
 
 /// Plastic bending [Narain et al. 2013], per hinge: see [`crate::forces::crease`].
@@ -51,6 +54,7 @@ impl Fabric {
             bending_n_m: [[bending_n_m; 5]; 3],
             damping_s: 0.0,
             plasticity: None,
+            strain_limit: None,
         }
     }
 
@@ -102,6 +106,14 @@ impl Fabric {
                 }
             }
         }
+        if let Some([least, most]) = self.strain_limit
+            && !(usable(least) && usable(most) && (0.0..=1.0).contains(&least) && most >= 1.0 && most > least)
+        {
+            return Err(format!(
+                "the strain limit must be two stretches, the first from 0 to 1 and the second at least 1, such as \
+                 [0.95, 1.05], not [{least}, {most}]"
+            ));
+        }
         for (row, values) in self.stretching_n_m.iter().enumerate() {
             if let Some(column) = values.iter().position(|&k| !usable(k)) {
                 return Err(format!("stretching row {}, column {} must be a finite number", row + 1, column + 1));
@@ -151,6 +163,7 @@ pub fn parse_fabric(text: &str, path: &Path) -> Result<Fabric, SceneError> {
         bending_n_m: json.required("bending")?.table()?,
         damping_s: json.or("damping", 0.0, |value| value.number())?,
         plasticity: None,
+        strain_limit: None,
     };
     fabric.check().map_err(|what| SceneError::File { path: path.into(), what })?;
     Ok(fabric)

@@ -142,6 +142,11 @@ impl<'a> Json<'a> {
         numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()
     }
 
+    /// A pair of numbers.
+    pub(super) fn pair(&self) -> Result<[f64; 2], SceneError> {
+        self.numbers::<2>().ok_or_else(|| self.error("must be an array of 2 numbers"))
+    }
+
     pub(super) fn vector(&self) -> Result<DVec3, SceneError> {
         self.numbers::<3>().map(DVec3::from).ok_or_else(|| self.error("must be an array of 3 numbers"))
     }

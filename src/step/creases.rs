@@ -40,12 +40,12 @@ impl Elements {
         if !self.is_plastic() {
             return Vec::new();
         }
-        self.hinges.host(executor).iter().map(HingeElement::crease).collect()
+        self.hinges.host(executor)[..self.bends()].iter().map(HingeElement::crease).collect()
     }
 
     /// Number of [`Elements::creases`].
     pub(super) fn crease_count(&self) -> usize {
-        if self.is_plastic() { self.hinges.len() } else { 0 }
+        if self.is_plastic() { self.bends() } else { 0 }
     }
 
     /// Sets the crease of every hinge.

@@ -158,7 +158,7 @@ impl Assembled {
         let of_triangle: Vec<[u32; 3]> = arrays.triangles.iter().map(|e| e.vertices).collect();
         let triangle_rows = ElementRows::new(numbering.own.clone(), &of_triangle);
         drop(of_triangle);
-        let of_hinge: Vec<[u32; 4]> = arrays.hinges.iter().map(|e| e.vertices).collect();
+        let of_hinge: Vec<[u32; 4]> = elements.hinges.host(executor).iter().map(|e| e.vertices).collect();
         let hinge_rows = ElementRows::new(numbering.own.clone(), &of_hinge);
         drop(of_hinge);
         let (triangles, hinges) = ((&triangle_rows, &elements.triangles), (&hinge_rows, &elements.hinges));

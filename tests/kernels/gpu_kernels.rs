@@ -5,6 +5,7 @@ use loomtree::assembly::fill::{Fill, FillParams, FillTables};
 use loomtree::assembly::{ElementRows, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
 use loomtree::forces::crease;
+use loomtree::forces::fiber;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS};
 use loomtree::gpu::{DeviceVec, Executor};
@@ -184,8 +185,8 @@ fn creases(executor: &Executor, part: &RankModel) -> (Vec<f32>, Vec<f32>) {
     let flatter: Vec<f32> = arrays.positions.chunks(3).flat_map(|p| [p[0], p[1], 0.2 * p[2]]).collect();
     let flatter = DeviceVec::upload(executor, &flatter);
     let mut records = DeviceVec::zeros(executor, hinges.len() * HINGE_RECORD_FLOATS);
-    crease::apply(executor, &fabrics, &x, &mut hinges);
-    crease::apply(executor, &fabrics, &flatter, &mut hinges);
+    crease::apply(executor, &fabrics, &x, part.arrays.hinges.len(), &mut hinges);
+    crease::apply(executor, &fabrics, &flatter, part.arrays.hinges.len(), &mut hinges);
     let count = hinges.len() as u32;
     let params = StepParams { step_s: 0.004, air_density: 0.0, air_drag: 0.0, count, wind: [0.0; 3], ahead_s: 0.004 };
     Bend::new(executor).apply(executor, &params, &fabrics, &hinges, &flatter, &x, &mut records);
@@ -206,6 +207,43 @@ fn creases_equal_the_native_twin() {
         let found = creases(&executor, &part);
         assert_close("creases", &found.0, &expected.0, 2, 1e-5);
         assert_close("hinge records", &found.1, &expected.1, HINGE_RECORD_FLOATS, 1e-5);
+    }
+}
+
+/// Triangle records and fibers of a fabric with tight limits; fibers follow 192 other records.
+fn limits(executor: &Executor, part: &RankModel) -> (Vec<f32>, Vec<f32>) {
+    let arrays = &part.arrays;
+    let mut fabric = arrays.fabrics[0];
+    (fabric.strain_limit, fabric.limit_stiffness) = ([0.9, 1.1], 5000.0);
+    let fabrics = DeviceVec::upload(executor, &[fabric]);
+    let triangles = DeviceVec::upload(executor, &arrays.triangles);
+    let (x, v) = (DeviceVec::upload(executor, &arrays.positions), DeviceVec::upload(executor, &arrays.velocities));
+    let mut triangle_records = DeviceVec::zeros(executor, triangles.len() * TRIANGLE_RECORD_FLOATS);
+    let mut records = DeviceVec::zeros(executor, (192 + triangles.len()) * HINGE_RECORD_FLOATS);
+    let count = triangles.len() as u32;
+    let params =
+        StepParams { step_s: 0.004, air_density: 1.2, air_drag: 0.1, count, wind: [3.0, -1.0, 2.0], ahead_s: 0.004 };
+    Stretch::new(executor).apply(executor, &params, &fabrics, &triangles, &x, &v, &mut triangle_records);
+    fiber::apply(executor, &params, &fabrics, &triangles, &x, &v, 192, &mut records);
+    let (triangle_records, mut records) = (triangle_records.read(executor), records.read(executor));
+    assert_eq!(executor.take_fault(), None);
+    let fibers = records.split_off(192 * HINGE_RECORD_FLOATS);
+    assert!(records.iter().all(|value| *value == 0.0));
+    (triangle_records, fibers)
+}
+
+#[test]
+fn limits_equal_the_native_twins() {
+    let (Some(gpu), Some(split)) = (device::executor(), device::executor_binding(192 << 10)) else { return };
+    let part = crumpled_rank(65);
+    let expected = limits(&Executor::cpu(1), &part);
+    let fibers = expected.1.chunks(HINGE_RECORD_FLOATS).filter(|record| record[3] > 0.0).count();
+    let triangles = part.arrays.triangles.len();
+    assert!(fibers > triangles / 10 && fibers < triangles, "{fibers} fibers in {triangles} triangles");
+    for executor in [gpu, split] {
+        let found = limits(&executor, &part);
+        assert_close("triangle records", &found.0, &expected.0, TRIANGLE_RECORD_FLOATS, 1e-4);
+        assert_close("fibers", &found.1, &expected.1, HINGE_RECORD_FLOATS, 1e-4);
     }
 }
 

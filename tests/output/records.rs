@@ -189,6 +189,7 @@ fn scene() -> Scene {
         bending_n_m: [[1e-5; 5]; 3],
         damping_s: 0.0,
         plasticity: None,
+        strain_limit: None,
     };
     let settings = Settings {
         step_s: 0.004,

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use loomtree::math::Vec3;
-use loomtree::scene::{Obstacles, Overrides, Scene, load, load_fabric};
+use loomtree::scene::{Obstacles, Overrides, Plasticity, Scene, load, load_fabric};
 
 const OBJ: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n";
 const HALF_UV: &str =
@@ -37,7 +37,8 @@ fn every_field_arrives() {
             "mesh": "meshes/m.obj",
             "transform": {"translate": [0, 0, 1], "rotate": [90, 0, 0, 1], "scale": 2},
             "velocity": {"linear": [0, 0, 1], "angular": [0, 0, 1]},
-            "materials": [{"data": "materials/f.json", "thicken": 2, "bending_mult": 3, "damping": 0.01, "strain_limits": [0.9, 1.1]}],
+            "materials": [{"data": "materials/f.json", "thicken": 2, "bending_mult": 3, "damping": 0.01,
+                           "strain_limits": [0.9, 1.1], "yield_curv": 200, "weakening": 0.5}],
             "remeshing": {"size": [1, 2]},
         }],
         "motions": [[{"time": 0, "transform": {"translate": [1, 0, 0]}}, {"time": 1, "transform": {"translate": [2, 0, 0]}}]],
@@ -62,6 +63,10 @@ fn every_field_arrives() {
     assert_eq!((fabric.name.as_str(), fabric.density_kg_m2, fabric.damping_s), ("f", 0.4, 0.01));
     assert_eq!((fabric.stretching_n_m[0], fabric.bending_n_m[0][0]), ([20.0, 2.0, 40.0, 10.0], 6e-6));
 
+    assert_eq!(fabric.strain_limit, Some([0.9, 1.1]));
+    let plasticity = Plasticity { yield_curvature_1_m: 200.0, hardening: 0.0, weakening: 0.5 };
+    assert_eq!(fabric.plasticity, Some(plasticity));
+
     assert!(scene.mesh.positions[1].distance(Vec3::new(0.0, 2.0, 1.0)) < 1e-6);
     assert_eq!(scene.mesh.material_uv[0][1].distance(scene.mesh.material_uv[0][0]), 2.0);
     assert!(scene.velocities[1].distance(Vec3::new(-2.0, 0.0, 1.0)) < 1e-6);
@@ -83,7 +88,6 @@ fn every_field_arrives() {
     assert_eq!(
         scene.left_out,
         [
-            "strain_limits: left out, the cloth stretches as its stiffness allows",
             "remeshing: left out, the mesh keeps its triangles",
             "obstacles[0]: left out, there is no file `meshes/none.obj`",
             "obstacles[1].end_time: left out, an obstacle is there all the time",
@@ -92,6 +96,28 @@ fn every_field_arrives() {
             "collision_stiffness: left out, a number of ARCSim's own methods (magic)",
         ]
     );
+}
+
+#[test]
+fn limits_and_plasticity_can_be_disabled_and_must_make_sense() {
+    let fabric = |material: &str, rest: &str| {
+        let cloth = format!("{{mesh: 'meshes/m.obj', materials: [{{data: 'materials/f.json', {material}}}]}}");
+        import(&format!("{{frame_time: 1, duration: 1, cloths: [{cloth}], {rest}}}"))
+            .map(|mut scene| scene.fabrics.remove(0))
+    };
+    let both = "strain_limits: [0.95, 1.05], yield_curv: 200";
+    let off = fabric(both, "disable: ['strainlimiting', 'plasticity']").unwrap();
+    assert_eq!((off.strain_limit, off.plasticity), (None, None));
+    assert!(fabric(both, "").unwrap().plasticity.is_some_and(|plasticity| plasticity.weakening == 0.0));
+    assert_eq!(fabric("weakening: 1", "").unwrap().plasticity, None, "without a yield curvature nothing yields");
+    for (material, what) in [
+        ("strain_limits: [1.05]", "field `cloths[0].materials[0].strain_limits`: must be an array of 2 numbers"),
+        ("strain_limits: [1.05, 0.95]", "the strain limit must be two stretches"),
+        ("yield_curv: 0", "field `cloths[0].materials[0].yield_curv`: must be a number above 0"),
+    ] {
+        let error = fabric(material, "").unwrap_err();
+        assert!(error.contains(what), "{error}");
+    }
 }
 
 #[test]

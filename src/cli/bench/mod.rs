@@ -13,6 +13,7 @@ mod runs;
 mod scaling;
 mod spmv;
 mod step;
+mod strain;
 mod table;
 mod time;
 
@@ -50,6 +51,8 @@ enum Bench {
     Memory(runs::ScenesBench),
     /// Drape coefficient and folds of every round cloth of a run, such as one of scenes/cusick.toml
     Drape(drape::DrapeBench),
+    /// Stretch of every piece of cloth of a run, and how far it goes beyond the strain limits
+    Strain(strain::StrainBench),
     /// Modeled, not measured: products on the machines of topology files, every exchange and schedule
     Interconnect(interconnect::InterconnectBench),
     /// Modeled from measured steps: a shot split in time over 2 to 512 processes, played on a virtual clock
@@ -58,7 +61,7 @@ enum Bench {
 
 /// Runs a benchmark and prints its tables.
 pub fn run(args: BenchArgs) -> Result<(), CliError> {
-    if !matches!(args.what, Bench::Interconnect(_) | Bench::Drape(_)) {
+    if !matches!(args.what, Bench::Interconnect(_) | Bench::Drape(_) | Bench::Strain(_)) {
         warn_of_load();
     }
     match args.what {
@@ -71,6 +74,7 @@ pub fn run(args: BenchArgs) -> Result<(), CliError> {
         Bench::MatrixFree(bench) => matrix_free::run(&bench),
         Bench::Memory(bench) => bench.each()?.iter().try_for_each(step::memory),
         Bench::Drape(bench) => drape::run(&bench),
+        Bench::Strain(bench) => strain::run(&bench),
         Bench::Interconnect(bench) => interconnect::run(&bench),
         Bench::Time(bench) => time::run(&bench),
     }

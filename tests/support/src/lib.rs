@@ -39,6 +39,7 @@ pub fn isotropic_fabric(eh: f64, nu: f64, bending: f64, density: f64, damping_s:
         bending_n_m: [[bending; 5]; 3],
         damping_s,
         plasticity: None,
+        strain_limit: None,
     }
 }
 

@@ -1,0 +1,89 @@
+//! Strain limits: a fiber in a triangle that resists stretch beyond the limits of its fabric.
+//!
+//! A direction d (material space) of a principal stretch out of the limits [a, b] gets the stress
+//! ```text
+//! S = s(e) d d'    e = (|F d|^2 - L^2) / 2    L = the limit, a or b
+//! s(e) = K e |e| / (2 B) up to |e| = B, then linear with the slope K (`fiber_cpu::fiber_stress`)
+//! ```
+//! A triangle that is within its limits is seen where its velocity leads it within the step, to first order; one that
+//! is not is linearized where it is, so that a limit that holds a weight does not let go when the velocity wavers.
+//! Forces and their slopes are continuous, and the limit needs no multiplier that a state would have to remember.
+//! `stretch` adds S to the stress of the triangle: forces, and the stiffness that tension gives across it. The
+//! stiffness along d is K (F d)(F d)' d d', positive semidefinite and of rank one, which a triangle record has no place
+//! for. It is the largest slope instead of that at e, an upper bound. Here it is a record like that of a hinge (layout:
+//! `bend`) whose gradients are w_a F d at corner a of the triangle, w_a = u_a d_u + v_a d_v, and zero at the fourth
+//! corner. Where both principal stretches are out of the limits, the stiffness is K in all directions instead, which
+//! the triangle record holds.
+
+use super::element::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TriangleElement};
+use super::fiber_cpu;
+use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource};
+
+static FIBER: KernelSource = KernelSource::new::<StepParams>("forces/fiber.wgsl", include_str!("fiber.wgsl"), "fiber")
+    .with_libraries(&[include_str!("element.wgsl"), include_str!("limit.wgsl")])
+    .with_structs(&[FabricTable::LAYOUT, TriangleElement::LAYOUT]);
+
+/// The place of a triangle's fiber in the list of hinges: a hinge without stiffness of its own. Its fourth corner is
+/// the first one again.
+pub fn element(triangle: &TriangleElement) -> HingeElement {
+    let [a, b, c] = triangle.vertices;
+    HingeElement {
+        vertices: [a, b, c, a],
+        shape: 0.0,
+        curvature_from_angle: 0.0,
+        rest_angle: 0.0,
+        plastic_curvature: 0.0,
+        bias: [0.0; 2],
+        fabric: [triangle.fabric; 2],
+    }
+}
+
+/// Fills the records of the fibers of `elements`: those of `records` from `first` on, on a device a multiple of
+/// [`crate::gpu::WINDOW_STEP`].
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
+pub fn apply(
+    executor: &Executor,
+    params: &StepParams,
+    fabrics: &DeviceVec<FabricTable>,
+    elements: &DeviceVec<TriangleElement>,
+    positions: &DeviceVec<f32>,
+    velocities: &DeviceVec<f32>,
+    first: usize,
+    records: &mut DeviceVec<f32>,
+) {
+    assert_eq!(records.len(), (first + elements.len()) * HINGE_RECORD_FLOATS);
+    match executor {
+        Executor::Cpu(cpu) => fiber_cpu::fiber(
+            cpu,
+            params,
+            fabrics.as_slice(),
+            elements.as_slice(),
+            positions.as_slice(),
+            velocities.as_slice(),
+            &mut records.as_mut_slice()[first * HINGE_RECORD_FLOATS..],
+        ),
+        Executor::Gpu(gpu) => {
+            for window in gpu.windows(elements.len(), HINGE_RECORD_FLOATS * 4) {
+                let (start, count) = (window.start, window.len());
+                let bindings = [
+                    fabrics.binding(),
+                    elements.window(start, count),
+                    positions.binding(),
+                    velocities.binding(),
+                    records.window_mut((first + start) * HINGE_RECORD_FLOATS, count * HINGE_RECORD_FLOATS),
+                ];
+                gpu.run(&FIBER, &bindings, &StepParams { count: count as u32, ..*params }, count as u64);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shader_and_structs_agree() {
+        FIBER.check().unwrap();
+    }
+}

@@ -1,0 +1,173 @@
+//! CPU twin of `fiber.wgsl` and `limit.wgsl`: what strain limits add to a triangle; `fiber` explains it.
+
+use super::element::{FabricTable, HINGE_RECORD_FLOATS, StepParams, TriangleElement, vertex};
+use crate::gpu::CpuExecutor;
+use crate::math::{Vec2, Vec3};
+
+/// Green strain beyond the limit from which on the slope of a fiber's stress does not grow.
+const LIMIT_BEND: f32 = 0.0025;
+
+/// What the strain limits of a fabric add to a triangle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Limit {
+    /// Second Piola stress uu, vv, uv, N/m: that of the state, or that of the end of the step.
+    pub stress: [f32; 3],
+    /// The stress is that of this time before the end of the step, seconds.
+    pub ahead_s: f32,
+    /// Stiffness along `direction`, N/m.
+    pub fiber: f32,
+    /// Unit vector in material space.
+    pub direction: Vec2,
+    /// Stiffness in every direction, N/m.
+    pub isotropic: f32,
+}
+
+/// Stress (N/m) of a fiber at the Green strain `beyond` its limit, for a fabric of this
+/// [`FabricTable::limit_stiffness`]: quadratic, so that its slope is continuous, then linear, so that it is bounded.
+pub(super) fn fiber_stress(stiffness: f32, beyond: f32) -> f32 {
+    let size = beyond.abs();
+    let bent = size.min(LIMIT_BEND);
+    beyond.signum() * stiffness * (bent / LIMIT_BEND) * (size - 0.5 * bent)
+}
+
+/// The limits of a triangle with this deformation `[x_u, x_v]` and its rate, `ahead_s` after the state.
+pub(super) fn limit(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2], ahead_s: f32) -> Limit {
+    let least = fabric.strain_limit[0] * fabric.strain_limit[0];
+    let most = fabric.strain_limit[1] * fabric.strain_limit[1];
+    // mean and half the difference of the squares of x_u and x_v, their product, and the radius of Mohr's circle.
+    let squares = |uu: f32, vv: f32, uv: f32| {
+        let (mean, half) = (0.5 * (uu + vv), 0.5 * (uu - vv));
+        (mean, half, uv, (half * half + uv * uv).sqrt())
+    };
+    let is_within = |(mean, _, _, radius): (f32, f32, f32, f32)| mean + radius <= most && mean - radius >= least;
+    let ([u, v], [wu, wv]) = (now, rate);
+    let (uu, vv, uv) = (u.dot(u), v.dot(v), u.dot(v));
+    let (mut at, mut ahead) = (squares(uu, vv, uv), ahead_s);
+    if is_within(at) {
+        // To first order: with the square of the rate, a triangle that turns would seem to stretch.
+        let (uu, vv) = (uu + 2.0 * ahead_s * u.dot(wu), vv + 2.0 * ahead_s * v.dot(wv));
+        (at, ahead) = (squares(uu, vv, uv + ahead_s * (u.dot(wv) + v.dot(wu))), 0.0);
+        if is_within(at) {
+            return Limit::default();
+        }
+    }
+    let (mean, half, uv, radius) = at;
+    let (largest, smallest) = (mean + radius, mean - radius);
+    // Direction of the largest stretch; any if all are alike.
+    let wide = if half >= 0.0 { Vec2::new(half + radius, uv) } else { Vec2::new(uv, radius - half) };
+    let length = wide.length();
+    let first = if length > 0.0 { wide / length } else { Vec2::X };
+    let mut found = Limit { direction: first, ahead_s: ahead, ..Limit::default() };
+    let mut beyond = 0;
+    for (squared, d) in [(largest, first), (smallest, Vec2::new(-first.y, first.x))] {
+        let limit = if squared > most {
+            most
+        } else if squared < least {
+            least
+        } else {
+            continue;
+        };
+        beyond += 1;
+        let stress = fiber_stress(fabric.limit_stiffness, 0.5 * (squared - limit));
+        found.stress[0] += stress * d.x * d.x;
+        found.stress[1] += stress * d.y * d.y;
+        found.stress[2] += stress * d.x * d.y;
+        found.direction = d;
+    }
+    let stiffness = fabric.limit_stiffness;
+    if beyond == 2 {
+        found.isotropic = stiffness
+    } else {
+        found.fiber = stiffness
+    }
+    found
+}
+
+/// Fills `records` (16 floats per triangle). Bytes per triangle: 48 element + 72 state read, 64 written.
+pub(super) fn fiber(
+    cpu: &CpuExecutor,
+    params: &StepParams,
+    fabrics: &[FabricTable],
+    elements: &[TriangleElement],
+    positions: &[f32],
+    velocities: &[f32],
+    records: &mut [f32],
+) {
+    cpu.for_ranges_mut(records, HINGE_RECORD_FLOATS, 64, |range, out| {
+        for (element, record) in elements[range].iter().zip(out.chunks_exact_mut(HINGE_RECORD_FLOATS)) {
+            record.fill(0.0);
+            let fabric = &fabrics[element.fabric as usize];
+            if !fabric.is_limited() {
+                continue;
+            }
+            let x = element.vertices.map(|v| vertex(positions, v));
+            let v = element.vertices.map(|v| vertex(velocities, v));
+            let (now, rate) = (deformation(element, x), deformation(element, v));
+            let Limit { fiber, direction: d, ahead_s, .. } = limit(fabric, now, rate, params.ahead_s);
+            if fiber <= 0.0 {
+                continue;
+            }
+            let f = now[0] * d.x + now[1] * d.y;
+            for ([u, v], g) in element.corner_weights().iter().zip(record.chunks_exact_mut(4)) {
+                (f * (u * d.x + v * d.y)).write_to_slice(&mut g[..3]);
+            }
+            record[3] = params.step_s * params.step_s * fiber * element.area_m2;
+            record[7] = ahead_s * fiber * element.area_m2 * f.dot(rate[0] * d.x + rate[1] * d.y);
+        }
+    });
+}
+
+/// [`TriangleElement`]'s x_u and x_v of positions or velocities of its corners.
+fn deformation(element: &TriangleElement, x: [Vec3; 3]) -> [Vec3; 2] {
+    let (d1, d2) = (x[1] - x[0], x[2] - x[0]);
+    let ([u1, u2], [v1, v2]) = (element.weights_u, element.weights_v);
+    [d1 * u1 + d2 * u2, d1 * v1 + d2 * v2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Fabric;
+
+    #[test]
+    fn the_slope_of_the_stress_is_continuous_and_at_most_the_stiffness() {
+        let slope = |e: f32| (fiber_stress(1000.0, e + 1e-4) - fiber_stress(1000.0, e - 1e-4)) / 2e-4;
+        for e in [-0.02f32, -0.002, -0.001, 0.001, 0.002, 0.006, 0.03] {
+            let expected = 1000.0 * (e.abs() / LIMIT_BEND).min(1.0);
+            assert!((slope(e) - expected).abs() < 2.0, "at {e}: {} {expected}", slope(e));
+            assert!(fiber_stress(1000.0, e) * e > 0.0);
+        }
+        assert_eq!(fiber_stress(1000.0, 0.0), 0.0);
+    }
+
+    #[test]
+    fn only_what_is_beyond_the_limits_is_resisted() {
+        let fabric = Fabric { strain_limit: Some([0.9, 1.1]), ..Fabric::uniform("f", 0.1, [100.0; 4], 1e-5) };
+        let fabric = FabricTable::from(&fabric);
+        // Stretched by s along the direction at `angle` and by t across it.
+        let found = |s: f32, t: f32, angle: f32| {
+            let (d, n) = (Vec2::from_angle(angle), Vec2::from_angle(angle).perp());
+            let column = |axis: Vec2| Vec3::new(s * d.dot(axis), t * n.dot(axis), 0.0);
+            limit(&fabric, [column(Vec2::X), column(Vec2::Y)], [Vec3::ZERO; 2], 0.0)
+        };
+        assert_eq!(found(1.09, 0.91, 0.4), Limit::default());
+        let k = fabric.limit_stiffness;
+        let law = fiber_stress(k, 0.5 * (1.2f32.powi(2) - 1.1f32.powi(2)));
+        for angle in [0.0, 0.4, 1.3, 2.8] {
+            let d = Vec2::from_angle(angle);
+            let Limit { stress, fiber, direction, isotropic, .. } = found(1.2, 1.0, angle);
+            assert!((direction.dot(d).abs() - 1.0).abs() < 1e-5 && isotropic == 0.0 && (fiber - k).abs() < 1e-3 * k);
+            let expected = [d.x * d.x, d.y * d.y, d.x * d.y].map(|part| law * part);
+            assert!(stress.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-3 * law), "{stress:?} {expected:?}");
+            // Too short across: the fiber lies there and pushes.
+            let short = found(1.0, 0.8, angle);
+            assert!(short.direction.dot(d).abs() < 1e-5 && short.stress[0] + short.stress[1] < 0.0);
+            // Both: no fiber, but the stiffness in all directions.
+            let both = found(1.2, 0.8, angle);
+            assert!(both.fiber == 0.0 && (both.isotropic - k).abs() < 1e-3 * k);
+        }
+        // What the velocity leads to within the step counts.
+        let ahead = limit(&fabric, [Vec3::X, Vec3::Y], [Vec3::X * 50.0, Vec3::ZERO], 0.004);
+        assert!(ahead.stress[0] > 0.0 && ahead.direction.x.abs() > 0.999);
+    }
+}
