@@ -105,7 +105,7 @@ gpu_struct! {
     }
 }
 
-/// [`FabricTable::limit_stiffness`] over the largest stiffness of the fabric (docs/papers.md, D27).
+/// [`FabricTable::limit_stiffness`] over the largest stiffness of the fabric (docs/papers.md, D28).
 const LIMIT_STIFFENING: f64 = 80.0;
 
 gpu_struct! {

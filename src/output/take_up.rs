@@ -37,7 +37,8 @@ pub fn take_up_formats(
         .collect();
     for &format in formats.iter().filter(|&&format| !there(format)) {
         let earlier = earlier.join(" and ");
-        sentences.push(format!("{format} files begin with frame {first_frame}; earlier frames are there as {earlier}"));
+        let before = if earlier.is_empty() { "earlier frames are not there" } else { "earlier frames are there as " };
+        sentences.push(format!("{format} files begin with frame {first_frame}; {before}{earlier}"));
     }
     Ok(sentences)
 }
