@@ -184,6 +184,7 @@ fn a_state_that_is_not_finite_is_no_frame_and_no_checkpoint() {
 }
 
 /// Two plates that close on a cloth, and on each other.
+/// The plates are open surfaces: between closed ones that overlap cloth is let go.
 const CRUSHED: &str = r#"
     resolution = 200
     [simulation]
@@ -196,11 +197,11 @@ const CRUSHED: &str = r#"
     origin_m = [-0.1, 0.0, 0.1]
     [[obstacle]]
     name = "upper plate"
-    plate = { center_m = [0.0, 0.03, 0.0], size_m = [0.5, 0.5], thickness_m = 0.02, triangles = 100 }
+    plane = { point_m = [0.0, 0.02, 0.0], normal = [0.0, -1.0, 0.0], size_m = [0.5, 0.5], triangles = 100 }
     motion = [ { time_s = 0.0 }, { time_s = 0.1, translate_m = [0.0, -0.03, 0.0] } ]
     [[obstacle]]
     name = "lower plate"
-    plate = { center_m = [0.0, -0.03, 0.0], size_m = [0.5, 0.5], thickness_m = 0.02, triangles = 100 }
+    plane = { point_m = [0.0, -0.02, 0.0], size_m = [0.5, 0.5], triangles = 100 }
     motion = [ { time_s = 0.0 }, { time_s = 0.1, translate_m = [0.0, 0.03, 0.0] } ]
 "#;
 
