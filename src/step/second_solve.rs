@@ -68,8 +68,9 @@ impl RankCloth {
             stats.residual = of_first;
             return Ok(());
         }
-        // This solve's is relative to what the first one has left.
-        stats.residual *= of_first;
+        // This solve's is relative to what the first one has left. Of solves that stopped early the report tells the
+        // largest.
+        stats.residual = if stats.converged { of_first * stats.residual } else { of_first.max(stats.residual) };
         clock.lap_kernels(rank.executor, &mut stats.seconds.solve);
 
         self.state.put_back(rank.executor, start);
