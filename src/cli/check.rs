@@ -8,7 +8,9 @@ use crate::mesh::{
     FileMesh, Group, GroupKind, MaterialSource, MeshReadError, Part, TriangleMesh, crossings, first_at_place, hinges,
     read_mesh, read_obstacle,
 };
-use crate::scene::{DEFAULT_THICKNESS_M, Movement, Overrides, Scene, load, load_fabric, load_untangled, size_warning};
+use crate::scene::{
+    DEFAULT_THICKNESS_M, Movement, Overrides, Scene, load, load_fabric, load_untangled, read_body, size_warning,
+};
 
 use super::far::far_line;
 use super::start_state::{Places, untangled_line, write_mesh};
@@ -17,7 +19,7 @@ use super::{CliError, print_to};
 /// Arguments of `loomtree check`.
 #[derive(Debug, clap::Args)]
 pub struct CheckArgs {
-    /// A scene (.toml, ARCSim's .json), a fabric (.json) or a mesh (.obj, .ply).
+    /// A scene (.toml, ARCSim's .json), a fabric (.json), a mesh (.obj, .ply) or a body (.glb, .gltf).
     pub file: PathBuf,
     /// Triangles of all sheets together (for example 30000, 500K or 1.2M)
     #[arg(long, value_name = "TRIANGLES", value_parser = super::count)]
@@ -40,7 +42,7 @@ pub struct CheckArgs {
 pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let is_scene = match extension.as_str() {
-        "obj" | "ply" | "gz" => false,
+        "obj" | "ply" | "gz" | "glb" | "gltf" => false,
         "json" => !is_fabric(&args.file),
         _ => true,
     };
@@ -51,11 +53,13 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     if !is_scene && args.resolution.is_some() {
         return Err(CliError::bad_input("--resolution is for the sheets of a scene"));
     }
-    if args.obstacle && (!is_mesh || args.write_crossings.is_some()) {
-        return Err(CliError::bad_input("--obstacle is for a mesh (.obj or .ply), which may cross itself"));
+    let is_body = matches!(extension.as_str(), "glb" | "gltf");
+    if args.obstacle && (!(is_mesh || is_body) || args.write_crossings.is_some()) {
+        return Err(CliError::bad_input("--obstacle is for a mesh (.obj, .ply, .glb, .gltf), which may cross itself"));
     }
     let summary = match extension.as_str() {
         _ if is_mesh && args.obstacle => obstacle_summary(&args.file)?,
+        "glb" | "gltf" => body_summary(&args.file)?,
         _ if is_mesh => mesh_summary(&args.file, args.write_crossings.as_deref())?,
         "json" if !is_scene => {
             let fabric = load_fabric(&args.file).map_err(CliError::bad_input)?;
@@ -154,6 +158,21 @@ fn obstacle_summary(path: &Path) -> Result<String, CliError> {
         format!("obstacle {}: valid\n{}", path.display(), size_lines(&surface.positions, surface.triangles.len()));
     text += &parts_line(&surface.parts);
     left_out.into_iter().for_each(|line| text += &format!("  left out    {line}\n"));
+    Ok(text)
+}
+
+fn body_summary(path: &Path) -> Result<String, CliError> {
+    let body = read_body(path).map_err(CliError::bad_input)?;
+    let [vertices, triangles] = body.counts();
+    let mut text = format!("body {}: valid\n  vertices    {vertices}\n  triangles   {triangles}\n", path.display());
+    let clips: Vec<String> =
+        body.clips.iter().map(|clip| format!("{} ({} s)", clip.name, clip.length_s as f32)).collect();
+    let names = body.mesh_nodes().into_iter().filter(|name| !name.is_empty()).collect::<Vec<&str>>();
+    for (title, list) in [("clips", clips.join(", ")), ("nodes", names.join(", "))] {
+        if !list.is_empty() {
+            text += &format!("  {title:<10}  {list}\n");
+        }
+    }
     Ok(text)
 }
 

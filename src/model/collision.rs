@@ -57,14 +57,14 @@ impl CollisionModel {
     /// Collision model of a whole cloth.
     pub fn new(model: &GlobalModel) -> CollisionModel {
         let altitudes_m = model.triangles.iter().map(|e| e.smallest_altitude_m()).collect();
-        let (positions, triangles) = model.obstacles.arrays();
+        let (positions, _) = model.obstacles.arrays();
         let arrays = CollisionArrays {
             triangles: model.triangles.iter().map(|e| e.vertices).collect(),
             altitudes_m,
             masses: model.masses.clone(),
             friction: model.friction.clone(),
             obstacle_positions: positions.to_vec(),
-            obstacle_triangles: triangles.to_vec(),
+            obstacle_triangles: model.obstacles.welded_triangles(),
         };
         CollisionModel {
             thickness_m: model.settings.thickness_m,

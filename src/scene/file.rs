@@ -8,7 +8,7 @@ use super::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, Remarks, cloth, fabric, she
 use super::cloth_source::place_cloths;
 use super::fields::{Fields, Source};
 use super::model::RESOLUTIONS;
-use super::obstacle_file::{OBSTACLE_FIELDS, obstacle};
+use super::obstacle_file::{OBSTACLE_FIELDS, is_from_file, obstacle};
 use super::parsed::ParsedScene;
 use super::pin_file::{PIN_FIELDS, pin};
 use super::settings_file::settings;
@@ -53,8 +53,9 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     let mut obstacles = Vec::new();
     let mut from_file = Vec::new();
     for (i, fields) in root.tables("obstacle", &OBSTACLE_FIELDS)?.iter().enumerate() {
-        from_file.push(fields.get("mesh").or(fields.get("sequence")).is_some());
-        obstacles.push(obstacle(fields, i, settings.friction, path, origin_m, &mut left_out)?);
+        from_file.push(is_from_file(fields));
+        let mut remarks = Remarks { warnings: &mut warnings, left_out: &mut left_out };
+        obstacles.push(obstacle(fields, i, settings.friction, path, origin_m, &mut remarks)?);
     }
     let (mut pins, mut motions) = (Vec::new(), Vec::new());
     for fields in root.tables("pin", &PIN_FIELDS)? {

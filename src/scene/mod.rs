@@ -2,6 +2,7 @@
 //! no simulation state.
 
 mod arcsim;
+mod body_file;
 mod cloth_file;
 mod cloth_source;
 mod crossings;
@@ -10,6 +11,7 @@ mod fabric;
 mod fields;
 mod file;
 mod files;
+mod gltf;
 mod json;
 mod keyframes;
 mod model;
@@ -21,7 +23,10 @@ mod pieces;
 mod pin_file;
 mod pins;
 mod placement;
+mod playback;
 mod preconditioner;
+mod rig;
+mod rig_track;
 mod sequence;
 mod settings_file;
 mod sheet;
@@ -33,12 +38,15 @@ use std::path::Path;
 pub use crossings::{BestState, Crossings, Doubled, Untangling};
 pub use error::SceneError;
 pub use fabric::{Fabric, Plasticity, load_fabric, parse_fabric};
+pub use gltf::{BodyFile, Clip, read_body};
 pub use model::{Cloth, DEFAULT_THICKNESS_M, Overrides, Pin, RESOLUTIONS, Scene, Settings};
 pub use motion::{Keyframe, Motion};
 pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};
 pub use parsed::ParsedScene;
 pub use pieces::size_warning;
+pub use playback::Playback;
 pub use preconditioner::PreconditionerKind;
+pub use rig::Rig;
 pub use sheet::{Sheet, sheet_cells};
 pub use substeps::Substeps;
 

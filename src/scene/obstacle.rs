@@ -7,7 +7,8 @@ use bytemuck::cast_slice;
 
 use crate::math::{DAffine3, Vec3};
 
-use super::Motion;
+use super::rig::RigHeader;
+use super::{Motion, Rig};
 
 /// A validated obstacle of a scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,6 +42,9 @@ pub enum Movement {
         /// the same obstacles at every resolution.
         later: std::sync::Arc<Vec<Vec<Vec3>>>,
     },
+    /// A body with nodes, skins and morph targets that plays a clip. `positions` are those at time 0. Shared as the
+    /// frames of a sequence are.
+    Rigged(std::sync::Arc<Rig>),
 }
 
 impl Obstacle {
@@ -53,6 +57,7 @@ impl Obstacle {
                 .windows(2)
                 .any(|pair| (pair[0].transform(), pair[0].turn) != (pair[1].transform(), pair[1].turn)),
             Movement::Sequence { later, .. } => later.iter().any(|frame| *frame != self.positions),
+            Movement::Rigged(rig) => rig.playback().is_some(),
         }
     }
 }
@@ -64,7 +69,8 @@ impl Obstacle {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Obstacles {
     header: ObstacleHeader,
-    /// xyz positions of obstacle 0 (all frames of a sequence in order), then of obstacle 1, and so on.
+    /// xyz positions of obstacle 0 (all frames of a sequence in order; the values of a rig), then of obstacle 1, and so
+    /// on.
     positions: Vec<f32>,
     /// Vertex indices over all obstacles.
     triangles: Vec<[u32; 3]>,
@@ -91,6 +97,7 @@ enum PartMotion {
     Still,
     Keyframes(Motion),
     Sequence { frames_per_s: f64, frames: u32 },
+    Rigged { rig: RigHeader, values: usize },
 }
 
 impl Part {
@@ -103,7 +110,10 @@ impl Part {
 
     /// Number of f32 values of its positions, over all frames.
     fn values(&self) -> usize {
-        3 * self.vertices as usize * self.frames() as usize
+        match self.motion {
+            PartMotion::Rigged { values, .. } => values,
+            _ => 3 * self.vertices as usize * self.frames() as usize,
+        }
     }
 }
 
@@ -113,9 +123,15 @@ impl Obstacles {
         let mut all = Obstacles::default();
         let mut first = 0;
         for obstacle in obstacles {
-            all.positions.extend_from_slice(cast_slice(&obstacle.positions));
+            if !matches!(obstacle.movement, Movement::Rigged(_)) {
+                all.positions.extend_from_slice(cast_slice(&obstacle.positions));
+            }
             let motion = match &obstacle.movement {
                 Movement::Still => PartMotion::Still,
+                Movement::Rigged(rig) => {
+                    all.positions.extend_from_slice(&rig.values);
+                    PartMotion::Rigged { rig: rig.header.clone(), values: rig.values.len() }
+                }
                 Movement::Keyframes(motion) => PartMotion::Keyframes(motion.clone()),
                 Movement::Sequence { frames_per_s, later } => {
                     later.iter().for_each(|frame| all.positions.extend_from_slice(cast_slice(frame)));
@@ -153,7 +169,8 @@ impl Obstacles {
         &self.header
     }
 
-    /// The bulk arrays, for a message: xyz positions (all frames of sequences included) and triangles.
+    /// The bulk arrays, for a message: xyz positions (all frames of sequences and the values of rigs included) and
+    /// triangles.
     pub fn arrays(&self) -> (&[f32], &[[u32; 3]]) {
         (&self.positions, &self.triangles)
     }
@@ -176,6 +193,23 @@ impl Obstacles {
     /// Vertex indices of the triangles of all obstacles.
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.triangles
+    }
+
+    /// The triangles as detection takes them: vertices of a body that an exporter has split along a seam, so that they
+    /// always lie at one place, are one vertex.
+    pub fn welded_triangles(&self) -> Vec<[u32; 3]> {
+        let mut of_vertex: Vec<u32> = (0..self.vertices() as u32).collect();
+        let (mut rest, mut first) = (&self.positions[..], 0);
+        for part in &self.header.parts {
+            let (own, others) = rest.split_at(part.values());
+            let range = first..first + part.vertices as usize;
+            (rest, first) = (others, range.end);
+            if let PartMotion::Rigged { rig, .. } = &part.motion {
+                let start = range.start as u32;
+                of_vertex[range].iter_mut().zip(rig.alike(own)).for_each(|(vertex, alike)| *vertex = start + alike);
+            }
+        }
+        self.triangles.iter().map(|corners| corners.map(|v| of_vertex[v as usize])).collect()
     }
 
     /// The obstacle that a vertex belongs to. It panics if there is no such vertex.
@@ -229,6 +263,7 @@ impl Obstacles {
                 PartMotion::Sequence { frames_per_s, frames } => {
                     interpolated(own, *frames as usize, time_s * frames_per_s, out);
                 }
+                PartMotion::Rigged { rig, .. } => rig.positions_at(own, time_s, out),
             }
         }
     }

@@ -1,10 +1,12 @@
-//! `[[obstacle]]` of the TOML scene format: shapes, meshes and sequences, with placement and motion.
+//! `[[obstacle]]` of the TOML scene format: shapes, meshes, sequences and bodies, with placement and motion.
 
 use std::path::{Path, PathBuf};
 
 use crate::math::{DQuat, DVec3, FAR_M, local_origin};
 use crate::mesh::{Surface, check_obstacle, read_obstacle, shapes};
 
+use super::body_file::{Body, check_fields, gltf, units};
+use super::cloth_file::Remarks;
 use super::fields::{Fields, Value};
 use super::files::find;
 use super::keyframes::{motion, stays_finite};
@@ -12,7 +14,7 @@ use super::placement::Placement;
 use super::sequence::{Pattern, read_frames};
 use super::{Movement, Obstacle, SceneError};
 
-pub(super) const OBSTACLE_FIELDS: [&str; 14] = [
+pub(super) const OBSTACLE_FIELDS: [&str; 23] = [
     "name",
     "sphere",
     "plane",
@@ -22,29 +24,40 @@ pub(super) const OBSTACLE_FIELDS: [&str; 14] = [
     "mesh",
     "sequence",
     "frames_per_s",
+    "gltf",
+    "clip",
+    "node",
+    "start_s",
+    "rate",
+    "loop",
+    "lead_in_s",
     "origin_m",
     "rotate_deg",
     "scale",
+    "units_m",
+    "up",
     "friction",
     "motion",
 ];
 
 /// Fields that give the geometry; an obstacle has exactly one of them.
-const FORMS: [&str; 7] = ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence"];
+const FORMS: [&str; 8] = ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence", "gltf"];
+/// Those whose geometry is in files.
+const FILES: [&str; 3] = ["mesh", "sequence", "gltf"];
 /// Triangles of a shape if the scene does not give a number.
 const DEFAULT_TRIANGLES: u64 = 3_000;
 /// Valid numbers of triangles of a shape.
 const TRIANGLES: std::ops::RangeInclusive<u64> = 12..=5_000_000;
 
 /// Reads an obstacle. `path` = the scene file, `friction` = default coefficient, `origin_m` = the scene's local origin.
-/// `left_out` receives a sentence about unused parts of a file.
+/// `remarks` receives sentences about its files.
 pub(super) fn obstacle(
     fields: &Fields,
     index: usize,
     friction: f64,
     path: &Path,
     origin_m: DVec3,
-    left_out: &mut Vec<String>,
+    remarks: &mut Remarks,
 ) -> Result<Obstacle, SceneError> {
     let given: Vec<&str> = FORMS.into_iter().filter(|form| fields.get(form).is_some()).collect();
     let [form] = given[..] else {
@@ -52,17 +65,23 @@ pub(super) fn obstacle(
         return Err(fields.error(what));
     };
     let value = fields.required(form)?;
-    let from_file = form == "mesh" || form == "sequence";
-    if !from_file && let Some(key) = ["origin_m", "scale"].into_iter().find(|key| fields.get(key).is_some()) {
-        let what = format!("belongs to an obstacle with a `mesh` or `sequence`; a {form} has its place in itself");
+    let name = fields.or("name", format!("{form} {index}"), |value| value.text().map(str::to_owned))?;
+    let own = ["origin_m", "scale", "units_m", "up"];
+    if !FILES.contains(&form)
+        && let Some(key) = own.into_iter().find(|key| fields.get(key).is_some())
+    {
+        let what = format!("belongs to an obstacle with one of {}; a {form} has its place in itself", FILES.join(", "));
         return Err(fields.error_at(key, what));
     }
+    check_fields(fields, form)?;
     if form != "sequence" && fields.get("frames_per_s").is_some() {
         return Err(fields.error_at("frames_per_s", "belongs to an obstacle with a `sequence`"));
     }
     let rotation = fields.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?;
+    let (unit_m, up) = units(fields)?;
     let placement = |center: DVec3| -> Result<Placement, SceneError> {
-        Ok(Placement { translation_m: center, rotation, scale: fields.or("scale", 1.0, Value::positive)? })
+        let scale = fields.or("scale", 1.0, Value::positive)? * unit_m;
+        Ok(Placement { translation_m: center, rotation: rotation * up, scale })
     };
     let mut movement = Movement::Still;
     // The point that positions before the motion are relative to.
@@ -83,7 +102,7 @@ pub(super) fn obstacle(
             let files = sequence_files(&value, path)?;
             let frames = read_frames(&files, placement.scale, |surface| local.move_surface(surface))?;
             let (surface, later) = (frames.first, frames.later);
-            left_out.extend(frames.left_out);
+            remarks.left_out.extend(frames.left_out);
             let frames_per_s = fields.required("frames_per_s")?.positive()?;
             movement = Movement::Sequence { frames_per_s, later: later.into() };
             surface
@@ -92,9 +111,22 @@ pub(super) fn obstacle(
             let found = find(path, value.text()?).map_err(|what| value.error(what))?;
             let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
             let (mut surface, line) = read_obstacle(&found, placement.scale)?;
-            left_out.extend(line);
+            remarks.left_out.extend(line);
             settle(&placement, &mut surface);
             surface
+        }
+        "gltf" => {
+            let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
+            match gltf(fields, &value, &name, path, &placement.about(origin_m), remarks)? {
+                Body::AtRest(mut surface) => {
+                    settle(&placement, &mut surface);
+                    surface
+                }
+                Body::Playing(surface, moved) => {
+                    movement = moved;
+                    surface
+                }
+            }
         }
         _ => {
             let (mut surface, center, own) = shape(form, &value)?;
@@ -114,12 +146,17 @@ pub(super) fn obstacle(
         movement = Movement::Keyframes(motion);
     }
     Ok(Obstacle {
-        name: fields.or("name", format!("{form} {index}"), |value| value.text().map(str::to_owned))?,
+        name,
         friction: fields.or("friction", friction, Value::not_negative)?,
         positions: surface.positions,
         triangles: surface.triangles,
         movement,
     })
+}
+
+/// True for an obstacle whose geometry is in files.
+pub(super) fn is_from_file(fields: &Fields) -> bool {
+    FILES.into_iter().any(|form| fields.get(form).is_some())
 }
 
 /// The point that positions of an obstacle before its motion are relative to: the scene's local origin, or, for an

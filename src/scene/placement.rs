@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::math::{DQuat, DVec3, Vec3, bounds};
+use crate::math::{DAffine3, DQuat, DVec3, Vec3, bounds};
 use crate::mesh::{FileMesh, MaterialSource, MeshOptions, Surface, TriangleMesh, read_mesh, validate};
 
 use super::error::SceneError;
@@ -38,6 +38,11 @@ impl Placement {
     /// The place of a point.
     pub(super) fn point(&self, p: DVec3) -> DVec3 {
         self.rotation * (p * self.scale) + self.translation_m
+    }
+
+    /// The placement as a matrix.
+    pub(super) fn affine(&self) -> DAffine3 {
+        DAffine3::from_scale_rotation_translation(DVec3::splat(self.scale), self.rotation, self.translation_m)
     }
 
     /// The box that holds points relative to `base` once they are placed.

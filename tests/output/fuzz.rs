@@ -19,7 +19,7 @@ use loomtree::mesh::{MaterialSource, MeshOptions, first_intersection, parse_obj,
 use loomtree::model::{LetGo, State};
 use loomtree::output::pc2::{self, Pc2Writer};
 use loomtree::output::{Checkpoint, Report, RunDirectory, RunManifest, checkpoint, obj, ply, read_trace};
-use loomtree::scene::{self, Overrides, parse, parse_fabric};
+use loomtree::scene::{self, Obstacles, Overrides, parse, parse_fabric};
 use support::seeded::Seeded;
 
 /// Far above what any of these inputs needs (milliseconds), far below a hang.
@@ -143,6 +143,71 @@ const TRACE: &str = r#"[
 ]
 "#;
 
+/// A body: its nodes, its clip, and where it is at some times.
+fn body(name: &str, bytes: &[u8]) -> Result<(), String> {
+    const SCENE: &str = "[simulation]\ncollisions = false\n[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8 }\n\
+        [[obstacle]]\nclip = \"0\"\nloop = true\ngltf = ";
+    from_file(name, bytes, |path| {
+        let scene = parse(&format!("{SCENE}\"{name}\""), &path.with_file_name("a.toml"), &Overrides::default());
+        let obstacles = Obstacles::new(&scene.map_err(|error| error.to_string())?.obstacles);
+        let mut out = Vec::new();
+        [0.0, 0.3, 7.0].iter().for_each(|&time_s| obstacles.positions_at(time_s, &mut out));
+        assert_eq!(out.len(), 3 * obstacles.vertices());
+        Ok(())
+    })
+}
+
+/// A triangle that hangs on two joints and has a morph target; `uri` = where its bytes are.
+fn body_text(uri: &str) -> String {
+    format!(
+        r#"{{"asset": {{"version": "2.0"}}, "scenes": [{{"nodes": [0, 1]}}],
+        "nodes": [{{"mesh": 0, "skin": 0, "weights": [0.5]}}, {{"children": [2]}}, {{"translation": [0, 1, 0]}}],
+        "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0, "JOINTS_0": 2, "WEIGHTS_0": 3}}, "indices": 1,
+            "targets": [{{"POSITION": 0}}]}}]}}], "skins": [{{"joints": [1, 2]}}],
+        "animations": [{{"samplers": [{{"input": 4, "output": 3, "interpolation": "CUBICSPLINE"}}],
+            "channels": [{{"sampler": 0, "target": {{"node": 2, "path": "rotation"}}}}]}}],
+        "accessors": [
+            {{"bufferView": 0, "count": 3, "componentType": 5126, "type": "VEC3"}},
+            {{"bufferView": 0, "byteOffset": 36, "count": 3, "componentType": 5121, "type": "SCALAR"}},
+            {{"bufferView": 0, "byteOffset": 40, "count": 3, "componentType": 5121, "type": "VEC4"}},
+            {{"bufferView": 0, "byteOffset": 52, "count": 3, "componentType": 5126, "type": "VEC4"}},
+            {{"bufferView": 0, "byteOffset": 0, "count": 1, "componentType": 5126, "type": "SCALAR",
+                "sparse": {{"count": 1, "indices": {{"bufferView": 0, "byteOffset": 36, "componentType": 5121}},
+                    "values": {{"bufferView": 0, "byteOffset": 12}}}}}}],
+        "bufferViews": [{{"buffer": 0, "byteLength": 100}}], "buffers": [{{"byteLength": 100{uri}}}]}}"#
+    )
+}
+
+fn body_bytes() -> Vec<u8> {
+    let floats = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+    let joints = [0, 1, 2, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1, 0, 0, 0];
+    let weights = [0.25, 0.75, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.0, 0.0];
+    [floats(&[0., 0., 0., 1., 0., 0., 0., 1., 0.]), joints.to_vec(), floats(&weights)].concat()
+}
+
+fn body_seeds() -> [Seed; 2] {
+    let bytes = body_bytes();
+    let text = body_text("");
+    let padded = format!("{text:<width$}", width = text.len().next_multiple_of(4));
+    let length = |bytes: usize| (bytes as u32).to_le_bytes();
+    let whole = 12 + 8 + padded.len() + 8 + bytes.len();
+    let head = [&b"glTF"[..], &2u32.to_le_bytes(), &length(whole), &length(padded.len()), b"JSON"].concat();
+    let binary = [&head[..], padded.as_bytes(), &length(bytes.len()), b"BIN\0", &bytes].concat();
+    let alphabet = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let encoded: String =
+        [&bytes[..], &[0; 2]].concat().as_chunks::<3>().0.iter().fold(String::new(), |text, three| {
+            let bits = u32::from_be_bytes([0, three[0], three[1], three[2]]);
+            [18, 12, 6, 0]
+                .iter()
+                .fold(text, |text, shift| text + &char::from(alphabet[(bits >> shift) as usize & 63]).to_string())
+        });
+    let uri = format!(", \"uri\": \"data:application/octet-stream;base64,{encoded}\"");
+    [
+        Seed { name: "glb", bytes: binary, read: |bytes| body("b.glb", bytes) },
+        Seed { name: "gltf", bytes: body_text(&uri).into_bytes(), read: |bytes| body("b.gltf", bytes) },
+    ]
+}
+
 /// Readers of the files that a run leaves and takes up again.
 fn run_seeds() -> Vec<Seed> {
     let mut seeds = Vec::new();
@@ -235,6 +300,7 @@ fn seeds() -> Vec<Seed> {
     let topology = include_bytes!("../../topology/pcie_8.toml");
     add("topology", topology, |bytes| Topology::parse(bytes, "t.toml").map(|_| ()).map_err(|error| error.to_string()));
     seeds.extend(run_seeds());
+    seeds.extend(body_seeds());
     seeds
 }
 

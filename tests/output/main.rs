@@ -1,5 +1,6 @@
 //! Files: scenes and meshes read, frames, reports, traces and pictures written.
 
+mod bodies;
 mod compare;
 mod files;
 mod fuzz;

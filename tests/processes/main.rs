@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod bench_commands;
+mod bodies;
 mod control_conformance;
 mod cores;
 mod descriptors;

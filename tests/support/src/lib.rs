@@ -4,6 +4,7 @@ pub mod collision;
 pub mod contact;
 pub mod device;
 pub mod exact;
+pub mod numpy;
 pub mod physics;
 pub mod process;
 pub mod seeded;

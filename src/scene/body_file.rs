@@ -1,0 +1,155 @@
+//! `[[obstacle]]` with a body from a file: `gltf`, and the fields that say when it plays its clip.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use bytemuck::cast_slice;
+
+use crate::math::{DAffine3, DQuat, Vec3};
+use crate::mesh::{Surface, needles};
+
+use super::cloth_file::Remarks;
+use super::fields::{Fields, Value};
+use super::files::find;
+use super::gltf::{BodyFile, read_body};
+use super::placement::Placement;
+use super::{Movement, Playback, Rig, SceneError};
+
+/// Fields of an obstacle that plays a clip.
+pub(super) const PLAY_FIELDS: [&str; 4] = ["start_s", "rate", "loop", "lead_in_s"];
+/// Fields of an obstacle from a glTF file.
+const GLTF_FIELDS: [&str; 2] = ["clip", "node"];
+/// Poses at which the triangles of a body are looked at, besides the first: none may be without area in one of them.
+const LOOKS: u32 = 16;
+/// A body that starts its clip over and is then this far from where it was jumps.
+const JUMP_M: f32 = 0.01;
+
+/// A body as the obstacle's fields choose it.
+pub(super) enum Body {
+    /// In its rest pose, in the coordinates of the file.
+    AtRest(Surface),
+    /// At time 0 in the coordinates of the scene, and how it moves.
+    Playing(Surface, Movement),
+}
+
+/// Refuses fields that belong to other forms of an obstacle.
+pub(super) fn check_fields(fields: &Fields, form: &str) -> Result<(), SceneError> {
+    let given = |keys: &[&'static str]| keys.iter().copied().find(|key| fields.get(key).is_some());
+    if form != "gltf"
+        && let Some(key) = given(&GLTF_FIELDS)
+    {
+        return Err(fields.error_at(key, "belongs to an obstacle with a `gltf`"));
+    }
+    let plays = form == "gltf" && fields.get("clip").is_some();
+    if !plays && let Some(key) = given(&PLAY_FIELDS) {
+        return Err(fields.error_at(key, "belongs to an obstacle that plays a `clip` of a `gltf`"));
+    }
+    if plays && fields.get("motion").is_some() {
+        return Err(fields.error_at("motion", "give either `motion` or a `clip`"));
+    }
+    Ok(())
+}
+
+/// Meters per unit of an obstacle's file, and the rotation that brings its up axis to y.
+pub(super) fn units(fields: &Fields) -> Result<(f64, DQuat), SceneError> {
+    let up = [
+        ("y", DQuat::IDENTITY),
+        ("z", DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2)),
+        ("x", DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2)),
+    ];
+    Ok((fields.or("units_m", 1.0, Value::positive)?, fields.or("up", DQuat::IDENTITY, |value| value.choice(&up))?))
+}
+
+/// When a clip of this length is played.
+fn playback(fields: &Fields, length_s: f64) -> Result<Playback, SceneError> {
+    Ok(Playback {
+        start_s: fields.or("start_s", 0.0, Value::number)?,
+        rate: fields.or("rate", 1.0, Value::positive)?,
+        repeats: fields.or("loop", false, Value::boolean)?,
+        lead_in_s: fields.or("lead_in_s", 0.0, Value::not_negative)?,
+        length_s,
+    })
+}
+
+/// Reads the body of a `gltf`. `name` = the obstacle's, `placement` = relative to the scene's local origin.
+pub(super) fn gltf(
+    fields: &Fields,
+    value: &Value,
+    name: &str,
+    scene: &Path,
+    placement: &Placement,
+    remarks: &mut Remarks,
+) -> Result<Body, SceneError> {
+    let path = find(scene, value.text()?).map_err(|what| value.error(what))?;
+    let file = read_body(&path)?;
+    let node = fields.optional("node", Value::text)?;
+    let no_node = |what: String| fields.error_at("node", what);
+    let Some(clip) = fields.get("clip") else {
+        if !file.clips.is_empty() {
+            let clips = clip_names(&file);
+            remarks.left_out.push(format!("{}: `{name}` plays none of its clips ({clips})", path.display()));
+        }
+        let (rig, triangles) = file.rig(node, None, DAffine3::IDENTITY).map_err(no_node)?;
+        let mut surface = surface(&rig, triangles);
+        let flat = needles(&surface.positions, &surface.triangles);
+        remarks.left_out.extend(leave_out(&mut surface, &flat, &path)?);
+        return Ok(Body::AtRest(surface));
+    };
+    let played = file.clip(clip.text()?).map_err(|what| clip.error(what))?;
+    let playback = playback(fields, played.length_s)?;
+    let (rig, triangles) = file.rig(node, Some((played, playback)), placement.affine()).map_err(no_node)?;
+    let mut surface = surface(&rig, triangles);
+    let mut flat = needles(&surface.positions, &surface.triangles);
+    for look in 0..=LOOKS {
+        let time_s = playback.run_time(playback.length_s * f64::from(look) / f64::from(LOOKS));
+        let positions = rig.positions_at(time_s);
+        if let Some(vertex) = positions.iter().position(|x| !x.is_finite()) {
+            return Err(clip.error(format!("moves vertex {} to where no number can say", vertex / 3 + 1)));
+        }
+        let points: &[Vec3] = cast_slice(&positions);
+        flat.iter_mut().zip(needles(points, &surface.triangles)).for_each(|(flat, needle)| *flat |= needle);
+    }
+    remarks.left_out.extend(leave_out(&mut surface, &flat, &path)?);
+    remarks.warnings.extend(jump(&rig, playback, name));
+    Ok(Body::Playing(surface, Movement::Rigged(Arc::new(rig))))
+}
+
+/// Names of the clips of a file, for a message.
+pub(super) fn clip_names(file: &BodyFile) -> String {
+    let names: Vec<&str> = file.clips.iter().map(|clip| &clip.name[..]).collect();
+    names.join(", ")
+}
+
+/// The body at time 0.
+fn surface(rig: &Rig, triangles: Vec<[u32; 3]>) -> Surface {
+    let positions = rig.positions_at(0.0);
+    Surface { positions: cast_slice(&positions).to_vec(), triangles, ..Surface::default() }
+}
+
+/// Drops triangles without area; a sentence with their number.
+fn leave_out(surface: &mut Surface, flat: &[bool], path: &Path) -> Result<Option<String>, SceneError> {
+    match flat.contains(&false) {
+        true => Ok(surface.leave_out(flat, path)),
+        false => {
+            Err(SceneError::File { path: path.into(), what: "has no triangle with an area in all of its poses".into() })
+        }
+    }
+}
+
+/// A warning about a body that starts its clip over from another place.
+fn jump(rig: &Rig, playback: Playback, name: &str) -> Option<String> {
+    if !playback.repeats {
+        return None;
+    }
+    // The end of the clip itself is its beginning already.
+    let just_before = playback.length_s * (1.0 - 1e-9);
+    let [first, last] = [0.0, just_before].map(|clip_s| rig.positions_at(playback.run_time(clip_s)));
+    let points = |values: &[f32]| -> Vec<Vec3> { cast_slice(values).to_vec() };
+    let far = points(&first).iter().zip(points(&last)).map(|(a, b)| a.distance(b)).fold(0.0, f32::max);
+    (far > JUMP_M).then(|| {
+        format!(
+            "obstacle `{name}` jumps by up to {far:.2} m within a step wherever its clip starts over; `loop` is for a \
+             clip that ends as it begins"
+        )
+    })
+}
