@@ -30,6 +30,8 @@ enum Command {
     Solve(cli::solve::SolveArgs),
     /// Compare two runs of one mesh frame by frame
     Compare(cli::compare::CompareArgs),
+    /// Write the frames of a run for other programs (USD, glTF, MDD, PC2, VTK, PLY)
+    Convert(cli::convert::ConvertArgs),
     /// Draw the frames of a run as PNG
     Render(cli::render::RenderArgs),
     /// Show adapters, cores, shared memory and what dead runs have left
@@ -56,6 +58,7 @@ fn main() -> ExitCode {
         Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
         Command::Solve(args) => cli::solve::run(args),
         Command::Compare(args) => cli::compare::run(args),
+        Command::Convert(args) => cli::convert::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),

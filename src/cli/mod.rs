@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod check;
 pub mod compare;
+pub mod convert;
 pub mod ccd;
 mod ccd_csv;
 mod ccd_frames;

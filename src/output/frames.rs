@@ -31,9 +31,11 @@ pub enum FrameFormat {
 /// Why a `--format` value is invalid.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum FormatError {
-    /// USD, which is planned but not yet supported.
-    #[error("--format usd is not in this release; use obj, ply or pc2 (separated by commas)")]
-    Usd,
+    /// A format that is made from finished frames.
+    #[error(
+        "--format {0} is not written while a run goes on; use obj, ply or pc2, and then loomtree convert RUN --to {0}"
+    )]
+    Convert(&'static str),
     /// An unknown format.
     #[error("--format {0:?} is unknown; valid are obj, ply and pc2 (separated by commas)")]
     Unknown(String),
@@ -49,7 +51,10 @@ impl FromStr for FrameFormat {
             "obj" => Ok(FrameFormat::Obj),
             "ply" => Ok(FrameFormat::Ply),
             "pc2" => Ok(FrameFormat::Pc2),
-            "usd" | "usda" | "usdc" => Err(FormatError::Usd),
+            "usd" | "usda" | "usdc" => Err(FormatError::Convert("usd")),
+            "mdd" => Err(FormatError::Convert("mdd")),
+            "vtu" => Err(FormatError::Convert("vtu")),
+            "glb" => Err(FormatError::Convert("glb")),
             "" => Err(FormatError::Empty),
             _ => Err(FormatError::Unknown(text.trim().to_string())),
         }

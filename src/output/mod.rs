@@ -6,6 +6,7 @@ mod atomic;
 pub mod checkpoint;
 mod directory;
 mod drape;
+pub mod export;
 mod frame_mesh;
 mod frames;
 mod hash;

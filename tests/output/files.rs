@@ -241,7 +241,7 @@ fn an_unwritable_folder_is_named() {
 #[test]
 fn formats_are_read_or_explained() {
     assert_eq!("ply, OBJ,ply".parse(), Ok(FormatList(vec![FrameFormat::Ply, FrameFormat::Obj])));
-    assert_eq!("pc2,usd".parse::<FormatList>(), Err(FormatError::Usd));
+    assert_eq!("pc2,usd".parse::<FormatList>(), Err(FormatError::Convert("usd")));
     let unknown = "stl".parse::<FormatList>().unwrap_err();
     assert_eq!(unknown.to_string(), "--format \"stl\" is unknown; valid are obj, ply and pc2 (separated by commas)");
     assert_eq!("".parse::<FormatList>(), Err(FormatError::Empty));

@@ -4,6 +4,7 @@ mod bad_input;
 mod bench_commands;
 mod bodies;
 mod control_conformance;
+mod convert;
 mod cores;
 mod descriptors;
 mod far;

@@ -1,0 +1,224 @@
+//! `loomtree convert`: the frames of a run in the formats of other programs.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use clap::Args;
+
+use super::{CliError, print};
+use crate::coordinator::RunOptions;
+use crate::math::DVec3;
+use crate::os::console::note;
+use crate::output::export::{
+    Animation, ExportError, Track, plain_names, write_glb, write_mdd, write_pvd, write_usda, write_vtu,
+};
+use crate::output::obj::{self, TextureCoordinates};
+use crate::output::pc2::Pc2Writer;
+use crate::output::{FrameSource, Report, RunDirectory, RunManifest, WriteError, ply, write_atomically};
+use crate::scene::{Obstacles, Overrides, Scene, read_str};
+
+/// Write the frames of a run in the formats of other programs.
+///
+/// Pieces of cloth and obstacles get a mesh each, named as in the scene. Units are meters; the up axis is that of the
+/// run.
+#[derive(Args, Clone, Debug)]
+pub struct ConvertArgs {
+    /// Run directory (what `loomtree run` was given as --out); the run may still go on.
+    pub run_dir: PathBuf,
+    /// Formats, separated by commas: usd (one .usda stage), glb (a morph target per frame), mdd or pc2 (a point cache
+    /// and an .obj per mesh), vtu (a grid per frame and a .pvd), ply (a file per mesh and frame).
+    #[arg(long, value_name = "FORMATS", required = true, value_delimiter = ',')]
+    pub to: Vec<Target>,
+    /// Folder for the files [default: export in the run directory]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// A format of `loomtree convert`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A USD stage as text.
+    Usd,
+    /// LightWave's point cache, a file per mesh.
+    Mdd,
+    /// PC2 point cache, a file per mesh.
+    Pc2,
+    /// VTK grids for ParaView.
+    Vtu,
+    /// Binary glTF.
+    Glb,
+    /// Binary PLY, a file per mesh and frame.
+    Ply,
+}
+
+impl FromStr for Target {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Target, String> {
+        match text.trim().to_ascii_lowercase().as_str() {
+            "usd" | "usda" => Ok(Target::Usd),
+            "mdd" => Ok(Target::Mdd),
+            "pc2" => Ok(Target::Pc2),
+            "vtu" | "pvd" => Ok(Target::Vtu),
+            "glb" => Ok(Target::Glb),
+            "ply" => Ok(Target::Ply),
+            "usdc" => Err("binary USD is not written; usd writes text (.usda), which usdcat makes binary".into()),
+            "abc" => Err("Alembic is not written; usd, mdd and pc2 are read by the programs that read it".into()),
+            _ => Err("unknown format; valid are usd, mdd, pc2, vtu, glb and ply (separated by commas)".into()),
+        }
+    }
+}
+
+/// Writes the files and prints their names.
+///
+/// # Errors
+/// The folder holds no run (exit code 2), or a frame cannot be read or a file not be written (exit code 1).
+pub fn run(args: ConvertArgs) -> Result<(), CliError> {
+    let directory = RunDirectory::open(&args.run_dir).map_err(CliError::bad_input)?;
+    let report = Report::load(&directory.report()).map_err(CliError::bad_input)?;
+    let source = FrameSource::open(&directory).map_err(CliError::bad_input)?;
+    let frame_s = report.header.step_s * f64::from(report.header.steps_per_frame);
+    let tracks = tracks(&directory, &source)?;
+    let animation = Animation {
+        source,
+        folder: args.run_dir.clone(),
+        frames_per_s: if frame_s > 0.0 { rounded(1.0 / frame_s) } else { 1.0 },
+        z_up: report.header.up_axis == "z",
+        tracks,
+    };
+    let out = args.out.unwrap_or_else(|| directory.path().join("export"));
+    std::fs::create_dir_all(&out).map_err(|source| CliError::failed(WriteError { path: out.clone(), source }))?;
+    let mut lines = String::new();
+    for (i, target) in args.to.iter().enumerate() {
+        if !args.to[..i].contains(target) {
+            lines += &convert(&animation, *target, &out).map_err(CliError::failed)?;
+        }
+    }
+    print(&lines)
+}
+
+/// A rate that differs from a whole number by rounding alone is that number.
+fn rounded(rate: f64) -> f64 {
+    let whole = rate.round();
+    if (rate - whole).abs() < 1e-9 * whole { whole } else { rate }
+}
+
+/// Pieces and obstacles by the run's own scene; where its files are gone, all cloth and all obstacles as one each.
+fn tracks(directory: &RunDirectory, source: &FrameSource) -> Result<Vec<Track>, CliError> {
+    let first = source.numbers()[0];
+    let cloth = source.read(first).map_err(CliError::failed)?;
+    let obstacles = source.read_obstacle(first).map_err(CliError::failed)?;
+    match scene_of(directory) {
+        Ok(scene) if scene.mesh.triangles.len() == cloth.triangles.len() => Ok(tracks_of(&scene, obstacles.is_some())),
+        other => {
+            let why = other.err().unwrap_or_else(|| "its frames are of another resolution".into());
+            note(format_args!("the names of the pieces are not known ({why}): all cloth is one mesh"));
+            let whole = |name: &str, obstacle, mesh: &crate::output::FrameMesh| Track {
+                name: name.into(),
+                obstacle,
+                vertices: 0..mesh.positions.len(),
+                triangles: 0..mesh.triangles.len(),
+                uv: Vec::new(),
+            };
+            let obstacles = obstacles.iter().map(|mesh| whole("obstacles", true, mesh));
+            Ok(std::iter::once(whole("cloth", false, &cloth)).chain(obstacles).collect())
+        }
+    }
+}
+
+fn scene_of(directory: &RunDirectory) -> Result<Scene, String> {
+    let manifest = RunManifest::load(directory).map_err(|error| error.to_string())?;
+    let options: RunOptions = manifest.flags().map_err(|error| error.to_string())?;
+    let overrides = Overrides { resolution: options.resolution, frames: options.frames };
+    let parsed = read_str(&manifest.text_to_read(), &manifest.scene_path).map_err(|error| error.to_string())?;
+    parsed.untangled_at(&overrides).map(|(scene, _)| scene).map_err(|error| error.to_string())
+}
+
+fn tracks_of(scene: &Scene, with_obstacles: bool) -> Vec<Track> {
+    let ranges = |range: &std::ops::Range<u32>| range.start as usize..range.end as usize;
+    let cloths = scene.cloths.iter().map(|cloth| Track {
+        name: cloth.name.clone(),
+        obstacle: false,
+        vertices: ranges(&cloth.vertices),
+        triangles: ranges(&cloth.triangles),
+        uv: scene.mesh.material_uv[ranges(&cloth.triangles)].to_vec(),
+    });
+    let all = Obstacles::new(&scene.obstacles);
+    let obstacles = all.ranges().into_iter().enumerate().map(|(i, [vertices, triangles])| Track {
+        name: all.name(i).to_owned(),
+        obstacle: true,
+        vertices,
+        triangles,
+        uv: Vec::new(),
+    });
+    cloths.chain(obstacles.filter(|_| with_obstacles)).collect()
+}
+
+/// Writes one format; a line for every file or kind of file.
+fn convert(animation: &Animation, target: Target, out: &Path) -> Result<String, ExportError> {
+    let names = plain_names(&animation.tracks);
+    let frames = animation.frames();
+    let mut lines = String::new();
+    let mut say = |path: &Path| lines += &format!("{}\n", path.display());
+    match target {
+        Target::Usd => {
+            let path = out.join("run.usda");
+            write_usda(&path, animation)?;
+            say(&path);
+        }
+        Target::Glb => {
+            let path = out.join("run.glb");
+            write_glb(&path, animation)?;
+            say(&path);
+        }
+        Target::Vtu => {
+            let name = |frame: u32| format!("run_{frame:06}.vtu");
+            for &frame in &frames {
+                write_vtu(&out.join(name(frame)), animation, frame)?;
+            }
+            let path = out.join("run.pvd");
+            write_pvd(&path, animation, name)?;
+            say(&path);
+        }
+        Target::Mdd | Target::Pc2 => {
+            for (track, name) in animation.tracks.iter().zip(&names) {
+                let rest = out.join(format!("{name}.obj"));
+                write_rest(&rest, animation, track, frames[0])?;
+                let path = out.join(format!("{name}.{}", if target == Target::Mdd { "mdd" } else { "pc2" }));
+                match target {
+                    Target::Mdd => write_mdd(&path, animation, track)?,
+                    _ => {
+                        let mut cache = Pc2Writer::open(&path, track.vertices.len(), 0)?;
+                        for (sample, &frame) in (0..).zip(&frames) {
+                            cache.write(sample, &animation.mesh(track, frame)?.positions)?;
+                        }
+                    }
+                }
+                say(&rest);
+                say(&path);
+            }
+        }
+        Target::Ply => {
+            let mut buffer = Vec::new();
+            for (track, name) in animation.tracks.iter().zip(&names) {
+                for &frame in &frames {
+                    let mesh = animation.mesh(track, frame)?;
+                    let path = out.join(format!("{name}_{frame:06}.ply"));
+                    write_atomically(&path, |out| ply::write(out, &mut buffer, &mesh.positions, &mesh.triangles))?;
+                }
+                say(&out.join(format!("{name}_%06d.ply")));
+            }
+        }
+    }
+    Ok(lines)
+}
+
+/// The mesh of a track in a frame, with its material coordinates.
+fn write_rest(path: &Path, animation: &Animation, track: &Track, frame: u32) -> Result<(), ExportError> {
+    let mesh = animation.mesh(track, frame)?;
+    let texture = TextureCoordinates::new(mesh.positions.len(), &mesh.triangles, &track.uv);
+    let mut buffer = Vec::new();
+    write_atomically(path, |out| {
+        obj::write(out, &mut buffer, DVec3::ZERO, &mesh.positions, &mesh.triangles, Some(&texture), &[])
+    })?;
+    Ok(())
+}

@@ -1,0 +1,162 @@
+//! `loomtree convert`: every format read back, with the positions of the frames of the run.
+
+use loomtree::output::{FrameSource, RunDirectory, ply};
+use loomtree::scene::{Obstacles, Overrides, parse};
+use support::process::Place;
+
+const SCENE: &str = r#"
+[simulation]
+steps_per_frame = 5
+frames = 3
+[[cloth]]
+name = "left sleeve"
+sheet = { size_m = [0.4, 0.4], triangles = 64 }
+plane = "xz"
+origin_m = [-0.5, 0.3, 0.2]
+[[cloth]]
+name = "right"
+sheet = { size_m = [0.4, 0.4], triangles = 64 }
+plane = "xz"
+origin_m = [0.1, 0.3, 0.2]
+[[obstacle]]
+name = "ball"
+sphere = { center_m = [0, 0, 0], radius_m = 0.25, triangles = 80 }
+motion = [{ time_s = 0 }, { time_s = 0.06, translate_m = [0, 0.02, 0] }]
+"#;
+
+fn place() -> Place {
+    let place = Place::new();
+    place.write("scene.toml", SCENE);
+    place.run("run scene.toml --executor cpu --workers 2 --out run").expect(0);
+    place
+}
+
+/// Positions of the two cloths and of the obstacle in a frame.
+fn frame(place: &Place, frame: u32) -> [Vec<f32>; 3] {
+    let source = FrameSource::open(&RunDirectory::open(&place.path("run")).unwrap()).unwrap();
+    let cloth = source.read(frame).unwrap().positions;
+    let half = cloth.len() / 2;
+    let values = |points: &[loomtree::math::Vec3]| points.iter().flat_map(|p| p.to_array()).collect();
+    [values(&cloth[..half]), values(&cloth[half..]), values(&source.read_obstacle(frame).unwrap().unwrap().positions)]
+}
+
+/// Positions of an obstacle of a scene at the time of a frame.
+fn obstacle_at(place: &Place, fields: &str, time_s: f64) -> Vec<f32> {
+    let text = format!(
+        "[simulation]\ncollisions = false\n[[cloth]]\nsheet = {{ size_m = [1, 1], triangles = 8 }}\n\
+         [[obstacle]]\n{fields}\n"
+    );
+    let scene = parse(&text, &place.path("x.toml"), &Overrides::default()).unwrap();
+    let mut out = Vec::new();
+    Obstacles::new(&scene.obstacles).positions_at(time_s, &mut out);
+    out
+}
+
+#[test]
+fn caches_and_meshes_read_back_with_the_positions_of_the_frames() {
+    let place = place();
+    let ended = place.run("convert run --to mdd,pc2,ply,glb --out exported").expect(0);
+    for name in ["left_sleeve.obj", "left_sleeve.mdd", "right.pc2", "ball.mdd", "ball_%06d.ply", "run.glb"] {
+        assert!(ended.stdout.contains(&format!("exported/{name}\n")), "{name}: {}", ended.story);
+    }
+    for k in 0..=3 {
+        let frames = frame(&place, k);
+        let time_s = f64::from(k) * 0.02;
+        for (name, expected) in ["left_sleeve", "right", "ball"].iter().zip(&frames) {
+            let mesh = ply::read(&std::fs::read(place.path(&format!("exported/{name}_{k:06}.ply"))).unwrap()).unwrap();
+            let values: Vec<f32> = mesh.positions.iter().flat_map(|p| p.to_array()).collect();
+            assert_eq!(values, *expected, "{name}, frame {k}");
+            let rest = format!("rest = \"exported/{name}.obj\"");
+            let pc2 = format!("pc2 = {{ {rest}, cache = \"exported/{name}.pc2\" }}\nframes_per_s = 50");
+            assert_eq!(obstacle_at(&place, &pc2, time_s), *expected, "{name}, frame {k}");
+            // The times of MDD are rounded to f32.
+            let mdd = format!("mdd = {{ {rest}, cache = \"exported/{name}.mdd\" }}");
+            let got = obstacle_at(&place, &mdd, f64::from(time_s as f32));
+            assert_eq!(got, *expected, "{name}, frame {k}");
+        }
+        let got = obstacle_at(&place, "gltf = \"exported/run.glb\"\nclip = \"run\"", f64::from(time_s as f32));
+        let expected = frames.concat();
+        assert_eq!(got.len(), expected.len());
+        assert!(got.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-6), "glb, frame {k}");
+    }
+}
+
+#[test]
+fn a_stage_has_a_mesh_per_piece_and_obstacle_with_all_frames() {
+    let place = place();
+    place.run("convert run --to usd").expect(0);
+    let text = std::fs::read_to_string(place.path("run/export/run.usda")).unwrap();
+    for line in [
+        "#usda 1.0\n",
+        "    endTimeCode = 3\n",
+        "    timeCodesPerSecond = 50\n",
+        "    metersPerUnit = 1\n",
+        "    upAxis = \"Y\"\n",
+        "    def Mesh \"left_sleeve\"\n",
+        "    def Mesh \"right\"\n",
+        "    def Mesh \"ball\"\n",
+    ] {
+        assert!(text.contains(line), "{line}");
+    }
+    // Cloth has its material coordinates, one per corner.
+    assert_eq!(text.matches("texCoord2f[] primvars:st").count(), 2);
+    let meshes: Vec<&str> = text.split("def Mesh").skip(1).collect();
+    for k in 0..=3u32 {
+        for (mesh, expected) in meshes.iter().zip(frame(&place, k)) {
+            let (_, points) = mesh.split_once("points.timeSamples").unwrap();
+            let line = points.lines().find(|line| line.trim_start().starts_with(&format!("{k}: "))).unwrap();
+            let (_, numbers) = line.split_once(": ").unwrap();
+            let number = |word: &str| word.trim_matches(|c: char| !c.is_ascii_digit() && c != '-').parse::<f32>().ok();
+            let got: Vec<f32> = numbers.split(',').filter_map(number).collect();
+            assert_eq!(got, expected, "frame {k}");
+        }
+    }
+}
+
+#[test]
+fn grids_hold_points_triangles_and_stretch() {
+    let place = place();
+    place.run("convert run --to vtu --out grids").expect(0);
+    let list = std::fs::read_to_string(place.path("grids/run.pvd")).unwrap();
+    assert_eq!(list.matches("<DataSet ").count(), 4);
+    assert!(list.contains("timestep=\"0.06\" part=\"0\" file=\"run_000003.vtu\""), "{list}");
+    let bytes = std::fs::read(place.path("grids/run_000003.vtu")).unwrap();
+    let text = String::from_utf8_lossy(&bytes);
+    let start =
+        bytes.windows(3).position(|three| three == b"\n_\0" || (three[0] == b'\n' && three[1] == b'_')).unwrap() + 2;
+    let array = |name: &str| -> &[u8] {
+        let (_, rest) = text.split_once(&format!("Name=\"{name}\" format=\"appended\" offset=\"")).unwrap();
+        let offset: usize = rest.split('"').next().unwrap().parse().unwrap();
+        let at = start + offset;
+        let length = u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
+        &bytes[at + 8..at + 8 + length]
+    };
+    let floats =
+        |name: &str| -> Vec<f32> { array(name).as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect() };
+    assert_eq!(floats("points"), frame(&place, 3).concat());
+    let cells = array("types").len();
+    assert!(array("types").iter().all(|&kind| kind == 5) && array("connectivity").len() == 12 * cells);
+    assert_eq!(array("obstacle").iter().filter(|&&is| is == 1).count(), cells - 128);
+    let stretch = floats("stretch_max");
+    assert!(stretch.len() == cells && stretch.iter().all(|s| (0.9..1.2).contains(s)));
+}
+
+#[test]
+fn what_cannot_be_converted_is_named() {
+    let place = place();
+    for (words, code, expected) in [
+        ("convert run --to abc", 2, "Alembic is not written"),
+        ("convert run --to usdc", 2, "usdcat"),
+        ("convert run --to bmp", 2, "usd, mdd, pc2, vtu, glb and ply"),
+        ("convert run", 2, "--to"),
+        ("convert nowhere --to usd", 2, "nowhere"),
+    ] {
+        let ended = place.run(words).expect(code);
+        assert!(ended.stderr.contains(expected), "{words}: {}", ended.story);
+    }
+    // Without the scene's files the cloth is one mesh.
+    std::fs::write(place.path("run/run_scene.toml"), "nonsense").unwrap();
+    let ended = place.run("convert run --to ply --out plain").expect(0);
+    assert!(ended.stderr.contains("all cloth is one mesh"), "{}", ended.story);
+    assert!(place.path("plain/cloth_000003.ply").exists() && place.path("plain/obstacles_000003.ply").exists());
+}
