@@ -27,10 +27,10 @@ use crate::context::RankContext;
 use crate::forces::contact::ContactStep;
 use crate::gpu::{CpuExecutor, Executor};
 use crate::integrator::inertia::Inertia;
-use crate::integrator::pins::{PinTargets, Pins};
+use crate::integrator::pins::{PinPaths, PinTargets, Pins};
 use crate::math::DIM;
 use crate::model::{RankModel, RankState};
-use crate::scene::{Motion, Settings};
+use crate::scene::{Obstacles, Settings};
 use crate::solver::{LinearSolver, PcgError, PcgParams, Schwarz, TrafficCounter};
 use crate::telemetry::{Activity, EventName, Recorder};
 use crate::transport::{Transport, TransportError};
@@ -105,7 +105,7 @@ struct RankCloth {
     stiffness_ratio: f64,
     /// True until the first step from the start state or from a state that was set.
     state_is_new: bool,
-    motions: Vec<Motion>,
+    pin_paths: PinPaths,
     state: StateVectors,
     elements: Elements,
     system: System,
@@ -177,13 +177,14 @@ impl RankCloth {
             plan,
             pins,
             motions,
+            followed,
             settings,
             cell_m,
             pins_move,
             stiffness_ratio,
             plastic,
             collision,
-            arrays,
+            mut arrays,
         } = model;
         let columns = ColumnOrder::new(&partition, exchange);
         let elements = Elements::new(executor, &arrays, plastic);
@@ -195,6 +196,8 @@ impl RankCloth {
         let schwarz = Schwarz::wanted(settings.preconditioner, executor, &partition, settings.relative_tolerance)
             .map_err(SetupError::Preconditioner)?
             .then(|| matrix.schwarz(executor, &partition, &plan, exchange, &columns.numbering(&plan)));
+        let followed = Obstacles::from_parts(followed, std::mem::take(&mut arrays.followed), Vec::new())
+            .ok_or_else(|| SetupError::Pins("the followed vertices do not fit their header".into()))?;
         let padding_ratio = matrix.padding_ratio();
         let cloth = RankCloth {
             cell_m,
@@ -204,7 +207,7 @@ impl RankCloth {
             stiff: stiffness_ratio >= STIFF,
             stiffness_ratio,
             state_is_new: true,
-            motions,
+            pin_paths: PinPaths { motions, followed },
             state: StateVectors::new(executor, &arrays, plan.own.clone()),
             elements,
             system: System::new(executor, &arrays.masses),
@@ -322,7 +325,7 @@ impl RankCloth {
             held.iter().for_each(|&row| pinned[row as usize] = 1);
             self.system.pinned.write_range(rank.executor, 0, &pinned);
         }
-        self.pins.targets(time_s, step_s, &self.motions)
+        self.pins.targets(time_s, step_s, &self.pin_paths)
     }
 
     /// True if a pin of any rank changes its velocity, so that the solve starts from prescribed values. A pin at rest

@@ -229,6 +229,7 @@ fn scene_summary(scene: &Scene) -> String {
             .iter()
             .map(|obstacle| match &obstacle.movement {
                 Movement::Sequence { later, .. } => format!("{} ({} frames)", obstacle.name, later.len() + 1),
+                Movement::Cached(cache) => format!("{} ({} samples)", obstacle.name, cache.times_s.len()),
                 _ if obstacle.moving() => format!("{} (moving)", obstacle.name),
                 _ => obstacle.name.clone(),
             })

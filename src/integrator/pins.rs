@@ -5,7 +5,7 @@
 //! depend on the scene and the state at t0 only, never on earlier steps, so a resumed run gives the same bits.
 
 use crate::math::{DVec3, Vec3};
-use crate::scene::Motion;
+use crate::scene::{Grip, Motion, Obstacles};
 
 /// A pin on an own row.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -14,12 +14,32 @@ pub struct RankPin {
     pub row: u32,
     /// Start position of the vertex, meters.
     pub start_m: [f32; 3],
-    /// Motion of a moving pin.
+    /// Motion of a moving pin; not used with a grip.
     pub motion: Option<u32>,
+    /// Place on a triangle of the followed obstacles, which the vertex keeps.
+    pub grip: Option<Grip>,
     /// Start of the hold, seconds.
     pub start_s: f64,
     /// End of the hold, seconds.
     pub end_s: f64,
+}
+
+/// What the pins of a rank move with.
+#[derive(Clone, Debug, Default)]
+pub struct PinPaths {
+    /// Motions of the scene.
+    pub motions: Vec<Motion>,
+    /// Vertices of obstacles that grips name.
+    pub followed: Obstacles,
+}
+
+impl PinPaths {
+    /// The followed vertices at a time, xyz.
+    fn at(&self, time_s: f64) -> Vec<f32> {
+        let mut values = Vec::new();
+        self.followed.positions_at(time_s, &mut values);
+        values
+    }
 }
 
 /// State of a held row at t0.
@@ -87,8 +107,10 @@ impl Pins {
     }
 
     /// Targets of the step from `time_s` to `time_s + step_s`; remembers them as the state at t1.
-    pub fn targets(&mut self, time_s: f64, step_s: f64, motions: &[Motion]) -> PinTargets {
+    pub fn targets(&mut self, time_s: f64, step_s: f64, paths: &PinPaths) -> PinTargets {
         let mut out = PinTargets::default();
+        let motions = &paths.motions;
+        let followed = paths.at(time_s + step_s);
         for (pin, held) in self.pins.iter().zip(&mut self.held) {
             let Some(held) = held else { continue };
             // A pin held from the beginning follows its motion directly, so that rounding errors do not accumulate.
@@ -97,9 +119,12 @@ impl Pins {
             } else {
                 (held.position.as_dvec3(), time_s)
             };
-            let target = match pin.motion {
-                Some(_) => (from + (moved(pin, motions, time_s + step_s) - moved(pin, motions, since))).as_vec3(),
-                None => held.position,
+            let target = match (&pin.grip, pin.motion) {
+                (Some(grip), _) => grip.point_of(&followed).as_vec3(),
+                (None, Some(_)) => {
+                    (from + (moved(pin, motions, time_s + step_s) - moved(pin, motions, since))).as_vec3()
+                }
+                (None, None) => held.position,
             };
             let velocity = (target - held.position) / step_s as f32;
             out.rows.push(pin.row);
@@ -112,9 +137,17 @@ impl Pins {
     }
 
     /// Displacement of every moving pin that is held in the step that starts at `time_s`, meters.
-    pub fn ways<'a>(&'a self, time_s: f64, step_s: f64, motions: &'a [Motion]) -> impl Iterator<Item = DVec3> + 'a {
+    pub fn ways<'a>(&'a self, time_s: f64, step_s: f64, paths: &'a PinPaths) -> impl Iterator<Item = DVec3> + 'a {
         let held = move |pin: &&RankPin| is_held((pin.start_s, pin.end_s), time_s, step_s);
-        let way = move |pin| moved(pin, motions, time_s + step_s) - moved(pin, motions, time_s);
+        let times = [time_s, time_s + step_s];
+        let followed = times.map(|time_s| paths.at(time_s));
+        let way = move |pin: &RankPin| {
+            let [start, end] = match &pin.grip {
+                Some(grip) => [0, 1].map(|i| grip.point_of(&followed[i])),
+                None => times.map(|time_s| moved(pin, &paths.motions, time_s)),
+            };
+            end - start
+        };
         self.pins.iter().filter(held).filter(|pin| pin.motion.is_some()).map(way)
     }
 }

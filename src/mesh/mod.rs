@@ -9,6 +9,7 @@ mod file_mesh;
 mod intersect;
 mod irregular;
 mod material;
+mod nearest;
 mod nested;
 mod obj;
 mod order;
@@ -31,6 +32,7 @@ pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection,
 pub use file_mesh::{FileMesh, MaterialSource, MeshOptions, extent};
 pub use intersect::edge_crosses_triangle;
 pub use material::{TextureFit, flatten_triangle, flatten_triangles};
+pub use nearest::{NearestPoint, SurfacePoint, place};
 pub use nested::{LEVELS_MAX, NestedSheet, Outline};
 pub use obj::parse_obj;
 pub(crate) use obj::parse_obj_far;

@@ -1,6 +1,7 @@
 //! The whole cloth in the global order. Vertices are renumbered for locality. The order depends only on the scene, so
 //! the row blocks of any rank count are contiguous ranges of it.
 
+use super::grips::Grips;
 use super::state::{RankState, State, creases_of};
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
 use crate::integrator::pins::RankPin;
@@ -77,6 +78,8 @@ impl GlobalModel {
                 0.0,
             )
         };
+        let obstacles = Obstacles::new(&scene.obstacles);
+        let grips = Grips::new(scene, &obstacles).of_pins(&scene.pins);
         let of_mesh = hinges(mesh);
         let mut bends: Vec<HingeElement> = of_mesh.iter().map(bend).collect();
         // Elements of a row then lie close together. Ties keep their order, so the result is the same on every machine.
@@ -96,17 +99,19 @@ impl GlobalModel {
             pins: scene
                 .pins
                 .iter()
-                .map(|pin| RankPin {
+                .zip(&grips)
+                .map(|(pin, grip)| RankPin {
                     row: map(pin.vertex),
                     start_m: mesh.positions[pin.vertex as usize].to_array(),
                     motion: pin.motion,
+                    grip: *grip,
                     start_s: pin.start_s,
                     end_s: pin.end_s,
                 })
                 .collect(),
             motions: scene.motions.clone(),
             friction: original_from_global.iter().map(|&v| scene.friction_of_vertex(v) as f32).collect(),
-            obstacles: Obstacles::new(&scene.obstacles),
+            obstacles,
             stiffness_ratio: stiffness_ratio(scene),
             settings: scene.settings.clone(),
             original_from_global,

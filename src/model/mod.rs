@@ -4,6 +4,7 @@
 
 mod collision;
 mod global;
+mod grips;
 mod rank;
 mod state;
 

@@ -8,7 +8,7 @@ use super::{CollisionArrays, CollisionModel, GlobalModel};
 use crate::forces::{FabricTable, HingeElement, TriangleElement};
 use crate::integrator::pins::RankPin;
 use crate::partition::{HaloPlan, RowPartition, halo_plans};
-use crate::scene::{Motion, Settings};
+use crate::scene::{Motion, ObstacleHeader, Settings};
 
 /// All data that a worker needs to simulate its rows. Vertices are local indices of `plan`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -21,6 +21,8 @@ pub struct RankModel {
     pub pins: Vec<RankPin>,
     /// Motions of the pins of all ranks.
     pub motions: Vec<Motion>,
+    /// Vertices of obstacles that the grips of the pins name.
+    pub followed: ObstacleHeader,
     /// Parameters of the run.
     pub settings: Settings,
     /// Mean of the smallest altitudes of the triangles at rest, meters.
@@ -53,6 +55,8 @@ pub struct RankArrays {
     pub hinges: Vec<HingeElement>,
     /// Fabrics.
     pub fabrics: Vec<FabricTable>,
+    /// Positions of the followed vertices, as [`crate::scene::Obstacles::arrays`] gives them.
+    pub followed: Vec<f32>,
 }
 
 /// Error of bytes that are not the arrays of a model.
@@ -138,12 +142,13 @@ impl RankModel {
             .filter(|e| e.vertices.iter().any(owned))
             .map(|e| HingeElement { vertices: e.vertices.map(local), ..*e })
             .collect();
-        let pins = model
+        let mut pins: Vec<RankPin> = model
             .pins
             .iter()
             .filter(|pin| owned(&pin.row))
             .map(|pin| RankPin { row: pin.row - rows.start as u32, ..*pin })
             .collect();
+        let followed = model.obstacles.only(&renumber_grips(&mut pins));
         let arrays = RankArrays {
             positions: gather(&model.positions),
             velocities: gather(&model.velocities),
@@ -151,11 +156,13 @@ impl RankModel {
             triangles,
             hinges,
             fabrics: model.fabrics.clone(),
+            followed: followed.arrays().0.to_vec(),
         };
         RankModel {
             partition: *partition,
             pins,
             motions: model.motions.clone(),
+            followed: followed.header().clone(),
             settings: model.settings.clone(),
             cell_m: model.cell_m(),
             pins_move,
@@ -166,6 +173,17 @@ impl RankModel {
             plan,
         }
     }
+}
+
+/// Numbers the vertices that grips name from 0 on, and returns which vertices of the obstacles they are, ascending.
+fn renumber_grips(pins: &mut [RankPin]) -> Vec<u32> {
+    let mut named: Vec<u32> = pins.iter().flat_map(|pin| pin.grip).flat_map(|grip| grip.vertices).collect();
+    named.sort_unstable();
+    named.dedup();
+    for vertex in pins.iter_mut().flat_map(|pin| &mut pin.grip).flat_map(|grip| &mut grip.vertices) {
+        *vertex = named.partition_point(|other| other < vertex) as u32;
+    }
+    named
 }
 
 fn collect_halo(partition: &RowPartition, corners: &[u32], halos: &mut [Vec<u32>]) {
@@ -196,11 +214,11 @@ impl RankModel {
 
     /// Sets the bulk arrays from bytes in the order of [`RankModel::to_bytes`].
     pub fn set_arrays(&mut self, bytes: &[&[u8]]) -> Result<(), RankModelError> {
-        let expected = if self.collision.is_some() { 12 } else { 6 };
+        let expected = if self.collision.is_some() { 13 } else { 7 };
         if bytes.len() != expected {
             return Err(RankModelError::Arrays(format!("{} arrays instead of {expected}", bytes.len())));
         }
-        let (own, all) = bytes.split_at(6);
+        let (own, all) = bytes.split_at(7);
         self.arrays = RankArrays {
             positions: cast(own[0])?,
             velocities: cast(own[1])?,
@@ -208,6 +226,7 @@ impl RankModel {
             triangles: cast(own[3])?,
             hinges: cast(own[4])?,
             fabrics: cast(own[5])?,
+            followed: cast(own[6])?,
         };
         if let Some(collision) = &mut self.collision {
             collision.arrays = CollisionArrays {
@@ -224,7 +243,7 @@ impl RankModel {
 }
 
 impl RankArrays {
-    fn to_bytes(&self) -> [&[u8]; 6] {
+    fn to_bytes(&self) -> [&[u8]; 7] {
         [
             bytemuck::cast_slice(&self.positions),
             bytemuck::cast_slice(&self.velocities),
@@ -232,6 +251,7 @@ impl RankArrays {
             bytemuck::cast_slice(&self.triangles),
             bytemuck::cast_slice(&self.hinges),
             bytemuck::cast_slice(&self.fabrics),
+            bytemuck::cast_slice(&self.followed),
         ]
     }
 }

@@ -28,6 +28,9 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     let settings = format!("{settings:?}").replace(", substeps: Auto", "");
     let fabrics = format!("{:?}", scene.fabrics).replace(", plasticity: None", "").replace(", strain_limit: None", "");
     let _ = write!(TextSink(&mut hasher), "{fabrics} {:?} {:?} {settings}", scene.pins, scene.motions);
+    if !scene.followed.is_empty() {
+        let _ = write!(TextSink(&mut hasher), "{:?}", scene.followed);
+    }
     let obstacles = Obstacles::new(&scene.obstacles);
     let (positions, triangles) = obstacles.arrays();
     hash_words(&mut hasher, positions);

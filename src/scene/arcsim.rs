@@ -76,6 +76,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         cloths,
         pins,
         motions,
+        followed: Vec::new(),
         obstacles,
         settings,
         warnings,
@@ -217,7 +218,7 @@ fn handle_pin(
         return Ok(None);
     }
     let select = Selection::Vertices(numbers);
-    Ok(Some(PinSource { cloth, select, motion, start_s, end_s, at: nodes.place() }))
+    Ok(Some(PinSource { cloth, select, motion, follow: None, start_s, end_s, at: nodes.place() }))
 }
 
 fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError> {

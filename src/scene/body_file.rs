@@ -1,4 +1,4 @@
-//! `[[obstacle]]` with a body from a file: `gltf`, and the fields that say when it plays its clip.
+//! `[[obstacle]]` with a body from a file: `gltf`, `pc2`, `mdd`, and the fields that say when it plays its clip.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -6,14 +6,16 @@ use std::sync::Arc;
 use bytemuck::cast_slice;
 
 use crate::math::{DAffine3, DQuat, Vec3};
-use crate::mesh::{Surface, needles};
+use crate::mesh::{Surface, needles, read_file};
 
+use super::cache_file::{CacheFormat, Samples, read_cache};
 use super::cloth_file::Remarks;
 use super::fields::{Fields, Value};
 use super::files::find;
 use super::gltf::{BodyFile, read_body};
 use super::placement::Placement;
-use super::{Movement, Playback, Rig, SceneError};
+use super::sequence::MOST_VALUES;
+use super::{Cache, Movement, Playback, Rig, SceneError};
 
 /// Fields of an obstacle that plays a clip.
 pub(super) const PLAY_FIELDS: [&str; 4] = ["start_s", "rate", "loop", "lead_in_s"];
@@ -40,12 +42,29 @@ pub(super) fn check_fields(fields: &Fields, form: &str) -> Result<(), SceneError
     {
         return Err(fields.error_at(key, "belongs to an obstacle with a `gltf`"));
     }
-    let plays = form == "gltf" && fields.get("clip").is_some();
-    if !plays && let Some(key) = given(&PLAY_FIELDS) {
-        return Err(fields.error_at(key, "belongs to an obstacle that plays a `clip` of a `gltf`"));
+    let moved_by = match form {
+        "gltf" => fields.get("clip").map(|_| "clip"),
+        "sequence" | "pc2" | "mdd" => Some(form),
+        _ => None,
+    };
+    match (moved_by, given(&PLAY_FIELDS)) {
+        (None, Some(key)) => {
+            let what = "belongs to an obstacle with a `sequence`, `pc2`, `mdd` or a `clip` of a `gltf`";
+            return Err(fields.error_at(key, what));
+        }
+        (Some("sequence"), Some(_)) if fields.get("lead_in_s").is_some() => {
+            return Err(fields.error_at("lead_in_s", "needs a rest shape, which a `sequence` does not have"));
+        }
+        _ => {}
     }
-    if plays && fields.get("motion").is_some() {
-        return Err(fields.error_at("motion", "give either `motion` or a `clip`"));
+    if let (Some(way), true) = (moved_by, fields.get("motion").is_some()) {
+        return Err(fields.error_at("motion", format!("give either `motion` or a `{way}`")));
+    }
+    if form != "sequence" && fields.get("first").is_some() {
+        return Err(fields.error_at("first", "belongs to an obstacle with a `sequence`"));
+    }
+    if !matches!(form, "sequence" | "pc2") && fields.get("frames_per_s").is_some() {
+        return Err(fields.error_at("frames_per_s", "belongs to an obstacle with a `sequence` or `pc2`"));
     }
     Ok(())
 }
@@ -110,7 +129,8 @@ pub(super) fn gltf(
         flat.iter_mut().zip(needles(points, &surface.triangles)).for_each(|(flat, needle)| *flat |= needle);
     }
     remarks.left_out.extend(leave_out(&mut surface, &flat, &path)?);
-    remarks.warnings.extend(jump(&rig, playback, name));
+    let poses = |time_s| cast_slice(&rig.positions_at(time_s)).to_vec();
+    remarks.warnings.extend(jump(poses, playback, name));
     Ok(Body::Playing(surface, Movement::Rigged(Arc::new(rig))))
 }
 
@@ -136,16 +156,74 @@ fn leave_out(surface: &mut Surface, flat: &[bool], path: &Path) -> Result<Option
     }
 }
 
+/// When a sequence of `1 + later` frames is played; none if its first frame is at time 0 and its last one stays.
+pub(super) fn sequence_playback(
+    fields: &Fields,
+    frames_per_s: f64,
+    later: usize,
+) -> Result<Option<Playback>, SceneError> {
+    let is_plain = PLAY_FIELDS.iter().all(|key| fields.get(key).is_none());
+    if is_plain { Ok(None) } else { playback(fields, later as f64 / frames_per_s).map(Some) }
+}
+
+/// A surface at time 0 and how it moves.
+pub(super) fn cached(mut surface: Surface, cache: Cache, name: &str, remarks: &mut Remarks) -> (Surface, Movement) {
+    surface.positions = cache.positions_at(0.0);
+    remarks.warnings.extend(jump(|time_s| cache.positions_at(time_s), cache.playback, name));
+    (surface, Movement::Cached(Arc::new(cache)))
+}
+
+/// Reads a `pc2` or `mdd`: a point cache and the mesh that it moves. `placement` = relative to the scene's local
+/// origin.
+pub(super) fn point_cache(
+    fields: &Fields,
+    value: &Value,
+    name: &str,
+    scene: &Path,
+    placement: &Placement,
+    remarks: &mut Remarks,
+) -> Result<(Surface, Movement), SceneError> {
+    let files = value.table(&["rest", "cache"])?;
+    let file = |key: &str| {
+        let value = files.required(key)?;
+        find(scene, value.text()?).map_err(|what| value.error(what))
+    };
+    let (rest, path) = (file("rest")?, file("cache")?);
+    let format = match value.is_named("pc2") {
+        true => CacheFormat::Pc2 { frames_per_s: fields.required("frames_per_s")?.positive()? },
+        false => CacheFormat::Mdd,
+    };
+    // Far coordinates are rounded here as the cache has rounded them.
+    let mut surface = read_file(&rest, 0.0)?;
+    let vertices = surface.positions.len();
+    let Samples { times_s, mut frames } = read_cache(&path, format, (vertices, &rest), MOST_VALUES / 3)?;
+    frames.insert(0, std::mem::take(&mut surface.positions));
+    let mut flat = vec![false; surface.triangles.len()];
+    for (frame, positions) in frames.iter_mut().enumerate() {
+        let mut moved = Surface { positions: std::mem::take(positions), ..Surface::default() };
+        placement.move_surface(&mut moved);
+        *positions = moved.positions;
+        if let Some(vertex) = positions.iter().position(|p| !p.is_finite()) {
+            let file = if frame == 0 { &rest } else { &path };
+            let what = format!("at its place in the scene, vertex {} is not finite", vertex + 1);
+            return Err(SceneError::File { path: file.clone(), what });
+        }
+        flat.iter_mut().zip(needles(positions, &surface.triangles)).for_each(|(flat, needle)| *flat |= needle);
+    }
+    remarks.left_out.extend(leave_out(&mut surface, &flat, &rest)?);
+    let playback = playback(fields, times_s[times_s.len() - 1].max(0.0))?;
+    Ok(cached(surface, Cache { playback, times_s, frames }, name, remarks))
+}
+
 /// A warning about a body that starts its clip over from another place.
-fn jump(rig: &Rig, playback: Playback, name: &str) -> Option<String> {
+fn jump(poses: impl Fn(f64) -> Vec<Vec3>, playback: Playback, name: &str) -> Option<String> {
     if !playback.repeats {
         return None;
     }
     // The end of the clip itself is its beginning already.
     let just_before = playback.length_s * (1.0 - 1e-9);
-    let [first, last] = [0.0, just_before].map(|clip_s| rig.positions_at(playback.run_time(clip_s)));
-    let points = |values: &[f32]| -> Vec<Vec3> { cast_slice(values).to_vec() };
-    let far = points(&first).iter().zip(points(&last)).map(|(a, b)| a.distance(b)).fold(0.0, f32::max);
+    let [first, last] = [0.0, just_before].map(|clip_s| poses(playback.run_time(clip_s)));
+    let far = first.iter().zip(&last).map(|(a, b)| a.distance(*b)).fold(0.0, f32::max);
     (far > JUMP_M).then(|| {
         format!(
             "obstacle `{name}` jumps by up to {far:.2} m within a step wherever its clip starts over; `loop` is for a \

@@ -288,6 +288,11 @@ impl<'a> Value<'a> {
         Fields { source: self.source, path: self.name.clone(), offset, table: Some(table) }.only(known)
     }
 
+    /// True for the field with this name.
+    pub(super) fn is_named(&self, key: &str) -> bool {
+        self.name.rsplit('.').next() == Some(key)
+    }
+
     /// True for an array with entries of any type.
     pub(super) fn is_array(&self) -> bool {
         self.value.get_ref().is_array()

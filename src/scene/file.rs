@@ -10,7 +10,7 @@ use super::fields::{Fields, Source};
 use super::model::RESOLUTIONS;
 use super::obstacle_file::{OBSTACLE_FIELDS, is_from_file, obstacle};
 use super::parsed::ParsedScene;
-use super::pin_file::{PIN_FIELDS, pin};
+use super::pin_file::{PIN_FIELDS, Paths, pin};
 use super::settings_file::settings;
 use super::{Fabric, SceneError};
 
@@ -57,9 +57,9 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         let mut remarks = Remarks { warnings: &mut warnings, left_out: &mut left_out };
         obstacles.push(obstacle(fields, i, settings.friction, path, origin_m, &mut remarks)?);
     }
-    let (mut pins, mut motions) = (Vec::new(), Vec::new());
+    let (mut pins, mut paths) = (Vec::new(), Paths::default());
     for fields in root.tables("pin", &PIN_FIELDS)? {
-        pins.push(pin(&fields, &cloths, origin_m, &mut motions)?);
+        pins.push(pin(&fields, &cloths, &obstacles, origin_m, &mut paths)?);
     }
     let scene = ParsedScene {
         path: path.into(),
@@ -67,7 +67,8 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         origin_m,
         cloths,
         pins,
-        motions,
+        motions: paths.motions,
+        followed: paths.followed,
         obstacles,
         settings,
         warnings,

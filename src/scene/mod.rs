@@ -3,6 +3,8 @@
 
 mod arcsim;
 mod body_file;
+mod cache;
+mod cache_file;
 mod cloth_file;
 mod cloth_source;
 mod crossings;
@@ -12,6 +14,7 @@ mod fields;
 mod file;
 mod files;
 mod gltf;
+mod grip;
 mod json;
 mod keyframes;
 mod model;
@@ -35,10 +38,12 @@ mod substeps;
 
 use std::path::Path;
 
+pub use cache::Cache;
 pub use crossings::{BestState, Crossings, Doubled, Untangling};
 pub use error::SceneError;
 pub use fabric::{Fabric, Plasticity, load_fabric, parse_fabric};
 pub use gltf::{BodyFile, Clip, read_body};
+pub use grip::Grip;
 pub use model::{Cloth, DEFAULT_THICKNESS_M, Overrides, Pin, RESOLUTIONS, Scene, Settings};
 pub use motion::{Keyframe, Motion};
 pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};

@@ -48,6 +48,8 @@ pub struct Scene {
     pub pins: Vec<Pin>,
     /// Rigid motions that pins follow.
     pub motions: Vec<Motion>,
+    /// Obstacles that pins follow.
+    pub followed: Vec<u32>,
     /// The pieces of cloth, ascending by vertices and triangles. Empty means one piece with the friction of the
     /// settings.
     pub cloths: Vec<Cloth>,
@@ -101,7 +103,8 @@ pub struct Pin {
     /// Vertex of the scene's mesh.
     pub vertex: u32,
     /// Index into `Scene::motions`; the motion is applied to the start position of the vertex. None = the vertex stays
-    /// there.
+    /// there. From the number of motions on, the index into `Scene::followed`: the vertex keeps its place on the
+    /// nearest triangle of that obstacle, where both are at time 0.
     pub motion: Option<u32>,
     /// Held from this time, seconds.
     pub start_s: f64,

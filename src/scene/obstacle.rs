@@ -7,8 +7,9 @@ use bytemuck::cast_slice;
 
 use crate::math::{DAffine3, Vec3};
 
+use super::cache::CacheHeader;
 use super::rig::RigHeader;
-use super::{Motion, Rig};
+use super::{Cache, Motion, Rig};
 
 /// A validated obstacle of a scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +46,8 @@ pub enum Movement {
     /// A body with nodes, skins and morph targets that plays a clip. `positions` are those at time 0. Shared as the
     /// frames of a sequence are.
     Rigged(std::sync::Arc<Rig>),
+    /// Every vertex moves on its own, as a point cache or a sequence says. `positions` are those at time 0.
+    Cached(std::sync::Arc<Cache>),
 }
 
 impl Obstacle {
@@ -58,6 +61,7 @@ impl Obstacle {
                 .any(|pair| (pair[0].transform(), pair[0].turn) != (pair[1].transform(), pair[1].turn)),
             Movement::Sequence { later, .. } => later.iter().any(|frame| *frame != self.positions),
             Movement::Rigged(rig) => rig.playback().is_some(),
+            Movement::Cached(cache) => cache.moving(),
         }
     }
 }
@@ -98,12 +102,14 @@ enum PartMotion {
     Keyframes(Motion),
     Sequence { frames_per_s: f64, frames: u32 },
     Rigged { rig: RigHeader, values: usize },
+    Cached(CacheHeader),
 }
 
 impl Part {
     fn frames(&self) -> u32 {
-        match self.motion {
-            PartMotion::Sequence { frames, .. } => frames,
+        match &self.motion {
+            PartMotion::Sequence { frames, .. } => *frames,
+            PartMotion::Cached(cache) => cache.frames() as u32,
             _ => 1,
         }
     }
@@ -123,7 +129,7 @@ impl Obstacles {
         let mut all = Obstacles::default();
         let mut first = 0;
         for obstacle in obstacles {
-            if !matches!(obstacle.movement, Movement::Rigged(_)) {
+            if !matches!(obstacle.movement, Movement::Rigged(_) | Movement::Cached(_)) {
                 all.positions.extend_from_slice(cast_slice(&obstacle.positions));
             }
             let motion = match &obstacle.movement {
@@ -131,6 +137,10 @@ impl Obstacles {
                 Movement::Rigged(rig) => {
                     all.positions.extend_from_slice(&rig.values);
                     PartMotion::Rigged { rig: rig.header.clone(), values: rig.values.len() }
+                }
+                Movement::Cached(cache) => {
+                    cache.frames.iter().for_each(|frame| all.positions.extend_from_slice(cast_slice(frame)));
+                    PartMotion::Cached(cache.header())
                 }
                 Movement::Keyframes(motion) => PartMotion::Keyframes(motion.clone()),
                 Movement::Sequence { frames_per_s, later } => {
@@ -204,12 +214,47 @@ impl Obstacles {
             let (own, others) = rest.split_at(part.values());
             let range = first..first + part.vertices as usize;
             (rest, first) = (others, range.end);
-            if let PartMotion::Rigged { rig, .. } = &part.motion {
-                let start = range.start as u32;
-                of_vertex[range].iter_mut().zip(rig.alike(own)).for_each(|(vertex, alike)| *vertex = start + alike);
-            }
+            let alike = match &part.motion {
+                PartMotion::Rigged { rig, .. } => rig.alike(own),
+                PartMotion::Cached(cache) => cache.alike(own, part.vertices as usize),
+                _ => continue,
+            };
+            let start = range.start as u32;
+            of_vertex[range].iter_mut().zip(alike).for_each(|(vertex, alike)| *vertex = start + alike);
         }
         self.triangles.iter().map(|corners| corners.map(|v| of_vertex[v as usize])).collect()
+    }
+
+    /// Only these vertices (ascending), in this order, without triangles; each moves as in the whole.
+    pub fn only(&self, vertices: &[u32]) -> Obstacles {
+        let mut few = Obstacles::default();
+        let (mut rest, mut first, mut wanted) = (&self.positions[..], 0, vertices);
+        for part in &self.header.parts {
+            let (own, others) = rest.split_at(part.values());
+            let end = first + part.vertices;
+            let (here, later) = wanted.split_at(wanted.partition_point(|&vertex| vertex < end));
+            let local: Vec<u32> = here.iter().map(|vertex| vertex - first).collect();
+            (rest, first, wanted) = (others, end, later);
+            if local.is_empty() {
+                continue;
+            }
+            let motion = match &part.motion {
+                PartMotion::Rigged { rig, .. } => {
+                    let (rig, values) = rig.only(own, &local);
+                    few.positions.extend_from_slice(&values);
+                    PartMotion::Rigged { rig, values: values.len() }
+                }
+                motion => {
+                    for frame in own.chunks_exact(3 * part.vertices as usize) {
+                        let points = local.iter().flat_map(|&vertex| &frame[3 * vertex as usize..][..3]);
+                        few.positions.extend(points);
+                    }
+                    motion.clone()
+                }
+            };
+            few.header.parts.push(Part { vertices: local.len() as u32, triangles: 0, motion, ..part.clone() });
+        }
+        few
     }
 
     /// The obstacle that a vertex belongs to. It panics if there is no such vertex.
@@ -264,6 +309,7 @@ impl Obstacles {
                     interpolated(own, *frames as usize, time_s * frames_per_s, out);
                 }
                 PartMotion::Rigged { rig, .. } => rig.positions_at(own, time_s, out),
+                PartMotion::Cached(cache) => cache.positions_at(own, time_s, out),
             }
         }
     }

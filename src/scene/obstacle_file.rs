@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 use crate::math::{DQuat, DVec3, FAR_M, local_origin};
 use crate::mesh::{Surface, check_obstacle, read_obstacle, shapes};
 
-use super::body_file::{Body, check_fields, gltf, units};
+use super::body_file::{Body, cached, check_fields, gltf, point_cache, sequence_playback, units};
 use super::cloth_file::Remarks;
 use super::fields::{Fields, Value};
 use super::files::find;
 use super::keyframes::{motion, stays_finite};
 use super::placement::Placement;
 use super::sequence::{Pattern, read_frames};
-use super::{Movement, Obstacle, SceneError};
+use super::{Cache, Movement, Obstacle, SceneError};
 
-pub(super) const OBSTACLE_FIELDS: [&str; 23] = [
+pub(super) const OBSTACLE_FIELDS: [&str; 26] = [
     "name",
     "sphere",
     "plane",
@@ -24,7 +24,10 @@ pub(super) const OBSTACLE_FIELDS: [&str; 23] = [
     "mesh",
     "sequence",
     "frames_per_s",
+    "first",
     "gltf",
+    "pc2",
+    "mdd",
     "clip",
     "node",
     "start_s",
@@ -41,9 +44,9 @@ pub(super) const OBSTACLE_FIELDS: [&str; 23] = [
 ];
 
 /// Fields that give the geometry; an obstacle has exactly one of them.
-const FORMS: [&str; 8] = ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence", "gltf"];
+const FORMS: [&str; 10] = ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence", "gltf", "pc2", "mdd"];
 /// Those whose geometry is in files.
-const FILES: [&str; 3] = ["mesh", "sequence", "gltf"];
+const FILES: [&str; 5] = ["mesh", "sequence", "gltf", "pc2", "mdd"];
 /// Triangles of a shape if the scene does not give a number.
 const DEFAULT_TRIANGLES: u64 = 3_000;
 /// Valid numbers of triangles of a shape.
@@ -74,9 +77,6 @@ pub(super) fn obstacle(
         return Err(fields.error_at(key, what));
     }
     check_fields(fields, form)?;
-    if form != "sequence" && fields.get("frames_per_s").is_some() {
-        return Err(fields.error_at("frames_per_s", "belongs to an obstacle with a `sequence`"));
-    }
     let rotation = fields.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?;
     let (unit_m, up) = units(fields)?;
     let placement = |center: DVec3| -> Result<Placement, SceneError> {
@@ -94,17 +94,32 @@ pub(super) fn obstacle(
     };
     let surface = match form {
         "sequence" => {
-            if fields.get("motion").is_some() {
-                return Err(fields.error_at("motion", "give either `motion` or a `sequence`"));
-            }
             let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
             let local = placement.about(origin_m);
-            let files = sequence_files(&value, path)?;
+            let files = sequence_files(fields, &value, path)?;
             let frames = read_frames(&files, placement.scale, |surface| local.move_surface(surface))?;
             let (surface, later) = (frames.first, frames.later);
             remarks.left_out.extend(frames.left_out);
             let frames_per_s = fields.required("frames_per_s")?.positive()?;
-            movement = Movement::Sequence { frames_per_s, later: later.into() };
+            match sequence_playback(fields, frames_per_s, later.len())? {
+                None => {
+                    movement = Movement::Sequence { frames_per_s, later: later.into() };
+                    surface
+                }
+                Some(playback) => {
+                    let times_s = (0..=later.len()).map(|frame| frame as f64 / frames_per_s).collect();
+                    let first = surface.positions.clone();
+                    let frames = [first.clone(), first].into_iter().chain(later).collect();
+                    let (surface, moved) = cached(surface, Cache { playback, times_s, frames }, &name, remarks);
+                    movement = moved;
+                    surface
+                }
+            }
+        }
+        "pc2" | "mdd" => {
+            let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
+            let (surface, moved) = point_cache(fields, &value, &name, path, &placement.about(origin_m), remarks)?;
+            movement = moved;
             surface
         }
         "mesh" => {
@@ -166,12 +181,16 @@ pub(super) fn base((low, high): (DVec3, DVec3), origin_m: DVec3, moves: bool) ->
     if is_near || !moves { origin_m } else { local_origin(low, high, FAR_M) }
 }
 
-fn sequence_files(value: &Value, scene: &Path) -> Result<Vec<PathBuf>, SceneError> {
+fn sequence_files(fields: &Fields, value: &Value, scene: &Path) -> Result<Vec<PathBuf>, SceneError> {
     let text = value.text()?;
     let pattern = Pattern::parse(text).ok_or_else(|| {
         value.error(format!("`{text}` must have one number in it, as in `frame_%04d.obj` or `frame_%d.obj`"))
     })?;
-    pattern.files(scene).map_err(|what| value.error(what))
+    let first = fields.optional("first", |value| value.whole(0..=u64::from(u32::MAX)))?;
+    pattern.files(scene, first.map(|first| first as u32)).map_err(|what| match first {
+        Some(_) => fields.error_at("first", what),
+        None => value.error(what),
+    })
 }
 
 /// The shape centered at the origin, the position of its center, and the rotation that its own directions require.

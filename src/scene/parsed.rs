@@ -28,6 +28,8 @@ pub struct ParsedScene {
     pub(super) cloths: Vec<ClothSource>,
     pub(super) pins: Vec<PinSource>,
     pub(super) motions: Vec<Motion>,
+    /// Obstacles that pins follow.
+    pub(super) followed: Vec<u32>,
     pub(super) obstacles: Vec<Obstacle>,
     pub(super) settings: Settings,
     pub(super) warnings: Vec<String>,
@@ -93,7 +95,9 @@ impl ParsedScene {
         let mut held: Vec<Pin> = Vec::new();
         for pin in &self.pins {
             let first_vertex = merged.cloths[pin.cloth].vertices.start;
-            held.extend(pin.vertices(&pieces[pin.cloth])?.into_iter().map(|v| pin.hold(first_vertex + v)));
+            let vertices = pin.vertices(&pieces[pin.cloth], &self.obstacles)?;
+            let motions = self.motions.len() as u32;
+            held.extend(vertices.into_iter().map(|v| pin.hold(first_vertex + v, motions)));
         }
         let pins = pins::without_conflicts(held).map_err(|vertex| {
             let what = "is held by two pins at the same time that move it differently";
@@ -120,6 +124,7 @@ impl ParsedScene {
             fabric_of_triangle: merged.fabric_of_triangle,
             pins,
             motions: self.motions.clone(),
+            followed: self.followed.clone(),
             cloths: merged.cloths,
             obstacles: self.obstacles.clone(),
             parts: merged.parts,

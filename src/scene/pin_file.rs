@@ -7,18 +7,28 @@ use super::cloth_source::{ClothSource, Shape};
 use super::fields::{Fields, Value};
 use super::keyframes::motion;
 use super::pins::{self, PinSource, Selection, Spread};
-use super::{Motion, SceneError};
+use super::{Motion, Obstacle, SceneError};
 
-pub(super) const PIN_FIELDS: [&str; 12] = [
-    "cloth", "corners", "edge", "every", "count", "vertices", "group", "box_m", "sphere", "start_s", "end_s", "motion",
+pub(super) const PIN_FIELDS: [&str; 14] = [
+    "cloth", "corners", "edge", "every", "count", "vertices", "group", "box_m", "sphere", "nearest", "start_s",
+    "end_s", "motion", "follow",
 ];
 
-/// Reads a `[[pin]]` and appends its motion to `motions`. `origin_m`: the scene's local origin.
+/// What pins move with.
+#[derive(Default)]
+pub(super) struct Paths {
+    pub motions: Vec<Motion>,
+    /// Obstacles that pins follow.
+    pub followed: Vec<u32>,
+}
+
+/// Reads a `[[pin]]` and appends what it moves with to `paths`. `origin_m`: the scene's local origin.
 pub(super) fn pin(
     fields: &Fields,
     cloths: &[ClothSource],
+    obstacles: &[Obstacle],
     origin_m: DVec3,
-    motions: &mut Vec<Motion>,
+    paths: &mut Paths,
 ) -> Result<PinSource, SceneError> {
     let cloth = match fields.get("cloth") {
         None if cloths.len() == 1 => 0,
@@ -39,15 +49,42 @@ pub(super) fn pin(
         return Err(fields.error_at("end_s", format!("must be after start_s = {start_s}")));
     }
     let motion = motion(fields)?.map(|motion| {
-        motions.push(motion.relative_to(origin_m, origin_m));
-        motions.len() as u32 - 1
+        paths.motions.push(motion.relative_to(origin_m, origin_m));
+        paths.motions.len() as u32 - 1
     });
-    Ok(PinSource { cloth, select, motion, start_s, end_s, at: value.place() })
+    let follow = follow(fields, obstacles, &mut paths.followed)?;
+    if follow.is_none() && fields.get("nearest").is_some() {
+        return Err(fields.error_at("nearest", "needs `follow`: it selects what is nearest to that obstacle"));
+    }
+    Ok(PinSource { cloth, select, motion, follow, start_s, end_s, at: value.place() })
+}
+
+/// The place in `followed` of the obstacle that a pin follows, and the obstacle.
+fn follow(fields: &Fields, obstacles: &[Obstacle], followed: &mut Vec<u32>) -> Result<Option<(u32, u32)>, SceneError> {
+    let Some(value) = fields.get("follow") else { return Ok(None) };
+    let name = value.text()?;
+    let names: Vec<&str> = obstacles.iter().map(|obstacle| &obstacle.name[..]).collect();
+    let Some(obstacle) = names.iter().position(|other| *other == name) else {
+        let known = if names.is_empty() { "the scene has none".to_owned() } else { names.join(", ") };
+        return Err(value.error(format!("no obstacle is named `{name}` ({known})")));
+    };
+    if fields.get("motion").is_some() {
+        return Err(fields.error_at("motion", "give either `motion` or `follow`"));
+    }
+    if fields.or("start_s", 0.0, Value::number)? > 0.0 {
+        let what = "a pin that follows an obstacle takes its place on it at time 0, so it holds from there on";
+        return Err(fields.error_at("start_s", what));
+    }
+    let place = followed.iter().position(|&other| other as usize == obstacle).unwrap_or(followed.len());
+    if place == followed.len() {
+        followed.push(obstacle as u32);
+    }
+    Ok(Some((place as u32, obstacle as u32)))
 }
 
 /// The selection of a pin and the field that gives it.
 fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Result<(Selection, Value<'a>), SceneError> {
-    let ways = ["corners", "edge", "vertices", "group", "box_m", "sphere"];
+    let ways = ["corners", "edge", "vertices", "group", "box_m", "sphere", "nearest"];
     let given: Vec<&str> = ways.into_iter().filter(|way| pin.get(way).is_some()).collect();
     let [way] = given[..] else {
         return Err(pin.error(format!("a pin needs exactly one of {}, not {}", ways.join(", "), given.len())));
@@ -105,6 +142,7 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Resu
             }
             Selection::Box { low: low - origin_m, high: high - origin_m }
         }
+        "nearest" => Selection::Nearest(value.whole(1..=1_000_000_000)? as usize),
         _ => {
             let sphere = value.table(&["center_m", "radius_m"])?;
             let (center, radius_m) = (sphere.required("center_m")?.vector()?, sphere.required("radius_m")?.positive()?);

@@ -1,12 +1,12 @@
 //! Selects the vertices of pins and checks that no vertex is held in two ways at once.
 
-use crate::math::DVec3;
-use crate::mesh::TriangleMesh;
+use crate::math::{DVec3, Vec3};
+use crate::mesh::{NearestPoint, TriangleMesh};
 
 use super::error::Place;
 use super::pieces::Piece;
 use super::sheet::SheetMesh;
-use super::{Pin, SceneError};
+use super::{Obstacle, Obstacles, Pin, SceneError};
 
 /// A pin as the scene file gives it, before a resolution is chosen.
 #[derive(Clone, Debug)]
@@ -16,6 +16,8 @@ pub(super) struct PinSource {
     pub select: Selection,
     /// Index into the scene's motions; none = the vertices stay in place.
     pub motion: Option<u32>,
+    /// Index into the obstacles that pins of the scene follow, and the obstacle; in place of a motion.
+    pub follow: Option<(u32, u32)>,
     pub start_s: f64,
     pub end_s: f64,
     /// The field that selects the vertices.
@@ -37,6 +39,8 @@ pub(super) enum Selection {
     Box { low: DVec3, high: DVec3 },
     /// All vertices that start in a sphere, relative to the scene's local origin.
     Sphere { center: DVec3, radius_m: f64 },
+    /// The vertices that start nearest to the obstacle that the pin follows.
+    Nearest(usize),
 }
 
 /// Selection of vertices along an edge.
@@ -50,7 +54,7 @@ pub(super) enum Spread {
 
 impl PinSource {
     /// The vertices of the piece that the pin selects. It is an error if there are none.
-    pub(super) fn vertices(&self, piece: &Piece) -> Result<Vec<u32>, SceneError> {
+    pub(super) fn vertices(&self, piece: &Piece, obstacles: &[Obstacle]) -> Result<Vec<u32>, SceneError> {
         let name = &piece.source.name;
         let sheet = || match &piece.sheet {
             Some(sheet) if sheet.has_sides() => Ok(sheet),
@@ -85,6 +89,10 @@ impl PinSource {
             Selection::MeshVertices(vertices) => vertices.clone(),
             Selection::Box { low, high } => region(&piece.cloth.mesh, |p| p.cmpge(*low).all() && p.cmple(*high).all()),
             Selection::Sphere { center, radius_m } => region(&piece.cloth.mesh, |p| p.distance(*center) <= *radius_m),
+            Selection::Nearest(count) => {
+                let followed = self.follow.map(|(_, obstacle)| &obstacles[obstacle as usize]);
+                followed.map_or(Vec::new(), |obstacle| nearest(&piece.cloth.mesh, obstacle, *count))
+            }
         };
         if vertices.is_empty() {
             return Err(self.at.error(format!("selects no vertex of `{name}`")));
@@ -93,8 +101,10 @@ impl PinSource {
     }
 
     /// The pin of one vertex of the scene's mesh.
-    pub(super) fn hold(&self, vertex: u32) -> Pin {
-        Pin { vertex, motion: self.motion, start_s: self.start_s, end_s: self.end_s }
+    /// `motions` = number of the scene's motions.
+    pub(super) fn hold(&self, vertex: u32, motions: u32) -> Pin {
+        let motion = self.motion.or(self.follow.map(|(followed, _)| motions + followed));
+        Pin { vertex, motion, start_s: self.start_s, end_s: self.end_s }
     }
 }
 
@@ -146,6 +156,20 @@ pub(super) fn evenly(vertices: &[u32], count: usize) -> Vec<u32> {
 /// Every vertex whose position satisfies `inside`.
 pub(super) fn region(mesh: &TriangleMesh, inside: impl Fn(DVec3) -> bool) -> Vec<u32> {
     (0..).zip(&mesh.positions).filter(|(_, p)| inside(p.as_dvec3())).map(|(v, _)| v).collect()
+}
+
+/// The `count` vertices that are nearest to an obstacle at time 0, ascending; of equally near ones the first.
+fn nearest(mesh: &TriangleMesh, obstacle: &Obstacle, count: usize) -> Vec<u32> {
+    let mut values = Vec::new();
+    Obstacles::new(std::slice::from_ref(obstacle)).positions_at(0.0, &mut values);
+    let surface = NearestPoint::new(bytemuck::cast_slice(&values), &obstacle.triangles);
+    let distance = |p: &Vec3| surface.to(p.as_dvec3()).map_or(f64::INFINITY, |point| point.distance_m);
+    let mut by_distance: Vec<(f64, u32)> = mesh.positions.iter().map(distance).zip(0..).collect();
+    by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    by_distance.truncate(count);
+    let mut vertices: Vec<u32> = by_distance.into_iter().map(|(_, vertex)| vertex).collect();
+    vertices.sort_unstable();
+    vertices
 }
 
 /// Sorts the pins by vertex and start time and merges repetitions. An error is a vertex that two different pins hold at

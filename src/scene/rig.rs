@@ -111,6 +111,43 @@ impl RigHeader {
         }
     }
 
+    /// The body with only these vertices, in this order, moving as they move in the whole body, and its values.
+    pub(super) fn only(&self, all: &[f32], vertices: &[u32]) -> (RigHeader, Vec<f32>) {
+        let mut values = Vec::new();
+        let mut header = RigHeader { parts: Vec::new(), ..self.clone() };
+        let mut take = |place: usize, count: usize| {
+            values.extend_from_slice(&all[place..place + count]);
+            values.len() - count
+        };
+        for track in &mut header.tracks {
+            track.times = take(track.times, track.keys);
+            track.values = take(track.values, track.width * track.keys * track.values_per_key());
+        }
+        for &vertex in vertices {
+            let mut local = vertex as usize;
+            let mut parts = self.parts.iter();
+            let part = loop {
+                let part = parts.next().expect("a vertex of the body");
+                match local.checked_sub(part.vertices) {
+                    Some(behind) => local = behind,
+                    None => break part,
+                }
+            };
+            let mut one = RigPart { vertices: 1, ..part.clone() };
+            let mut row = |row: usize| take(part.points + 3 * (row * part.vertices + local), 3);
+            one.points = row(0);
+            for target in 1..=part.targets {
+                row(target);
+            }
+            if let Some(skin) = &mut one.skin {
+                skin.carriers = take(skin.carriers + local * skin.influences, skin.influences);
+                skin.weights = take(skin.weights + local * skin.influences, skin.influences);
+            }
+            header.parts.push(one);
+        }
+        (header, values)
+    }
+
     /// For every vertex the first one with the same numbers, which lies at the same place at all times.
     pub(super) fn alike(&self, values: &[f32]) -> Vec<u32> {
         let mut all = Vec::with_capacity(self.vertices());

@@ -8,7 +8,7 @@ use crate::mesh::{Surface, needles, read_file};
 use super::SceneError;
 
 /// Limit of the coordinates of all frames of a sequence: 4 GiB.
-const MOST_VALUES: usize = 1 << 30;
+pub(super) const MOST_VALUES: usize = 1 << 30;
 /// Most digits of a number in a pattern.
 const WIDEST: usize = 9;
 
@@ -36,20 +36,29 @@ impl Pattern {
         format!("{}{number:0width$}{}", self.before, self.after, width = self.width)
     }
 
-    /// The files from the smallest to the largest existing number, beside the scene or else in the working directory.
+    /// The files from the number `first` (none: the smallest) to the largest existing one, beside the scene or else in
+    /// the working directory.
     ///
     /// # Errors
     /// There are no files, or a number in between is missing. The error is half a sentence.
-    pub(super) fn files(&self, scene: &Path) -> Result<Vec<PathBuf>, String> {
+    pub(super) fn files(&self, scene: &Path, first: Option<u32>) -> Result<Vec<PathBuf>, String> {
         let beside = scene.parent().unwrap_or(Path::new(""));
         let found =
             [beside, Path::new("")].into_iter().map(|root| (root, self.numbers(root))).find(|(_, n)| !n.is_empty());
-        let Some((root, numbers)) = found else {
+        let Some((root, mut numbers)) = found else {
             return Err(format!(
                 "there is no file such as `{}` beside the scene or in the working directory",
-                self.name(1)
+                self.name(first.unwrap_or(1))
             ));
         };
+        if let Some(first) = first {
+            let [least, most] = [numbers[0], numbers[numbers.len() - 1]];
+            numbers.retain(|&number| number >= first);
+            if numbers.first() != Some(&first) {
+                let name = self.name(first);
+                return Err(format!("number {first} is missing: there are numbers {least} to {most}, but no `{name}`"));
+            }
+        }
         if let Some(pair) = numbers.windows(2).find(|pair| pair[1] != pair[0] + 1) {
             let (missing, next) = (pair[0] + 1, pair[1]);
             let name = self.name(missing);
@@ -175,13 +184,21 @@ mod tests {
                 std::fs::create_dir_all(path.parent().unwrap()).unwrap();
                 std::fs::write(path, "").unwrap();
             }
-            Pattern::parse(pattern).unwrap().files(&scene).map(|files| files.len())
+            Pattern::parse(pattern).unwrap().files(&scene, None).map(|files| files.len())
+        };
+        let from = |pattern: &str, first: u32| {
+            Pattern::parse(pattern).unwrap().files(&scene, Some(first)).map(|files| files.len())
         };
         assert_eq!(
             files("a_%02d.obj", &["a_00.obj", "a_01.obj", "a_02.obj", "a_1.obj", "a_002.obj", "a_x.obj"]),
             Ok(3)
         );
         assert_eq!(files("b.%04d.obj", &["b.1001.obj", "b.1002.obj"]), Ok(2), "film counts from 1001");
+        assert_eq!(from("b.%04d.obj", 1002), Ok(1));
+        assert_eq!(
+            from("b.%04d.obj", 1000).unwrap_err(),
+            "number 1000 is missing: there are numbers 1001 to 1002, but no `b.1000.obj`"
+        );
         assert_eq!(files("shot_%d/body.obj", &["shot_9/body.obj", "shot_10/body.obj", "shot_11/other.obj"]), Ok(2));
         assert_eq!(
             files("a_%02d.obj", &["a_04.obj"]).unwrap_err(),

@@ -25,6 +25,9 @@ pub enum SetupError {
     /// The data for collisions is inconsistent.
     #[error("collisions: {0}")]
     Collision(String),
+    /// The data of pins is inconsistent.
+    #[error("pins: {0}")]
+    Pins(String),
     /// The device refused.
     #[error(transparent)]
     Device(#[from] crate::gpu::GpuError),

@@ -79,7 +79,7 @@ impl RankCloth {
     fn relative_speed(&self, rank: &mut RankContext<'_>, span: Span) -> Result<f64, TransportError> {
         let own = self.state.recorded(rank);
         let cloth = own.velocities.as_chunks::<DIM>().0.iter().map(|&v| DVec3::from_array(v.map(f64::from)));
-        let pins = self.pins.ways(span.start_s, span.length_s, &self.motions).map(|way| way / span.length_s);
+        let pins = self.pins.ways(span.start_s, span.length_s, &self.pin_paths).map(|way| way / span.length_s);
         let (low, high) = bounds(cloth.chain(pins));
         let start = rank.recorder.now();
         let mut all = Vec::new();

@@ -220,3 +220,22 @@ fn check_lists_the_clips_of_a_file() {
     std::fs::write(&broken, b"glTF\x02\0\0\0\xff\0\0\0").unwrap();
     assert!(check(&args(broken), &mut Vec::new()).unwrap_err().to_string().contains("cut off"));
 }
+
+#[test]
+fn wrong_fields_of_a_pin_that_follows_are_named() {
+    let folder = moving_body();
+    let body = "name = \"body\"\ngltf = \"b.gltf\"\nclip = \"go\"\n[[pin]]\n";
+    for (pin, words) in [
+        ("follow = \"wall\"\nedge = \"top\"", ["pin.follow", "no obstacle is named `wall` (body)"]),
+        ("follow = \"body\"\nedge = \"top\"\nmotion = []", ["pin.motion", "`follow`"]),
+        ("follow = \"body\"\nedge = \"top\"\nstart_s = 0.5", ["pin.start_s", "at time 0"]),
+        ("nearest = 4", ["pin.nearest", "`follow`"]),
+        ("follow = \"body\"\nnearest = 0", ["pin.nearest", "1 to"]),
+        ("follow = \"body\"", ["pin", "exactly one of"]),
+    ] {
+        let error = read(folder.path(), &format!("{body}{pin}")).unwrap_err();
+        assert!(words.iter().all(|word| error.contains(word)), "{pin}: {error}");
+    }
+    let scene = read(folder.path(), &format!("{body}follow = \"body\"\nnearest = 4")).unwrap();
+    assert_eq!((scene.pins.len(), &scene.followed[..]), (4, &[0][..]));
+}

@@ -1,6 +1,7 @@
 //! Files: scenes and meshes read, frames, reports, traces and pictures written.
 
 mod bodies;
+mod caches;
 mod compare;
 mod files;
 mod fuzz;

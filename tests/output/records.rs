@@ -221,6 +221,7 @@ fn scene() -> Scene {
         fabric_of_triangle: vec![0, 0],
         pins: vec![Pin { vertex: 0, motion: None, start_s: 0.0, end_s: f64::INFINITY }],
         motions: Vec::new(),
+        followed: Vec::new(),
         cloths: Vec::new(),
         obstacles: Vec::new(),
         settings,

@@ -7,6 +7,7 @@ mod contact_energy;
 mod contact_friction;
 mod contact_scenes;
 mod creases;
+mod follow;
 mod limits;
 mod motion;
 mod overlaps;

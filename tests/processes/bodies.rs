@@ -88,6 +88,39 @@ fn frames_hold_the_body_as_it_was_in_the_order_of_its_file() {
 }
 
 #[test]
+fn cloth_that_follows_the_body_stays_on_it_with_the_same_bits_for_any_number_of_workers() {
+    let place = place();
+    // The half of the cloth over the arm is held; its vertices hang on triangles that stretch and turn.
+    let pin = "[[pin]]\nfollow = \"plate\"\nbox_m = [[0.2, 0, -1], [1, 1, 1]]\n";
+    place.write("pinned.toml", format!("{SCENE}{pin}"));
+    place.run("run pinned.toml --executor cpu --workers 1 --format obj --out one").expect(0);
+    for workers in [2, 5] {
+        place.run(&format!("run pinned.toml --executor cpu --workers {workers} --out w{workers}")).expect(0);
+        assert_eq!(place.hashes(&format!("w{workers}")), place.hashes("one"), "{workers} workers");
+    }
+    place.run("run pinned.toml --executor cpu --workers 3 --frames 2 --out part").expect(0);
+    place.run("run --resume --frames 6 --workers 2 --out part").expect(0);
+    assert_eq!(place.hashes("part"), place.hashes("one"));
+    let vertices = |frame: u32| -> Vec<[f64; 3]> {
+        let text = std::fs::read_to_string(place.path(&format!("one/frames/frame_{frame:06}.obj"))).unwrap();
+        let lines = text.lines().filter_map(|line| line.strip_prefix("v "));
+        lines.map(|line| std::array::from_fn(|i| line.split(' ').nth(i).unwrap().parse().unwrap())).collect()
+    };
+    // At 0.06 s the edge at x = 1 has turned by 0.16 rad, so the plate goes straight from (-1, 0) to (cos, sin).
+    let (sin, cos) = 0.16f64.sin_cos();
+    let length = (1.0 + cos).hypot(sin);
+    let (start, end) = (vertices(0), vertices(3));
+    let held: Vec<usize> = (0..start.len()).filter(|&v| start[v][0] >= 0.2).collect();
+    assert!(held.len() > 30);
+    for v in held {
+        let [x, y, z] = start[v];
+        let along = (1.0 + x) / 2.0;
+        let expected = [-1.0 + along * (1.0 + cos) - y * sin / length, along * sin + y * (1.0 + cos) / length, z];
+        assert!((0..3).all(|i| (end[v][i] - expected[i]).abs() < 1e-6), "vertex {v}: {:?}, not {expected:?}", end[v]);
+    }
+}
+
+#[test]
 fn a_file_that_cannot_be_read_ends_with_code_2_and_leaves_nothing() {
     let place = place();
     std::fs::write(place.path("plate bytes.bin"), [0; 251]).unwrap();

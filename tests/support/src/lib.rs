@@ -78,6 +78,7 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
         fabrics: vec![fabric],
         pins: pinned.iter().map(|&vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY }).collect(),
         motions: Vec::new(),
+        followed: Vec::new(),
         cloths: Vec::new(),
         obstacles: Vec::new(),
         settings: Settings {
