@@ -7,6 +7,8 @@ mod comparison;
 mod creases;
 mod elements;
 mod error;
+mod guidance;
+mod guide;
 mod inspect;
 mod let_go;
 mod let_go_pairs;
@@ -38,6 +40,8 @@ use crate::transport::{Transport, TransportError};
 use collisions::{Collisions, Limits, RankContacts, Resolved};
 use elements::Elements;
 pub use error::{Failure, Imposed, SetupError};
+use guidance::Guided;
+pub use guidance::{Guidance, Guide};
 use own_state::StateVectors;
 use span::Span;
 pub use stats::{LetGoCounts, QueryStats, StageSeconds, StepStats};
@@ -113,6 +117,8 @@ struct RankCloth {
     matrix: Box<dyn StepMatrix>,
     solver: LinearSolver,
     inertia: Inertia,
+    /// Present during a step that is drawn toward a guide.
+    guided: Option<Guided>,
     collisions: Option<Collisions>,
 }
 
@@ -215,6 +221,7 @@ impl RankCloth {
             matrix: Box::new(matrix),
             solver: LinearSolver::new(executor, &partition, plan, exchange.mode, &exchange.queue, schwarz),
             inertia: Inertia::new(executor),
+            guided: None,
             collisions,
             settings,
         };
@@ -277,6 +284,7 @@ impl RankCloth {
 
         // 1. Pins and obstacles at t1.
         let targets = self.move_pins(rank, span);
+        self.aim(rank, span);
         let prescribed = self.starts_prescribed(rank, &targets)?;
 
         // 2. Proximity: pairs closer than the thickness become contact elements; with them come halo rows.
@@ -396,11 +404,12 @@ impl RankCloth {
 
     fn fill_matrix(&mut self, rank: &mut RankContext<'_>, span: Span) {
         let params = FillParams {
-            gravity: self.settings.gravity_m_s2.to_array(),
+            gravity: (self.settings.gravity_m_s2 * self.gravity_share()).to_array(),
             step_s: span.length_s as f32,
             rows: self.rows.len() as u32,
         };
         self.matrix.fill(rank, &params, &self.elements, &mut self.system);
+        self.pull_along(rank);
     }
 
     /// Solves for dv. False: the solve broke off and `may_halve` is true, because shorter steps can mend that: mass

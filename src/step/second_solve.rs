@@ -56,7 +56,8 @@ impl RankCloth {
         rank.transport.alive()?;
 
         self.fill_matrix(rank, span);
-        self.inertia.apply(rank.executor, &self.system.masses, &self.solver.vectors.x, &mut self.system.rhs);
+        let masses = self.guided.as_ref().map_or(&self.system.masses, |guided| &guided.masses);
+        self.inertia.apply(rank.executor, masses, &self.solver.vectors.x, &mut self.system.rhs);
         clock.lap_kernels(rank.executor, &mut stats.seconds.value_fill);
         rank.transport.alive()?;
 

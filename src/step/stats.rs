@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use super::guidance::Guidance;
 use crate::gpu::Executor;
 use crate::impact_zone::ZoneCounts;
 
@@ -127,6 +128,10 @@ pub struct StepStats {
     pub step: u32,
     /// Sub-steps that the step was made in. Further halvings of them are counted in `zones`.
     pub substeps: u32,
+    /// Whether a motion that was given has led to its end; none in other steps.
+    pub arrived: Option<bool>,
+    /// How the step was drawn toward a guide; none in other steps.
+    pub guidance: Option<Guidance>,
     /// PCG iterations.
     pub iterations: u32,
     /// Relative residual reached; of two solves the product, which leaves linearization aside.

@@ -3,6 +3,7 @@
 mod contact_system;
 mod gpu_kernels;
 mod gpu_step;
+mod guide;
 mod matrix_free;
 mod same_bits;
 mod set_state;
