@@ -28,6 +28,8 @@ enum Command {
     Check(cli::check::CheckArgs),
     /// Solve a symmetric positive definite system on N workers
     Solve(cli::solve::SolveArgs),
+    /// Put the segments of a shot together that were made one by one (run --only-segment)
+    Join(cli::join::JoinArgs),
     /// Compare two runs of one mesh frame by frame
     Compare(cli::compare::CompareArgs),
     /// Write the frames of a run for other programs (USD, glTF, MDD, PC2, VTK, PLY)
@@ -57,6 +59,7 @@ fn main() -> ExitCode {
         Command::Topology(args) => cli::topology::run(args),
         Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
         Command::Solve(args) => cli::solve::run(args),
+        Command::Join(args) => cli::join::run(args),
         Command::Compare(args) => cli::compare::run(args),
         Command::Convert(args) => cli::convert::run(args),
         Command::Render(args) => cli::render::run(args),

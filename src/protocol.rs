@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::interconnect::RankLinks;
 use crate::linear_system::{RankSystem, SolveParams, SolveRecord, SolveStats};
 use crate::model::RankModel;
-use crate::step::{ExchangePlan, Failure, StepStats};
+use crate::step::{ExchangePlan, Failure, Guidance, StepStats};
 
 /// Executor that a worker uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
@@ -78,6 +78,11 @@ pub enum ToWorker {
     SetState { step: u32 },
     /// Advance to this step, which must be the one after that of the state.
     Step { step: u32, record: bool },
+    /// As `Step`, drawn toward a guide; arrays: positions of the own rows at the start and at the end of its motion.
+    GuidedStep { step: u32, record: bool, guidance: Guidance },
+    /// As `Step`, straight to this state of the own rows; arrays: [`crate::model::RankState::to_bytes`]. If the way is
+    /// not free the answer says so, and the state stays that of the step before.
+    Arrive { step: u32, record: bool },
     /// Send the state of the own rows.
     SendState,
     /// Leave.

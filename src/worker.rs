@@ -12,9 +12,10 @@ use inbox::Inbox;
 
 use crate::gpu::Executor;
 use crate::linear_system::{RankSystem, RankSystemArrays, SolveParams, solve_rank};
+use crate::math::DIM;
 use crate::model::{RankModel, RankState};
 use crate::protocol::{BindCores, ExecutorChoice, ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
-use crate::step::{ExchangePlan, Failure, Simulation};
+use crate::step::{ExchangePlan, Failure, Guide, Simulation};
 use crate::transport::{
     Connect, Connection, ControlWorker, IceoryxConnect, IceoryxWorker, RunName, SoloTransport, Transport,
     TransportError, decode, share_cores, worker_role,
@@ -76,6 +77,16 @@ struct Loaded {
     step: u32,
 }
 
+/// How a step gets to its end.
+enum Way {
+    /// As the forces have it.
+    Free,
+    /// Drawn toward a motion.
+    Guided(Guide),
+    /// Straight to a given state.
+    Straight(RankState),
+}
+
 impl Worker {
     /// Waits for a message and executes it; breaks when the run is over.
     fn obey(&mut self) -> Result<ControlFlow<()>, WorkerError> {
@@ -95,7 +106,22 @@ impl Worker {
                 self.solve(&setup, &exchange, &params, &system)
             }
             ToWorker::SetState { step } => self.set_state(step, &arrays),
-            ToWorker::Step { step, record } => self.step(step, record),
+            ToWorker::Step { step, record } => self.step(step, record, Way::Free),
+            ToWorker::GuidedStep { step, record, guidance } => {
+                let values = self.loaded("GuidedStep")?.simulation.rows().len() * DIM;
+                let [start, end] = arrays[..] else {
+                    return Err(self.other("a guide of two arrays is missing".into()));
+                };
+                let [start, end] = [start, end].map(|bytes| bytemuck::pod_collect_to_vec::<u8, f32>(bytes));
+                if (start.len(), end.len()) != (values, values) {
+                    return Err(self.other(format!("a guide of {} and {} values", start.len(), end.len())));
+                }
+                self.step(step, record, Way::Guided(Guide { start, end, guidance }))
+            }
+            ToWorker::Arrive { step, record } => {
+                let target = self.state(&arrays)?;
+                self.step(step, record, Way::Straight(target))
+            }
             ToWorker::SendState => {
                 let state = self.loaded("SendState")?.simulation.state();
                 self.inbox.send(&ToCoordinator::State, &state.to_bytes())?;
@@ -132,16 +158,21 @@ impl Worker {
     }
 
     fn set_state(&mut self, step: u32, arrays: &[&[u8]]) -> Result<ControlFlow<()>, WorkerError> {
-        let simulation = &self.loaded("SetState")?.simulation;
-        let (rows, creases) = (simulation.rows().len(), simulation.creases());
-        let state = RankState::from_bytes(arrays, rows, creases).map_err(|error| self.other(error.to_string()))?;
+        let state = self.state(arrays)?;
         let loaded = self.loaded("SetState")?;
         loaded.simulation.set_state(state);
         loaded.step = step;
         Ok(ControlFlow::Continue(()))
     }
 
-    fn step(&mut self, step: u32, record: bool) -> Result<ControlFlow<()>, WorkerError> {
+    /// A state of the own rows from the arrays of a message.
+    fn state(&mut self, arrays: &[&[u8]]) -> Result<RankState, WorkerError> {
+        let simulation = &self.loaded("a state")?.simulation;
+        let (rows, creases) = (simulation.rows().len(), simulation.creases());
+        RankState::from_bytes(arrays, rows, creases).map_err(|error| self.other(error.to_string()))
+    }
+
+    fn step(&mut self, step: u32, record: bool, way: Way) -> Result<ControlFlow<()>, WorkerError> {
         let before = self.loaded("Step")?.step;
         if step != before + 1 {
             return Err(self.other(format!("step {step} was asked of the state of step {before}")));
@@ -150,9 +181,15 @@ impl Worker {
         let (Some(Loaded { simulation, step: at }), Some(ports)) = (&mut self.loaded, &mut self.ports) else {
             return Err(self.other("a step without connections to other ranks".into()));
         };
-        match simulation.step(ports.transport.as_mut(), step, record) {
+        let transport = ports.transport.as_mut();
+        let done = match way {
+            Way::Free => simulation.step(transport, step, record),
+            Way::Guided(guide) => simulation.guided_step(transport, step, record, guide),
+            Way::Straight(target) => simulation.arrive(transport, step, record, target),
+        };
+        match done {
             Ok(stats) => {
-                *at = step;
+                *at = if stats.arrived == Some(false) { before } else { step };
                 let events = simulation.recorder.take();
                 self.inbox.send(&ToCoordinator::StepDone(Box::new(stats)), &[bytemuck::cast_slice(&events)])?;
                 Ok(ControlFlow::Continue(()))

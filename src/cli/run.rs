@@ -3,22 +3,19 @@
 use std::path::PathBuf;
 
 use super::CliError;
-use super::far::far_line;
-use super::start_state::{Places, untangled_line};
-use crate::coordinator::{GivenOptions, Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan};
-use crate::model::stiffness_ratio;
+use super::run_lines::{conclude, introduce};
+use super::start_state::Places;
+use crate::coordinator::{GivenOptions, Launch, PlanError, RunOptions, RunPlaces, RunPlan, Scope};
 use crate::os::console::note;
 use crate::os::signals;
-use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest};
-use crate::scene::Substeps;
-use crate::step::parts_of_step;
+use crate::output::{Existing, RunDirectory, RunManifest};
 use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RunArgs {
     /// Scene file (.toml, or ARCSim's .json); with --resume it may be left out
-    #[arg(required_unless_present = "resume")]
+    #[arg(required_unless_present_any = ["resume", "only_segment"])]
     pub scene: Option<PathBuf>,
     /// Run directory [default: out/<scene>]
     #[arg(long, value_name = "DIR")]
@@ -29,6 +26,13 @@ pub struct RunArgs {
     /// Replace a run that is in the run directory
     #[arg(long)]
     pub overwrite: bool,
+    /// With --segments: make the coarse run and the cuts, and stop there
+    #[arg(long, conflicts_with = "only_segment")]
+    pub coarse_only: bool,
+    /// Make segment J (from 0) of the shot in --out, whose coarse run is there, on this machine or another one, then
+    /// `loomtree join`
+    #[arg(long, value_name = "J", conflicts_with_all = ["resume", "overwrite"])]
+    pub only_segment: Option<usize>,
     /// Everything that run.toml keeps.
     #[command(flatten)]
     pub options: GivenOptions,
@@ -41,7 +45,20 @@ pub struct RunArgs {
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     let Resolved { places, options, recorded_scene } = resolve(&args)?;
     // Checked before the plan is made, which can take a while. Too many workers are refused there.
-    launch.machine().prepare(options.workers.min(RANKS_MAX))?;
+    let sessions = if options.time.segments > 1 { options.time.sessions.unwrap_or(1) } else { 1 };
+    launch.machine().prepare((sessions * options.workers).min(RANKS_MAX))?;
+    let scope = match (args.coarse_only, args.only_segment) {
+        (true, _) => Scope::Coarse,
+        (false, Some(segment)) => Scope::Segment(segment),
+        (false, None) => Scope::All,
+    };
+    if options.time.segments > 1 {
+        return super::run_split::run(recorded_scene.as_deref(), &options, &places, scope, &launch);
+    }
+    if scope != Scope::All {
+        let what = "--coarse-only and --only-segment need a shot that is split in time (--segments)";
+        return Err(CliError::bad_input(what));
+    }
     let plan = match &recorded_scene {
         Some(text) => RunPlan::of_text(text, &places.scene, &options),
         None => RunPlan::new(&places.scene, &options),
@@ -50,63 +67,10 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
         PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
         other => CliError::bad_input(other),
     })?;
-    if let Some(done) = &plan.untangled {
-        note(untangled_line(done));
-    }
-    if let Some(line) = far_line(&plan.scene) {
-        note(format_args!("far: {line}"));
-    }
-    for line in &plan.scene.warnings {
-        note(format_args!("warning: {line}"));
-    }
-    let (ratio, parts) = (stiffness_ratio(&plan.scene), parts_of_step(stiffness_ratio(&plan.scene)));
-    if parts > 1 && plan.scene.settings.substeps == Substeps::Auto {
-        note(format_args!(
-            "every step is made in {parts} parts: the cloth is too stiff or its cells are too small for single \
-             precision (k dt^2 / (rho h^2) = {ratio:.1e})"
-        ));
-    }
-    for line in &plan.scene.left_out {
-        note(format_args!("left out: {line}"));
-    }
-    if !plan.scene.parts.is_empty() && options.formats.0 == [FrameFormat::Ply] {
-        note("PLY frames do not hold the objects and groups of the meshes; `--format obj` keeps them");
-    }
-    let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
-    note(format_args!(
-        "{}: {triangles} triangles, {vertices} vertices, {} workers, schedule {}",
-        plan.scene.name,
-        options.workers,
-        plan.transfers.kind.name()
-    ));
+    introduce(&plan, &options);
     // Until here a signal ends the process in the default way.
     signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
-    let summary = crate::coordinator::run(plan, &options, &places, &launch).map_err(|error| match error {
-        RunError::BadInput(text) => CliError::bad_input(text),
-        RunError::Failed(text) => CliError::failed(text),
-        RunError::Stopped(text) => {
-            note(text);
-            stopped()
-        }
-    })?;
-    if summary.substeps > u64::from(summary.steps) {
-        note(format_args!("{} steps were made in {} sub-steps (simulation.substeps)", summary.steps, summary.substeps));
-    }
-    let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
-    note(format_args!(
-        "{how}: {} steps, {:.2} ms/step, frames 0..={} in {}",
-        summary.steps,
-        summary.seconds_per_step * 1e3,
-        summary.frames - 1,
-        places.out.join("frames").display()
-    ));
-    if summary.stopped { Err(stopped()) } else { Ok(()) }
-}
-
-/// The result of a run that a signal has stopped. Its message is empty, because it has already been printed.
-fn stopped() -> CliError {
-    let exit_code = signals::stop_requested().map_or(1, |signal| signal.exit_code());
-    CliError { exit_code, message: String::new() }
+    conclude(crate::coordinator::run(plan, &options, &places, &launch), &places)
 }
 
 /// Resolved arguments of the command.
@@ -120,12 +84,13 @@ struct Resolved {
 /// Resolves the scene, run directory and options. A resumed run takes missing options from `run.toml` and uses the
 /// recorded scene, because the original file can have moved, changed or disappeared.
 fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
-    let existing = match (args.resume, args.overwrite) {
+    let resume = args.resume || args.only_segment.is_some();
+    let existing = match (resume, args.overwrite) {
         (true, _) => Existing::Resume,
         (_, true) => Existing::Overwrite,
         _ => Existing::Refuse,
     };
-    if !args.resume {
+    if !resume {
         let scene =
             args.scene.clone().ok_or_else(|| CliError::bad_input("a scene file is needed: loomtree run SCENE"))?;
         let stem = scene.file_stem().unwrap_or_default();

@@ -15,9 +15,19 @@ pub mod options;
 pub mod plan;
 mod progress;
 mod recorder;
+mod seams;
 pub mod session;
 pub mod shot;
 pub mod solve;
+mod time_job;
+mod time_options;
+pub mod time_plan;
+mod time_report;
+mod time_schedule;
+mod time_split;
+mod watch;
+
+use std::sync::Arc;
 
 use thiserror::Error;
 
@@ -29,6 +39,10 @@ use recorder::Recorder;
 pub use recorder::{RecordError, RunPlaces};
 pub use session::{Session, SessionError, SessionPlace};
 use shot::{Ended, News, Segment, ShotError, Told};
+pub use time_job::Scope;
+pub use time_options::{PartitionRule, Recovery, SeamRule, TimeOptions};
+pub use time_plan::{TimeError, TimePlan};
+pub use time_split::run_split;
 
 use crate::model::State;
 use crate::os::console::note;
@@ -111,7 +125,9 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
         step.is_multiple_of(settings.steps_per_frame) || keep
     };
     let trace_steps = options.trace_steps;
-    let segment = Segment { level: &plan, start, first_step, last_step, trace_steps, wants_state: &wants_state };
+    let start = start.cloned().map(Arc::new);
+    let wants_state = Arc::new(wants_state);
+    let segment = Segment { start, first_step, trace_steps, wants_state, ..Segment::plain(&plan, last_step) };
     let mut listener = Listener {
         plan: &plan,
         options,
@@ -195,6 +211,7 @@ impl Listener<'_> {
                 self.substeps += u64::from(self.done.substeps);
                 self.recorder.step(self.plan, told.session, &done)?;
             }
+            News::Ended => {}
             News::State { step, state } => {
                 let hash = self.recorder.state(self.plan, step, state)?;
                 let (frame, every) = (step / settings.steps_per_frame, self.options.checkpoint_every);

@@ -10,6 +10,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, Command, FromArgMatches, Id};
 use serde::{Deserialize, Serialize};
 
+use super::time_options::TimeOptions;
 use crate::interconnect::ScheduleKind;
 use crate::output::FormatList;
 use crate::protocol::{BindCores, ExecutorChoice};
@@ -95,6 +96,10 @@ pub struct RunOptions {
     /// Steps whose events are kept in trace.json, from the first one of this start
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub trace_steps: u32,
+    /// A shot that is split in time.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub time: TimeOptions,
 }
 
 impl Default for RunOptions {
@@ -167,6 +172,11 @@ pub struct GivenOptions {
 }
 
 impl GivenOptions {
+    /// Those of a command line without options.
+    pub fn none() -> GivenOptions {
+        GivenOptions { options: RunOptions::default(), given: Vec::new() }
+    }
+
     /// `base` with the options that the command line gave.
     ///
     /// # Errors

@@ -121,6 +121,16 @@ impl Recorder {
         Ok((recorder, resumed))
     }
 
+    /// Whether the run does not go on from a checkpoint.
+    pub(super) fn is_new(&self) -> bool {
+        self.first.is_none()
+    }
+
+    /// For a segment of a shot: frames up to the one at or before `step`, where it starts, are made by others.
+    pub(super) fn start_at(&mut self, step: u32, steps_per_frame: u32) {
+        self.next_frame = self.next_frame.max(step / steps_per_frame + 1);
+    }
+
     /// Call it when the workers of a session are set up. The first call starts recipe, report, trace and frames; no
     /// file is written before it.
     pub(super) fn begin(&mut self, plan: &RunPlan, session: usize, ready: &[WorkerReady]) -> Result<(), RecordError> {
@@ -132,26 +142,7 @@ impl Recorder {
             manifest.save(&self.directory).map_err(write_error)?;
         }
         let scene = &plan.scene;
-        let devices: Vec<String> = ready.iter().map(|worker| worker.device.clone()).collect();
-        let mut header = ReportHeader {
-            scene: scene.name.clone(),
-            workers: ready.len(),
-            executor: ready.first().map_or_else(String::new, |worker| worker.executor.clone()),
-            devices,
-            exchange: format!("{:?}", self.options.exchange).to_lowercase(),
-            schedule: plan.transfers.kind.name().to_string(),
-            preconditioner: ready.first().map_or_else(String::new, |worker| worker.preconditioner.name().into()),
-            topology: plan.topology.clone(),
-            triangles: scene.mesh.triangles.len(),
-            vertices: scene.mesh.positions.len(),
-            step_s: scene.settings.step_s,
-            steps_per_frame: scene.settings.steps_per_frame,
-            frames_wanted: scene.settings.frames,
-            local_origin_m: scene.origin_m.to_array(),
-            untangled: plan.untangled,
-            ..ReportHeader::now()
-        };
-        header.set_gravity(scene.settings.gravity_m_s2.to_array().map(f64::from));
+        let header = report_header(plan, &self.options, ready);
         let path = self.directory.report();
         let report = match &self.first {
             Some(from) => ReportWriter::resume(&path, header, from.step, from.frame),
@@ -213,6 +204,8 @@ impl Recorder {
             frame: first.step.div_ceil(settings.steps_per_frame),
             time_s: first.step as f64 * settings.step_s,
             substeps: first.substeps,
+            guidance: first.guidance,
+            arrived: first.arrived,
             iterations: first.iterations,
             residual: first.residual,
             converged: first.converged,
@@ -321,6 +314,31 @@ impl Recorder {
             None => Ok(()),
         }
     }
+}
+
+/// The header of the report of a run whose workers are `ready`.
+pub(super) fn report_header(plan: &RunPlan, options: &RunOptions, ready: &[WorkerReady]) -> ReportHeader {
+    let scene = &plan.scene;
+    let mut header = ReportHeader {
+        scene: scene.name.clone(),
+        workers: plan.partition.ranks(),
+        executor: ready.first().map_or_else(String::new, |worker| worker.executor.clone()),
+        devices: ready.iter().map(|worker| worker.device.clone()).collect(),
+        exchange: format!("{:?}", options.exchange).to_lowercase(),
+        schedule: plan.transfers.kind.name().to_string(),
+        preconditioner: ready.first().map_or_else(String::new, |worker| worker.preconditioner.name().into()),
+        topology: plan.topology.clone(),
+        triangles: scene.mesh.triangles.len(),
+        vertices: scene.mesh.positions.len(),
+        step_s: scene.settings.step_s,
+        steps_per_frame: scene.settings.steps_per_frame,
+        frames_wanted: scene.settings.frames,
+        local_origin_m: scene.origin_m.to_array(),
+        untangled: plan.untangled,
+        ..ReportHeader::now()
+    };
+    header.set_gravity(scene.settings.gravity_m_s2.to_array().map(f64::from));
+    header
 }
 
 /// Folders that this start creates, the innermost first. Those that stay empty are removed again.

@@ -4,7 +4,6 @@
 //!
 //! Several sessions may run side by side in one program, each on its own thread and with its own run name.
 
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 use thiserror::Error;
@@ -12,8 +11,9 @@ use thiserror::Error;
 use super::crew::{Crew, CrewError, Launch};
 use super::options::SessionOptions;
 use super::plan::RunPlan;
+pub use super::watch::{Next, StepDone, Watch, Way};
 use crate::linear_system::{BlockSystem, SolveParams, SolveResult};
-use crate::math::DIM;
+use crate::math::{DIM, Vec3};
 use crate::model::{NotFinite, RankModel, RankState, State};
 use crate::os::signals;
 use crate::partition::RowPartition;
@@ -61,58 +61,12 @@ pub enum SessionError {
     /// A state that has let go of an obstacle that is not there.
     #[error("a state that has let go of obstacle {obstacle} does not fit the loaded level, which has {obstacles}")]
     NoObstacle { obstacle: u32, obstacles: usize },
+    /// The motion that a step is to follow.
+    #[error("{0}")]
+    Way(String),
     /// A request to a session without a level.
     #[error("no level is loaded")]
     NotLoaded,
-}
-
-/// A step that all ranks have done.
-#[derive(Clone, Debug)]
-pub struct StepDone {
-    /// Number of the step, from 1.
-    pub step: u32,
-    /// By rank.
-    pub ranks: Vec<StepStats>,
-    /// Events by rank; empty if they were not requested.
-    pub events: Vec<Vec<Event>>,
-    /// Wall time measured by the coordinator, seconds.
-    pub wall_s: f64,
-}
-
-/// Action after a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Next {
-    /// Do the next step.
-    Step,
-    /// Send the state first.
-    State,
-    /// Stop and leave the workers in this state.
-    Leave,
-}
-
-/// Observer of a session that advances.
-pub trait Watch {
-    /// Whether the events of a step are requested.
-    fn wants_events(&self, step: u32) -> bool;
-    /// Called when a step is done.
-    fn step(&mut self, done: StepDone) -> Next;
-    /// Receives the state that [`Next::State`] requested; all its values are finite.
-    fn state(&mut self, step: u32, state: State) -> ControlFlow<()>;
-}
-
-/// Observer that requests nothing and lets every step follow the last one.
-impl Watch for () {
-    fn wants_events(&self, _step: u32) -> bool {
-        false
-    }
-
-    fn step(&mut self, _done: StepDone) -> Next {
-        Next::Step
-    }
-
-    fn state(&mut self, _step: u32, _state: State) -> ControlFlow<()> {
-        ControlFlow::Continue(())
-    }
 }
 
 /// The level and state that the workers hold.
@@ -239,7 +193,16 @@ impl Session {
     pub fn advance(&mut self, to: u32, watch: &mut dyn Watch) -> Result<(), SessionError> {
         let from = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?.step;
         for step in from + 1..=to {
-            let done = self.step(step, watch.wants_events(step))?;
+            let record = watch.wants_events(step);
+            let mut done = self.step(step, record, &watch.way(step, false).map_err(SessionError::Way)?)?;
+            if done.ranks[0].arrived == Some(false) {
+                let other = match watch.way(step, true).map_err(SessionError::Way)? {
+                    Way::Straight(_) => Way::Free,
+                    other => other,
+                };
+                done = self.step(step, record, &other)?;
+            }
+            let arrived = done.ranks[0].arrived == Some(true);
             match watch.step(done) {
                 Next::Step => {}
                 Next::Leave => break,
@@ -253,13 +216,16 @@ impl Session {
                     }
                 }
             }
+            if arrived {
+                break;
+            }
         }
         Ok(())
     }
 
-    fn step(&mut self, step: u32, record: bool) -> Result<StepDone, SessionError> {
+    fn step(&mut self, step: u32, record: bool, way: &Way) -> Result<StepDone, SessionError> {
         let start = Instant::now();
-        self.crew.broadcast(&ToWorker::Step { step, record })?;
+        self.order_step(step, record, way)?;
         let ranks = self.crew.ranks();
         let mut stats = vec![StepStats::default(); ranks];
         let mut events = vec![Vec::new(); ranks];
@@ -273,8 +239,44 @@ impl Session {
         });
         let loaded = self.loaded.as_mut().ok_or(SessionError::NotLoaded)?;
         collected.map_err(|error| in_mesh_order(error, &loaded.order))?;
-        loaded.step = step;
+        if stats[0].arrived != Some(false) {
+            loaded.step = step;
+        }
         Ok(StepDone { step, ranks: stats, events, wall_s: start.elapsed().as_secs_f64() })
+    }
+
+    fn order_step(&mut self, step: u32, record: bool, way: &Way) -> Result<(), SessionError> {
+        let loaded = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?;
+        let vertices = loaded.order.len();
+        let unfit = |positions: usize| SessionError::Unfit { positions, vertices };
+        let setup_limit = self.crew.setup_limit();
+        match way {
+            Way::Free => self.crew.broadcast(&ToWorker::Step { step, record })?,
+            Way::Guided { start, end, guidance } => {
+                if let Some(wrong) = [start, end].into_iter().find(|positions| positions.len() != vertices) {
+                    return Err(unfit(wrong.len()));
+                }
+                for rank in 0..loaded.partition.ranks() {
+                    let rows = &loaded.order[loaded.partition.rows_of(rank)];
+                    let own = |all: &[Vec3]| rows.iter().map(|&v| all[v as usize]).collect::<Vec<_>>();
+                    let (start, end) = (own(start), own(end));
+                    let arrays = [bytemuck::cast_slice(&start), bytemuck::cast_slice(&end)];
+                    self.crew.send(rank, &ToWorker::GuidedStep { step, record, guidance: *guidance }, &arrays)?;
+                    self.crew.flush(rank, setup_limit)?;
+                }
+            }
+            Way::Straight(state) => {
+                if state.vertices() != Some(vertices) {
+                    return Err(unfit(state.positions.len()));
+                }
+                for rank in 0..loaded.partition.ranks() {
+                    let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)], &loaded.hinges[rank]);
+                    self.crew.send(rank, &ToWorker::Arrive { step, record }, &part.to_bytes())?;
+                    self.crew.flush(rank, setup_limit)?;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// The state of the whole cloth.

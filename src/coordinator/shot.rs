@@ -5,14 +5,14 @@
 //! between segments is not defined.
 
 use std::ops::ControlFlow;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
 
 use super::crew::Launch;
 use super::options::SessionOptions;
 use super::plan::RunPlan;
-use super::session::{Next, Session, SessionError, SessionPlace, StepDone, Watch};
+use super::session::{Next, Session, SessionError, SessionPlace, StepDone, Watch, Way};
 use crate::model::State;
 use crate::os::signals;
 use crate::protocol::WorkerReady;
@@ -21,31 +21,79 @@ use crate::protocol::WorkerReady;
 const AHEAD: usize = 1;
 
 /// Consecutive steps on one session.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct Segment<'a> {
     /// The level to simulate.
     pub level: &'a RunPlan,
     /// Start state; none: the start state of the scene, which is that of step 0.
-    pub start: Option<&'a State>,
+    pub start: Option<Arc<State>>,
     /// Step of the start state.
     pub first_step: u32,
     /// Last step.
     pub last_step: u32,
     /// Number of steps, from the first one, whose events are requested.
     pub trace_steps: u32,
+    /// Whether the start state is told, too, if `wants_state` asks for its step.
+    pub tells_start: bool,
     /// Whether the state after a step is requested.
-    pub wants_state: &'a (dyn Fn(u32) -> bool + Sync),
+    pub wants_state: Arc<dyn Fn(u32) -> bool + Send + Sync + 'a>,
+    /// How the steps get to their ends; none: as the forces have it.
+    pub way: Option<Arc<dyn FindWay + 'a>>,
+}
+
+/// Leads the steps of a segment, as [`Watch::way`].
+pub trait FindWay: Send + Sync {
+    /// The way of `step`. `before`: the last state that was requested of this segment, or its start state.
+    ///
+    /// # Errors
+    /// Why there is none.
+    fn way(&self, step: u32, blocked: bool, before: Option<&State>) -> Result<Way, String>;
+}
+
+impl<'a> Segment<'a> {
+    /// All steps of `level` to `last_step` as the forces have them, without states or events.
+    pub fn plain(level: &'a RunPlan, last_step: u32) -> Segment<'a> {
+        Segment {
+            level,
+            start: None,
+            first_step: 0,
+            last_step,
+            trace_steps: 0,
+            tells_start: false,
+            wants_state: Arc::new(|_| false),
+            way: None,
+        }
+    }
+}
+
+/// Where sessions get their segments from.
+pub trait Source<'a>: Sync {
+    /// The next segment for a session that is free, with its number; none if there will be no more. It may wait for
+    /// segments that others have under way, but returns soon once `halt` is set.
+    fn next(&self, session: usize, halt: &AtomicBool) -> Option<(usize, Segment<'a>)>;
+}
+
+/// Segments that are all known before.
+struct List<'s, 'a>(Mutex<std::iter::Enumerate<std::slice::Iter<'s, Segment<'a>>>>);
+
+impl<'a> Source<'a> for List<'_, 'a> {
+    fn next(&self, _session: usize, _halt: &AtomicBool) -> Option<(usize, Segment<'a>)> {
+        let (number, segment) = self.0.lock().ok()?.next()?;
+        Some((number, segment.clone()))
+    }
 }
 
 /// Event of a segment.
 #[allow(missing_docs, reason = "the line of a variant says what it carries")]
 pub enum News {
-    /// The level of the segment has been loaded.
+    /// The session has loaded the level of the segment, now or for an earlier one.
     Ready(Vec<WorkerReady>),
     /// A step is done.
     Step(StepDone),
     /// The state after a step: a requested one, or the last one before a stop.
     State { step: u32, state: State },
+    /// The segment has come to its last step.
+    Ended,
 }
 
 /// An event with its session and segment.
@@ -90,18 +138,31 @@ pub fn play<E>(
     tell: &mut dyn FnMut(Told) -> Result<(), E>,
 ) -> Result<Ended, ShotError<E>> {
     let sessions = sessions.clamp(1, segments.len().max(1));
+    play_from(&List(Mutex::new(segments.iter().enumerate())), sessions, options, launch, tell)
+}
+
+/// As [`play`], with the segments of `source`, which may depend on the news of others.
+///
+/// # Errors
+/// The first error. The other sessions leave after their current step.
+pub fn play_from<'a, E>(
+    source: &dyn Source<'a>,
+    sessions: usize,
+    options: &SessionOptions,
+    launch: &Launch,
+    tell: &mut dyn FnMut(Told) -> Result<(), E>,
+) -> Result<Ended, ShotError<E>> {
     let halt = AtomicBool::new(false);
-    let waiting = Mutex::new(segments.iter().enumerate());
-    let next = || waiting.lock().ok()?.next();
     let (sender, receiver) = sync_channel(AHEAD);
     std::thread::scope(|scope| {
         let threads: Vec<_> = (0..sessions)
             .map(|session| {
                 let (place, sender) = (SessionPlace { session, sessions }, sender.clone());
-                let (next, halt) = (&next, &halt);
+                let halt = &halt;
                 scope.spawn(move || {
                     let mut player = Player { place, session: None, level: None, halt, sender };
-                    let played = player.play(next, options, launch);
+                    let played = player.play(source, options, launch);
+                    // A stop is noticed by every session itself, which then sends its last state.
                     halt.fetch_or(played.is_err(), Ordering::Relaxed);
                     player.end();
                     played
@@ -109,8 +170,7 @@ pub fn play<E>(
             })
             .collect();
         drop(sender);
-        let told = listen(receiver, tell);
-        halt.fetch_or(told.is_err(), Ordering::Relaxed);
+        let told = listen(receiver, tell, &halt);
         let mut ended = Ended::Done;
         let mut failed = told.err().map(ShotError::Listener);
         for thread in threads {
@@ -127,28 +187,34 @@ pub fn play<E>(
 
 /// Runs until all sessions have ended or `tell` returns an error. After an error the sessions cannot send any more and
 /// leave.
-fn listen<E>(receiver: Receiver<Told>, tell: &mut dyn FnMut(Told) -> Result<(), E>) -> Result<(), E> {
-    receiver.into_iter().try_for_each(tell)
+fn listen<E>(
+    receiver: Receiver<Told>,
+    tell: &mut dyn FnMut(Told) -> Result<(), E>,
+    halt: &AtomicBool,
+) -> Result<(), E> {
+    let told = receiver.into_iter().try_for_each(tell);
+    halt.fetch_or(told.is_err(), Ordering::Relaxed);
+    told
 }
 
 /// One session, which takes one segment after another.
-struct Player<'a> {
+struct Player<'h, 'a> {
     place: SessionPlace,
     session: Option<Session>,
-    level: Option<&'a RunPlan>,
-    halt: &'a AtomicBool,
+    level: Option<(&'a RunPlan, Vec<WorkerReady>)>,
+    halt: &'h AtomicBool,
     sender: SyncSender<Told>,
 }
 
-impl<'a> Player<'a> {
+impl<'a> Player<'_, 'a> {
     fn play(
         &mut self,
-        next: &dyn Fn() -> Option<(usize, &'a Segment<'a>)>,
+        source: &dyn Source<'a>,
         options: &SessionOptions,
         launch: &Launch,
     ) -> Result<Ended, (usize, SessionError)> {
-        while let Some((number, segment)) = next() {
-            let ended = self.segment(number, segment, options, launch).map_err(|error| (number, error))?;
+        while let Some((number, segment)) = source.next(self.place.session, self.halt) {
+            let ended = self.segment(number, &segment, options, launch).map_err(|error| (number, error))?;
             if ended == Ended::Stopped || self.halt.load(Ordering::Relaxed) {
                 return Ok(ended);
             }
@@ -159,7 +225,7 @@ impl<'a> Player<'a> {
     fn segment(
         &mut self,
         number: usize,
-        segment: &'a Segment<'a>,
+        segment: &Segment<'a>,
         options: &SessionOptions,
         launch: &Launch,
     ) -> Result<Ended, SessionError> {
@@ -168,22 +234,39 @@ impl<'a> Player<'a> {
             none => none.insert(Session::assemble(self.place, options, launch)?),
         };
         let whose = |news| Told { session: self.place.session, segment: number, news };
-        let is_loaded = self.level.is_some_and(|level| std::ptr::eq(level, segment.level));
-        if !is_loaded {
-            let ready = session.load(segment.level)?;
-            self.level = Some(segment.level);
-            if self.sender.send(whose(News::Ready(ready))).is_err() {
-                return Ok(Ended::Done);
-            }
+        let there = self.level.take().filter(|(level, _)| std::ptr::eq(*level, segment.level));
+        let is_loaded = there.is_some();
+        let (level, ready) = match there {
+            Some(there) => there,
+            None => (segment.level, session.load(segment.level)?),
+        };
+        self.level = Some((level, ready.clone()));
+        if self.sender.send(whose(News::Ready(ready))).is_err() {
+            return Ok(Ended::Done);
         }
-        match segment.start {
+        match &segment.start {
             Some(state) => session.set_state(state, segment.first_step)?,
             None if is_loaded => session.set_state(&State::start_of(&segment.level.scene), 0)?,
             None => {}
         }
-        let mut watcher = Watcher { segment, halt: self.halt, sender: &self.sender, whose: &whose, stopped: false };
+        if let Some(state) = segment.start.as_deref().filter(|_| segment.tells_start)
+            && (segment.wants_state)(segment.first_step)
+        {
+            let news = News::State { step: segment.first_step, state: state.clone() };
+            if self.sender.send(whose(news)).is_err() {
+                return Ok(Ended::Done);
+            }
+        }
+        let last = segment.start.clone();
+        let mut watcher =
+            Watcher { segment, halt: self.halt, sender: &self.sender, whose: &whose, last, stopped: false };
         session.advance(segment.last_step, &mut watcher)?;
-        Ok(if watcher.stopped { Ended::Stopped } else { Ended::Done })
+        if watcher.stopped || self.halt.load(Ordering::Relaxed) {
+            return Ok(if watcher.stopped { Ended::Stopped } else { Ended::Done });
+        }
+        // A receiver that has gone has set `halt`.
+        let _ = self.sender.send(whose(News::Ended));
+        Ok(Ended::Done)
     }
 
     /// Orders the workers to leave. After a failure hung workers are killed.
@@ -200,6 +283,8 @@ struct Watcher<'a> {
     halt: &'a AtomicBool,
     sender: &'a SyncSender<Told>,
     whose: &'a dyn Fn(News) -> Told,
+    /// Of a segment whose steps are led.
+    last: Option<Arc<State>>,
     stopped: bool,
 }
 
@@ -213,6 +298,11 @@ impl Watcher<'_> {
 }
 
 impl Watch for Watcher<'_> {
+    fn way(&mut self, step: u32, blocked: bool) -> Result<Way, String> {
+        let Some(find) = &self.segment.way else { return Ok(Way::Free) };
+        find.way(step, blocked, self.last.as_deref())
+    }
+
     fn wants_events(&self, step: u32) -> bool {
         step <= self.segment.first_step.saturating_add(self.segment.trace_steps)
     }
@@ -227,6 +317,9 @@ impl Watch for Watcher<'_> {
     }
 
     fn state(&mut self, step: u32, state: State) -> ControlFlow<()> {
+        if self.segment.way.is_some() {
+            self.last = Some(Arc::new(state.clone()));
+        }
         self.tell(News::State { step, state })?;
         if self.stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }

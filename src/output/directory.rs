@@ -4,7 +4,11 @@
 //! RUN_DIR/report.json  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
 //!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc
 //!         states/step_%08d.ltc  pictures/*.png
+//!         preview/  segments/%03d/  segments/%03d/seam/
 //! ```
+//! The last line is that of a shot split in time: the coarse run, and until the shot is done the segments and the
+//! hand-overs between them, each a run directory.
+//!
 //! On a network file system without locks, two machines can still write to the same directory.
 
 use std::fs::{self, File, TryLockError};
@@ -180,5 +184,17 @@ fn holds_run(path: &Path) -> bool {
 
 fn remove_run(path: &Path) -> io::Result<()> {
     let own = FILES.iter().map(|name| path.join(name)).filter(|file| file.is_file());
-    own.chain(numbered_files(path)).try_for_each(fs::remove_file)
+    own.chain(numbered_files(path)).try_for_each(fs::remove_file)?;
+    let segments: Vec<PathBuf> =
+        fs::read_dir(path.join("segments")).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    let inner = segments.iter().map(|segment| segment.join("seam")).chain(segments.iter().cloned());
+    for part in inner.chain([path.join("preview")]).filter(|part| part.is_dir()) {
+        remove_run(&part)?;
+        // Folders that hold something else stay.
+        for folder in FOLDERS.iter().map(|(name, _)| part.join(name)).chain([part.clone()]) {
+            let _ = fs::remove_dir(folder);
+        }
+    }
+    let _ = fs::remove_dir(path.join("segments"));
+    Ok(())
 }

@@ -17,7 +17,7 @@ use super::machine::Machine;
 use crate::impact_zone::ZoneCounts;
 use crate::model::LetGo;
 use crate::scene::Untangling;
-use crate::step::{LetGoCounts, QueryStats, StageSeconds};
+use crate::step::{Guidance, LetGoCounts, QueryStats, StageSeconds};
 
 /// State of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -127,6 +127,11 @@ impl ReportHeader {
         }
     }
 
+    /// Sets the time of the end to now.
+    pub fn ended(&mut self) {
+        self.ended_unix_s = Some(unix_s());
+    }
+
     /// Sets gravity and derives the up axis of pictures from it.
     pub fn set_gravity(&mut self, gravity_m_s2: [f64; 3]) {
         self.gravity_m_s2 = gravity_m_s2;
@@ -227,6 +232,12 @@ pub struct StepRecord {
     pub time_s: f64,
     /// Sub-steps that the step was made in.
     pub substeps: u32,
+    /// How the step was drawn toward a guide, at a seam of a shot that is split in time; omitted in other steps.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub guidance: Option<Guidance>,
+    /// Whether a seam was closed by this step, which leads straight to a state of the later segment; omitted in others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arrived: Option<bool>,
     /// Iterations of the solver.
     pub iterations: u32,
     /// Relative residual reached (`null` in the file if it is no number).
@@ -287,6 +298,53 @@ fn number_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::
     Ok(Option::<f64>::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
+/// A segment of a shot that is split in time.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SegmentRecord {
+    /// Number of the segment, from 0.
+    pub segment: usize,
+    /// Step of its start state.
+    pub first_step: u32,
+    /// Its last step.
+    pub last_step: u32,
+    /// Session that made it.
+    pub session: usize,
+    /// Steps made before its start to recover detail. They are not among the steps of the report.
+    pub recovery_steps: u32,
+    /// Steps made again at its start to join it to the one before.
+    pub handover_steps: u32,
+    /// Measured seconds of its steps, those of recovery and hand-over included.
+    pub busy_s: f64,
+    /// Measured seconds from its end to the end of the run in which its session did nothing else.
+    pub idle_s: f64,
+    /// Measured seconds of its steps over those of the coarse run for the same stretch: K.
+    pub k: f64,
+}
+
+/// The seam between two segments.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SeamRecord {
+    /// Step of the cut.
+    pub step: u32,
+    /// Largest distance between the end of the earlier segment and the start of the later one, meters.
+    pub distance_max_m: f64,
+    /// The same as root mean square.
+    pub distance_rms_m: f64,
+    /// Whether the hand-over has met the later segment; false also for a cut.
+    pub met: bool,
+    /// Largest second difference of a vertex's positions over one step, from the cut to one step after the hand-over,
+    /// meters.
+    pub jump_max_m: f64,
+    /// Largest root mean square of all vertices of the same.
+    pub jump_rms_m: f64,
+    /// Median of the same within the segments, the largest vertex of each step.
+    pub inner_median_max_m: f64,
+    /// Median of the same within the segments, root mean square.
+    pub inner_median_rms_m: f64,
+}
+
 /// The whole report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
@@ -299,6 +357,12 @@ pub struct Report {
     /// Steps made.
     #[serde(default)]
     pub steps: Vec<StepRecord>,
+    /// Segments of a shot that is split in time; omitted in other runs.
+    #[serde(default)]
+    pub segments: Vec<SegmentRecord>,
+    /// The seams between them.
+    #[serde(default)]
+    pub seams: Vec<SeamRecord>,
 }
 
 /// Why a report cannot be read.
@@ -338,6 +402,12 @@ impl Report {
             write_lines(out, &self.frames)?;
             out.write_all(b"],\n  \"steps\": [")?;
             write_lines(out, &self.steps)?;
+            if !self.segments.is_empty() {
+                out.write_all(b"],\n  \"segments\": [")?;
+                write_lines(out, &self.segments)?;
+                out.write_all(b"],\n  \"seams\": [")?;
+                write_lines(out, &self.seams)?;
+            }
             out.write_all(b"]\n}\n")
         })
     }
@@ -372,7 +442,7 @@ impl ReportWriter {
     /// Continues the report at `path` after a checkpoint. Records after `step` and `frame` are dropped, because they
     /// are made again. The new header is used with the old start time. A missing or damaged report is started anew.
     pub fn resume(path: &Path, mut header: ReportHeader, step: u64, frame: u32) -> Result<ReportWriter, WriteError> {
-        let Report { header: old, mut frames, mut steps } = Report::load(path).unwrap_or_default();
+        let Report { header: old, mut frames, mut steps, .. } = Report::load(path).unwrap_or_default();
         frames.retain(|record| record.frame <= frame);
         steps.retain(|record| record.step <= step);
         let resumption = Resumption { step, frame, workers: header.workers, unix_s: header.started_unix_s };
@@ -381,7 +451,7 @@ impl ReportWriter {
         if old.started_unix_s > 0 {
             header.started_unix_s = old.started_unix_s;
         }
-        let report = Report { header, frames, steps };
+        let report = Report { header, frames, steps, ..Report::default() };
         report.save(path)?;
         Ok(ReportWriter { path: path.to_path_buf(), report, written: Instant::now() })
     }
@@ -419,7 +489,7 @@ impl ReportWriter {
     /// Sets the status and the end time and writes the file.
     pub fn finish(mut self, status: Status) -> Result<Report, WriteError> {
         self.report.header.status = status;
-        self.report.header.ended_unix_s = Some(unix_s());
+        self.report.header.ended();
         self.report.save(&self.path)?;
         Ok(self.report)
     }

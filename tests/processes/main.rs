@@ -19,6 +19,7 @@ mod session;
 mod solve_command;
 mod streams;
 mod suspended;
+mod time_split;
 mod transport_conformance;
 mod transport_control;
 mod transport_patterns;

@@ -3,6 +3,7 @@
 
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use loomtree::coordinator::session::{Next, StepDone, Watch};
@@ -184,6 +185,7 @@ fn played(segments: &[Segment], sessions: usize, workers: usize) -> (Vec<(u32, S
             News::Ready(ready) => assert_eq!(ready.len(), workers),
             News::Step(_) => used.push(told.session),
             News::State { step, state } => hashes.push((step, state.hash())),
+            News::Ended => {}
         }
         Ok::<(), ()>(())
     });
@@ -200,8 +202,8 @@ fn sessions_side_by_side_have_the_bits_of_one() {
     let scene = &scenes(&place)[1];
     let level = level(scene, 2, 600);
     let all = |_| true;
-    let whole = Segment { level: &level, start: None, first_step: 0, last_step: 9, trace_steps: 0, wants_state: &all };
-    let (through, used) = played(&[whole], 1, 2);
+    let whole = Segment { wants_state: Arc::new(all), ..Segment::plain(&level, 9) };
+    let (through, used) = played(&[whole.clone()], 1, 2);
     assert_eq!((through.len(), &used[..]), (9, &[0][..]));
 
     // The states that the later segments start from, as a run kept them.
@@ -211,9 +213,9 @@ fn sessions_side_by_side_have_the_bits_of_one() {
     let mut kept = Keep::default();
     session.advance(6, &mut kept).expect("steps");
     session.dismiss();
-    let start = |step: u32| Some(&kept.0[step as usize - 1].1);
+    let start = |step: u32| Some(Arc::new(kept.0[step as usize - 1].1.clone()));
     let parts = [(0, 3, None), (3, 6, start(3)), (6, 9, start(6))];
-    let parts = parts.map(|(first_step, last_step, start)| Segment { first_step, last_step, start, ..whole });
+    let parts = parts.map(|(first_step, last_step, start)| Segment { first_step, last_step, start, ..whole.clone() });
     let (split, used) = played(&parts, 2, 2);
     assert_eq!(split, through);
     assert_eq!(used, [0, 1], "both sessions have worked");
@@ -223,11 +225,9 @@ fn sessions_side_by_side_have_the_bits_of_one() {
 fn a_listener_that_has_had_enough_ends_the_shot() {
     let place = Place::new();
     let level = level(&scenes(&place)[0], 1, 200);
-    let none = |_| false;
-    let segment =
-        Segment { level: &level, start: None, first_step: 0, last_step: 1_000_000, trace_steps: 0, wants_state: &none };
+    let segment = Segment::plain(&level, 1_000_000);
     let options = options(1, 0).session();
-    let ended = play(&[segment, segment], 2, &options, &Launch::Threads, &mut |told| match told.news {
+    let ended = play(&[segment.clone(), segment], 2, &options, &Launch::Threads, &mut |told| match told.news {
         News::Step(done) if done.step == 3 => Err("enough"),
         _ => Ok(()),
     });

@@ -1,0 +1,80 @@
+//! What `loomtree run` says before a run and after it.
+
+use super::CliError;
+use super::far::far_line;
+use super::start_state::untangled_line;
+use crate::coordinator::{RunError, RunOptions, RunPlaces, RunPlan, RunSummary};
+use crate::model::stiffness_ratio;
+use crate::os::console::note;
+use crate::os::signals;
+use crate::output::FrameFormat;
+use crate::scene::Substeps;
+use crate::step::parts_of_step;
+
+/// What a user should know of a run before it starts.
+pub(super) fn introduce(plan: &RunPlan, options: &RunOptions) {
+    if let Some(done) = &plan.untangled {
+        note(untangled_line(done));
+    }
+    if let Some(line) = far_line(&plan.scene) {
+        note(format_args!("far: {line}"));
+    }
+    for line in &plan.scene.warnings {
+        note(format_args!("warning: {line}"));
+    }
+    let (ratio, parts) = (stiffness_ratio(&plan.scene), parts_of_step(stiffness_ratio(&plan.scene)));
+    if parts > 1 && plan.scene.settings.substeps == Substeps::Auto {
+        note(format_args!(
+            "every step is made in {parts} parts: the cloth is too stiff or its cells are too small for single \
+             precision (k dt^2 / (rho h^2) = {ratio:.1e})"
+        ));
+    }
+    for line in &plan.scene.left_out {
+        note(format_args!("left out: {line}"));
+    }
+    if !plan.scene.parts.is_empty() && options.formats.0 == [FrameFormat::Ply] {
+        note("PLY frames do not hold the objects and groups of the meshes; `--format obj` keeps them");
+    }
+    let (triangles, vertices) = (plan.scene.mesh.triangles.len(), plan.scene.mesh.positions.len());
+    note(format_args!(
+        "{}: {triangles} triangles, {vertices} vertices, {} workers, schedule {}",
+        plan.scene.name,
+        options.workers,
+        plan.transfers.kind.name()
+    ));
+}
+
+/// Prints the result of a run, or makes an error of it.
+pub(super) fn conclude(result: Result<RunSummary, RunError>, places: &RunPlaces) -> Result<(), CliError> {
+    let summary = result.map_err(|error| match error {
+        RunError::BadInput(text) => CliError::bad_input(text),
+        RunError::Failed(text) => CliError::failed(text),
+        RunError::Stopped(text) => {
+            note(text);
+            stopped()
+        }
+    })?;
+    if summary.substeps > u64::from(summary.steps) {
+        note(format_args!("{} steps were made in {} sub-steps (simulation.substeps)", summary.steps, summary.substeps));
+    }
+    let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
+    if summary.frames == 0 {
+        // A part of a shot that is split in time.
+        note(format_args!("{how}: {} steps, {:.2} ms/step", summary.steps, summary.seconds_per_step * 1e3));
+        return if summary.stopped { Err(stopped()) } else { Ok(()) };
+    }
+    note(format_args!(
+        "{how}: {} steps, {:.2} ms/step, frames 0..={} in {}",
+        summary.steps,
+        summary.seconds_per_step * 1e3,
+        summary.frames - 1,
+        places.out.join("frames").display()
+    ));
+    if summary.stopped { Err(stopped()) } else { Ok(()) }
+}
+
+/// The result of a run that a signal has stopped. Its message is empty, because it has already been printed.
+fn stopped() -> CliError {
+    let exit_code = signals::stop_requested().map_or(1, |signal| signal.exit_code());
+    CliError { exit_code, message: String::new() }
+}

@@ -1,0 +1,181 @@
+//! The jobs of a split shot, and which of them may begin.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::time_options::SeamRule;
+
+/// A part of a split shot that one session makes at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Job {
+    /// The coarse run.
+    Coarse,
+    /// A segment, with its recovery.
+    Segment(usize),
+    /// The hand-over from the segment before to this one.
+    Seam(usize),
+}
+
+impl Job {
+    pub(super) fn number(self) -> usize {
+        match self {
+            Job::Coarse => 0,
+            Job::Segment(j) => 1 + 2 * j,
+            Job::Seam(j) => 2 + 2 * j,
+        }
+    }
+
+    pub(super) fn of_number(number: usize) -> Job {
+        match number {
+            0 => Job::Coarse,
+            odd if odd % 2 == 1 => Job::Segment(odd / 2),
+            even => Job::Seam(even / 2 - 1),
+        }
+    }
+
+    /// Its run directory under that of the run.
+    pub(super) fn folder(self, run: &Path) -> PathBuf {
+        match self {
+            Job::Coarse => run.join("preview"),
+            Job::Segment(j) => run.join(format!("segments/{j:03}")),
+            Job::Seam(j) => run.join(format!("segments/{j:03}/seam")),
+        }
+    }
+
+    pub(super) fn name(self) -> String {
+        match self {
+            Job::Coarse => "coarse run".into(),
+            Job::Segment(j) => format!("segment {j}"),
+            Job::Seam(j) => format!("seam {j}"),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stage {
+    Waiting,
+    UnderWay,
+    Done,
+}
+
+/// The jobs that a start of the program is to make.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scope {
+    /// All of them.
+    #[default]
+    All,
+    /// The coarse run, and where it is cut.
+    Coarse,
+    /// One segment, whose start state is there.
+    Segment(usize),
+    /// What is left when all segments have been made one by one.
+    Join,
+}
+
+impl Scope {
+    fn holds(self, job: Job) -> bool {
+        match self {
+            Scope::All | Scope::Join => true,
+            Scope::Coarse => job == Job::Coarse,
+            Scope::Segment(j) => job == Job::Segment(j),
+        }
+    }
+
+    /// Whether there is nothing left to begin or to wait for.
+    pub(super) fn is_complete(self, table: &Table) -> bool {
+        let own = table.stages.iter().filter(|(job, _)| self.holds(**job));
+        !table.cuts.is_empty() && own.into_iter().all(|(_, stage)| *stage == Stage::Done)
+    }
+}
+
+/// What is done and what may begin.
+pub(super) struct Table {
+    /// First steps of the segments, once they are known.
+    pub cuts: Vec<u32>,
+    pub stages: BTreeMap<Job, Stage>,
+    /// Whether a hand-over has met its segment before the end of that.
+    pub met: BTreeMap<usize, bool>,
+}
+
+impl Table {
+    /// With the coarse run waiting and no cuts yet.
+    pub(super) fn new() -> Table {
+        Table { cuts: Vec::new(), stages: BTreeMap::from([(Job::Coarse, Stage::Waiting)]), met: BTreeMap::new() }
+    }
+
+    /// Takes the cuts: segments and seams wait from now on, but for those that are known.
+    pub(super) fn take_cuts(&mut self, cuts: Vec<u32>, seam: SeamRule) {
+        for j in 0..cuts.len() {
+            self.stages.entry(Job::Segment(j)).or_insert(Stage::Waiting);
+            if j > 0 && seam == SeamRule::HandOver {
+                self.stages.entry(Job::Seam(j)).or_insert(Stage::Waiting);
+            }
+        }
+        self.cuts = cuts;
+    }
+
+    pub(super) fn is_done(&self, job: Job) -> bool {
+        self.stages.get(&job) == Some(&Stage::Done)
+    }
+
+    /// The first job whose inputs are there: segments before seams, so that long ones start early.
+    pub(super) fn ready(&self, scope: Scope) -> Option<Job> {
+        let waits = |job: &Job| scope.holds(*job) && self.stages.get(job) == Some(&Stage::Waiting);
+        if waits(&Job::Coarse) {
+            return Some(Job::Coarse);
+        }
+        let segments = (0..self.cuts.len()).map(Job::Segment).filter(|_| self.is_done(Job::Coarse));
+        let seams = (1..self.cuts.len()).filter(|&j| {
+            let earlier = j == 1 || self.is_done(Job::Seam(j - 1));
+            self.is_done(Job::Segment(j - 1)) && self.is_done(Job::Segment(j)) && earlier
+        });
+        segments.chain(seams.map(Job::Seam)).find(waits)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(cuts: &[u32]) -> Table {
+        let mut table = Table::new();
+        table.take_cuts(cuts.to_vec(), SeamRule::HandOver);
+        table
+    }
+
+    /// Takes what is ready until nothing is.
+    fn take(table: &mut Table) -> Vec<Job> {
+        std::iter::from_fn(|| {
+            let job = table.ready(Scope::All)?;
+            table.stages.insert(job, Stage::UnderWay);
+            Some(job)
+        })
+        .collect()
+    }
+
+    #[test]
+    fn jobs_have_numbers() {
+        for job in [Job::Coarse, Job::Segment(0), Job::Segment(1), Job::Seam(1), Job::Segment(7), Job::Seam(7)] {
+            assert_eq!(Job::of_number(job.number()), job);
+        }
+    }
+
+    #[test]
+    fn jobs_wait_for_what_they_start_from() {
+        let mut table = table(&[0, 10, 20]);
+        assert_eq!(take(&mut table), [Job::Coarse]);
+        table.stages.insert(Job::Coarse, Stage::Done);
+        assert_eq!(take(&mut table), [Job::Segment(0), Job::Segment(1), Job::Segment(2)]);
+        table.stages.insert(Job::Segment(0), Stage::Done);
+        table.stages.insert(Job::Segment(2), Stage::Done);
+        assert_eq!(take(&mut table), []);
+        table.stages.insert(Job::Segment(1), Stage::Done);
+        // The second seam waits for the first, which may go on to where it starts.
+        assert_eq!(take(&mut table), [Job::Seam(1)]);
+        table.stages.insert(Job::Seam(1), Stage::Done);
+        assert_eq!(take(&mut table), [Job::Seam(2)]);
+        assert!(!Scope::All.is_complete(&table) && Scope::Coarse.is_complete(&table));
+        table.stages.insert(Job::Seam(2), Stage::Done);
+        assert!(Scope::All.is_complete(&table));
+    }
+}

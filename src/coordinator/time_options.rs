@@ -1,0 +1,113 @@
+//! The options of `loomtree run` that split a shot in time.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::RangedU64ValueParser;
+use serde::{Deserialize, Serialize};
+
+/// How a shot is split in time [Liang and Lin 2018]. Doc comments are the texts of `--help`.
+#[derive(Clone, Debug, PartialEq, Args, Serialize, Deserialize)]
+#[serde(default)]
+#[command(next_help_heading = "Splitting the shot in time")]
+pub struct TimeOptions {
+    /// Segments of the shot that are simulated side by side, from states of a coarse run; 1 = an ordinary run
+    #[arg(long, value_name = "P", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub segments: u32,
+    /// Segments under way at a time, each on --workers processes [default: as many as the cores allow]
+    #[arg(long, value_name = "S", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sessions: Option<usize>,
+    /// Length of the edges of the coarse run over those of the shot: 2, 4 or 8
+    #[arg(long, value_name = "RATIO", default_value_t = 4, value_parser = edge_ratio)]
+    pub coarse: u32,
+    /// Steps of the shot in a step of the coarse run [default: as many as divide a frame and last 5 ms or less]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coarse_steps: Option<u32>,
+    /// Where the shot is cut
+    #[arg(long, value_enum, default_value_t)]
+    pub partition: PartitionRule,
+    /// How a segment finds detail that the coarse run lacks
+    #[arg(long, value_enum, default_value_t)]
+    pub recovery: Recovery,
+    /// Steps of the recovery
+    #[arg(long, value_name = "R", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub recovery_steps: u32,
+    /// How a segment joins the one before
+    #[arg(long, value_enum, default_value_t)]
+    pub seam: SeamRule,
+    /// Most steps of a hand-over [default: those of 0.5 s]
+    #[arg(long, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub handover_steps: Option<u32>,
+    /// Start the segments from the states that this run has kept instead (--keep-states 1), without recovery: true
+    /// states give the bits of a plain run
+    #[arg(long, value_name = "RUN")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_states: Option<PathBuf>,
+    /// First steps of the segments, once they are known. A resumed run is cut alike.
+    #[arg(skip)]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub cuts: Vec<u32>,
+}
+
+/// Where a shot is cut.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum PartitionRule {
+    /// So that all segments take as long, by the counted work of the finished coarse run
+    #[default]
+    Counted,
+    /// Segments of equal length [Liang and Lin 2018, Eq. 3]
+    Uniform,
+    /// For a constant ratio of the costs of both runs [Liang and Lin 2018, Eq. 5]
+    Static,
+}
+
+/// How a segment finds detail that the coarse run lacks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Recovery {
+    /// It starts earlier and follows the coarse run to the cut
+    #[default]
+    WarmUp,
+    /// It starts from the coarse state as it is
+    None,
+}
+
+/// How a segment joins the one before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum SeamRule {
+    /// Its first steps are made again from the end of the one before, drawn toward it until both are one
+    #[default]
+    HandOver,
+    /// It does not: the motion jumps at the cut
+    Cut,
+}
+
+impl Default for TimeOptions {
+    fn default() -> TimeOptions {
+        TimeOptions {
+            segments: 1,
+            sessions: None,
+            coarse: 4,
+            coarse_steps: None,
+            partition: PartitionRule::default(),
+            recovery: Recovery::default(),
+            recovery_steps: 10,
+            seam: SeamRule::default(),
+            handover_steps: None,
+            start_states: None,
+            cuts: Vec::new(),
+        }
+    }
+}
+
+fn edge_ratio(text: &str) -> Result<u32, String> {
+    match text.parse() {
+        Ok(ratio @ (2 | 4 | 8)) => Ok(ratio),
+        _ => Err("expected 2, 4 or 8".into()),
+    }
+}

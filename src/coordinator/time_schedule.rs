@@ -1,0 +1,139 @@
+//! Hands the jobs of a split shot to sessions, with their start states and ways.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use super::options::KeepStates;
+use super::seams::{HandOver, WarmUp, kept_state};
+use super::shot::{Segment, Source};
+use super::time_job::{Job, Scope, Stage, Table};
+use super::time_plan::TimePlan;
+use crate::model::State;
+use crate::os::signals;
+use crate::output::Checkpoint;
+
+/// Everything that sessions and listener share.
+pub(super) struct Schedule<'a> {
+    pub plan: &'a TimePlan,
+    pub run: &'a Path,
+    pub table: Mutex<Table>,
+    pub changed: Condvar,
+    /// Why a job could not be started.
+    pub fault: Mutex<Option<String>>,
+    /// States that the run is to keep.
+    pub keep: Option<KeepStates>,
+    pub scope: Scope,
+}
+
+impl<'a> Schedule<'a> {
+    pub(super) fn table(&self) -> MutexGuard<'_, Table> {
+        self.table.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Last step of a job, in steps of its own level.
+    fn last_step(&self, job: Job, cuts: &[u32]) -> u32 {
+        let end = |j: usize| cuts.get(j + 1).copied().unwrap_or(self.plan.steps());
+        match job {
+            Job::Coarse => self.plan.steps() / self.plan.step_ratio,
+            Job::Segment(j) | Job::Seam(j) => end(j),
+        }
+    }
+
+    /// Input of a job. Reading and refining its start state is done by the session that takes it.
+    fn segment(&self, job: Job) -> Result<Segment<'a>, String> {
+        let (plan, run) = (self.plan, self.run);
+        let cuts = self.table().cuts.clone();
+        let last_step = self.last_step(job, &cuts);
+        let resumed = newest(&job.folder(run), job);
+        let level = if job == Job::Coarse { &plan.coarse } else { &plan.fine };
+        let mut segment = Segment { tells_start: resumed.is_none(), ..Segment::plain(level, last_step) };
+        if job == Job::Coarse {
+            segment.wants_state = Arc::new(|_| true);
+        }
+        if let Some(Checkpoint { step, state, .. }) = resumed {
+            (segment.first_step, segment.start) = (step as u32, Some(Arc::new(state)));
+        }
+        match job {
+            Job::Coarse => {}
+            Job::Segment(j) => {
+                let start = cuts[j];
+                let recovery = plan.recovery_of(start);
+                if segment.start.is_none() && j > 0 {
+                    let first = start - recovery;
+                    segment.start = Some(Arc::new(match &plan.options.start_states {
+                        Some(run) => kept_state(run, first)?,
+                        None => {
+                            let coarse = kept_state(&Job::Coarse.folder(run), first / plan.step_ratio)?;
+                            plan.upsampled(&coarse, first)?
+                        }
+                    }));
+                    segment.first_step = first;
+                }
+                if j > 0 && recovery > 0 {
+                    segment.way = Some(Arc::new(WarmUp::new(plan, run, start)));
+                }
+                let (kept, per_frame) = (start + plan.handover_kept(), plan.fine.scene.settings.steps_per_frame);
+                let keep = self.keep;
+                segment.wants_state = Arc::new(move |step| {
+                    let near_a_seam = (start..=kept).contains(&step) || step + 2 >= last_step;
+                    let asked = keep.is_some_and(|keep| keep.wants(step, per_frame));
+                    step >= start && (near_a_seam || asked || step.is_multiple_of(per_frame))
+                });
+            }
+            Job::Seam(j) => {
+                let end = self.end_of(j - 1, cuts[j])?;
+                let over = HandOver::new(plan, run, j, cuts[j], last_step, &end)?;
+                segment.first_step = cuts[j];
+                segment.start = Some(Arc::new(end));
+                segment.way = Some(Arc::new(over));
+                segment.wants_state = Arc::new(|_| true);
+            }
+        }
+        Ok(segment)
+    }
+
+    /// The last state of a segment: that of its hand-over if it went on to the end.
+    fn end_of(&self, j: usize, step: u32) -> Result<State, String> {
+        let replaced = j > 0 && self.table().met.get(&j) == Some(&false);
+        let job = if replaced { Job::Seam(j) } else { Job::Segment(j) };
+        kept_state(&job.folder(self.run), step)
+    }
+}
+
+impl<'a> Source<'a> for Schedule<'a> {
+    fn next(&self, _session: usize, halt: &AtomicBool) -> Option<(usize, Segment<'a>)> {
+        let mut table = self.table();
+        let job = loop {
+            let stop = halt.load(Ordering::Relaxed) || signals::stop_requested().is_some();
+            if stop || self.scope.is_complete(&table) {
+                return None;
+            }
+            if let Some(job) = table.ready(self.scope) {
+                table.stages.insert(job, Stage::UnderWay);
+                break job;
+            }
+            // Others end their jobs, and the listener tells; a stop is noticed after a moment.
+            let waited = self.changed.wait_timeout(table, Duration::from_millis(100));
+            table = waited.unwrap_or_else(PoisonError::into_inner).0;
+        };
+        drop(table);
+        match self.segment(job) {
+            Ok(segment) => Some((job.number(), segment)),
+            Err(why) => {
+                self.fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
+                halt.store(true, Ordering::Relaxed);
+                None
+            }
+        }
+    }
+}
+
+/// The state that a job was interrupted at; seams start anew.
+pub(super) fn newest(folder: &Path, job: Job) -> Option<Checkpoint> {
+    if matches!(job, Job::Seam(_)) {
+        return None;
+    }
+    crate::output::checkpoint::latest(&folder.join("checkpoint")).found.map(|(_, found)| found)
+}

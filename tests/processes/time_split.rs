@@ -1,0 +1,258 @@
+//! `run --segments`: a shot that is split in time, as a user runs it.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use loomtree::coordinator::session::{Next, StepDone, Watch, Way};
+use loomtree::coordinator::{Launch, RunOptions, RunPlan, Session, SessionPlace};
+use loomtree::mesh::{TriangleMesh, first_intersection};
+use loomtree::model::State;
+use loomtree::output::Checkpoint;
+use loomtree::protocol::ExecutorChoice;
+use loomtree::step::Guidance;
+use support::process::{Place, Signal, flag, signal};
+
+/// A small sheet, pinned at one edge, that swings into a ball: it has contacts and takes a few seconds.
+const SWING: &str = r#"
+    name = "swing"
+    resolution = 500
+    [simulation]
+    step_s = 0.004
+    steps_per_frame = 5
+    frames = 24
+    [[cloth]]
+    name = "sheet"
+    sheet = { size_m = [0.5, 0.5] }
+    plane = "xz"
+    origin_m = [0.0, 0.5, 0.0]
+    fabric = "cotton"
+    [[pin]]
+    edge = "left"
+    [[obstacle]]
+    name = "ball"
+    sphere = { center_m = [0.1, 0.1, -0.25], radius_m = 0.1, triangles = 300 }
+"#;
+
+const RUN: &str = "run swing.toml --executor cpu --threads 1";
+
+fn place() -> Place {
+    let place = Place::new();
+    place.write("swing.toml", SWING);
+    place
+}
+
+fn state(folder: &Path, step: u64) -> State {
+    let path = folder.join(format!("states/step_{step:08}.ltc"));
+    let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    Checkpoint::from_bytes(&bytes).expect("a state").state
+}
+
+#[test]
+fn a_split_shot_has_all_frames_and_the_same_bits_however_it_is_run() {
+    let place = place();
+    place.run(&format!("{RUN} --out plain")).expect(0);
+    place.run(&format!("{RUN} --segments 1 --coarse 2 --out one")).expect(0);
+    assert_eq!(place.hashes("one"), place.hashes("plain"), "one segment is a plain run");
+    let split = "--segments 3 --partition uniform --handover-steps 12";
+    place.run(&format!("{RUN} {split} --sessions 2 --out split")).expect(0).says(&[
+        "3 segments from a coarse run",
+        "Eq. 16",
+        "cut at the steps [0, 40, 80]",
+        "seam 2 done",
+    ]);
+    let hashes = place.hashes("split");
+    assert_eq!(hashes.iter().map(|(frame, _)| *frame).collect::<Vec<_>>(), (0..=24).collect::<Vec<u64>>());
+    assert_eq!(hashes[..=8], place.hashes("plain")[..=8], "the first segment is that of the plain run");
+    assert_ne!(hashes[9..], place.hashes("plain")[9..]);
+    let report = place.report("split");
+    let steps: Vec<u64> =
+        report["steps"].as_array().expect("steps").iter().map(|step| step["step"].as_u64().expect("a step")).collect();
+    assert_eq!(steps, (1..=120).collect::<Vec<u64>>(), "every step once");
+    let segments = report["segments"].as_array().expect("segments");
+    assert_eq!(segments.iter().map(|one| one["first_step"].as_u64().unwrap()).collect::<Vec<_>>(), [0, 40, 80]);
+    assert!(segments[1..].iter().all(|one| one["recovery_steps"] == 10 && one["handover_steps"].as_u64() > Some(1)));
+    let seams = report["seams"].as_array().expect("seams");
+    assert!(seams.len() == 2 && seams.iter().all(|seam| seam["met"] == true), "{seams:?}");
+    assert!(
+        place.path("split/frames/frame_000024.ply").exists() && place.path("split/frames/obstacle_000024.ply").exists()
+    );
+    assert!(place.path("split/preview/frames/frame_000024.ply").exists());
+    assert!(!place.path("split/segments").exists(), "intermediate states are gone");
+    for frame in 0..=24 {
+        let bytes = std::fs::read(place.path(&format!("split/frames/frame_{frame:06}.ply"))).expect("a frame");
+        let mesh = loomtree::output::ply::read(&bytes).expect("a mesh");
+        let mesh = TriangleMesh { positions: mesh.positions, triangles: mesh.triangles, ..TriangleMesh::default() };
+        assert_eq!(first_intersection(&mesh), None, "frame {frame}");
+    }
+    for other in ["--sessions 1 --workers 2", "--sessions 3 --workers 1", "--sessions 2 --workers 3"] {
+        place.run(&format!("{RUN} {split} {other} --overwrite --out again")).expect(0);
+        assert_eq!(place.hashes("again"), hashes, "{other}");
+    }
+    place.run("run --resume --out again").expect(0).says(&["nothing is left to do"]);
+}
+
+/// Asks for one step in a given way.
+struct Once(Option<Way>, Option<State>);
+
+impl Watch for Once {
+    fn way(&mut self, _step: u32, _blocked: bool) -> Result<Way, String> {
+        self.0.take().ok_or_else(|| "asked twice".to_string())
+    }
+    fn wants_events(&self, _step: u32) -> bool {
+        false
+    }
+    fn step(&mut self, _done: StepDone) -> Next {
+        Next::State
+    }
+    fn state(&mut self, _step: u32, state: State) -> std::ops::ControlFlow<()> {
+        self.1 = Some(state);
+        std::ops::ControlFlow::Continue(())
+    }
+}
+
+#[test]
+fn every_two_successive_states_are_one_step_apart() {
+    let place = place();
+    let split = "--segments 2 --partition uniform --handover-steps 12 --keep-states 1";
+    place.run(&format!("{RUN} {split} --out out")).expect(0);
+    let options = RunOptions { executor: ExecutorChoice::Cpu, threads: Some(1), ..RunOptions::default() };
+    let level = RunPlan::new(&place.path("swing.toml"), &options).expect("a level");
+    let mut session = Session::assemble(SessionPlace::ALONE, &options.session(), &Launch::Threads).expect("a session");
+    session.load(&level).expect("loaded");
+    let report = place.report("out");
+    let segment = place.path("out/segments/001");
+    let (mut guided, mut arrived) = (0, 0);
+    for record in report["steps"].as_array().expect("steps").iter().skip(50).take(40) {
+        let step = record["step"].as_u64().expect("a step");
+        let [before, after] = [step - 1, step].map(|step| state(&place.path("out"), step));
+        let positions = |step| Arc::new(state(&segment, step).positions);
+        let way = if record["arrived"] == true {
+            arrived += 1;
+            Way::Straight(Arc::new(state(&segment, step)))
+        } else if let Some(guidance) = record.get("guidance") {
+            guided += 1;
+            let number = |name: &str| guidance[name].as_f64().expect("a number");
+            let guidance = Guidance { weight: number("weight"), distance_left: number("distance_left") };
+            Way::Guided { start: positions(step - 1), end: positions(step), guidance }
+        } else {
+            Way::Free
+        };
+        session.set_state(&before, step as u32 - 1).expect("a state");
+        let mut once = Once(Some(way), None);
+        session.advance(step as u32, &mut once).expect("a step");
+        assert_eq!(once.1.expect("a state").hash(), after.hash(), "step {step}");
+    }
+    assert!(guided > 2 && arrived == 1, "{guided} guided steps, {arrived} that arrived");
+    session.dismiss();
+}
+
+#[test]
+fn what_was_interrupted_goes_on_with_the_same_bits() {
+    let place = place();
+    let split = "--segments 3 --handover-steps 12 --checkpoint-every 1";
+    place.run(&format!("{RUN} {split} --out straight")).expect(0);
+    for (number, seen) in
+        ["coarse run: frame 5/", "segment 1: frame", "segment 2 done", "seam 1 done"].iter().enumerate()
+    {
+        let out = format!("out{number}");
+        let mut running = place.start(&format!("{RUN} {split} --sessions 2 --out {out}"));
+        running.wait_for(seen, |running| running.stderr().contains(seen).then_some(()));
+        signal(running.pid(), Signal::INT);
+        let ended = running.wait();
+        if ended.code != Some(0) {
+            ended.expect(130).says(&["continue with --resume"]);
+            assert_eq!(place.report(&out)["status"], "stopped");
+            place.run(&format!("run --resume --out {out} --sessions 1 --workers 2")).expect(0);
+        }
+        assert_eq!(place.hashes(&out), place.hashes("straight"), "stopped at {seen}");
+        assert_eq!(place.report(&out)["steps"].as_array().expect("steps").len(), 120);
+    }
+}
+
+#[test]
+fn a_killed_worker_costs_one_segment_at_most() {
+    let place = place();
+    let split = "--segments 3 --handover-steps 12";
+    let mut running = place.start(&format!("{RUN} {split} --sessions 2 --out out"));
+    running.wait_for("a segment", |running| running.stderr().contains("segment 1: frame").then_some(()));
+    let worker = running.worker(0);
+    signal(worker, Signal::KILL);
+    let ended = running.wait().expect(1);
+    let error = ended.error();
+    assert!(error.contains("worker 0") && error.contains("ended unexpectedly"), "{error}");
+    place.run("run --resume --out out").expect(0);
+    place.run(&format!("{RUN} {split} --out straight")).expect(0);
+    assert_eq!(place.hashes("out"), place.hashes("straight"));
+}
+
+#[test]
+fn what_cannot_be_split_is_refused() {
+    let place = place();
+    place.write("grid.toml", SWING.replace("size_m = [0.5, 0.5] }", "size_m = [0.5, 0.5], mesh = \"grid\" }"));
+    place.write("flag.toml", flag(20, 3, 4));
+    let cases = [
+        ("run grid.toml --segments 2", "only sheets of irregular triangles"),
+        ("run swing.toml --segments 0", "0 is not in 1..=4096"),
+        ("run swing.toml --segments 2 --coarse 3", "expected 2, 4 or 8"),
+        ("run swing.toml --segments 2 --coarse-steps 2", "a frame has 5 steps, which is no multiple of it"),
+        ("run swing.toml --segments 2 --untangle", "--untangle and --segments do not go together"),
+        ("run flag.toml --segments 2 --coarse 8", "no level that is 3 times coarser"),
+    ];
+    for (words, sentence) in cases {
+        let error = place.run(&format!("{words} --out bad")).expect(2).stderr;
+        assert!(error.contains(sentence), "{words}: {error}");
+        assert!(!place.path("bad").exists(), "{words}");
+    }
+    place.run(&format!("{RUN} --segments 2 --frames 4 --out out")).expect(0);
+    let other = place.run("run --resume --out out --segments 3").expect(2).stderr;
+    assert!(other.contains("split in time in another way"), "{other}");
+    let longer = place.run("run --resume --out out --frames 6").expect(2).stderr;
+    assert!(longer.contains("its --frames cannot change"), "{longer}");
+}
+
+#[test]
+fn true_start_states_give_the_bits_of_a_plain_run() {
+    let place = place();
+    place.run(&format!("{RUN} --keep-states 1 --out plain")).expect(0);
+    for seam in ["cut", "hand-over"] {
+        let split = format!("--segments 3 --sessions 2 --workers 2 --seam {seam} --start-states plain");
+        place.run(&format!("{RUN} {split} --overwrite --out out")).expect(0);
+        assert_eq!(place.hashes("out"), place.hashes("plain"), "{seam}");
+    }
+}
+
+#[test]
+fn segments_made_one_by_one_are_joined_to_the_same_bits() {
+    let place = place();
+    let split = "--segments 3 --handover-steps 12";
+    place.run(&format!("{RUN} {split} --out straight")).expect(0);
+    place.run(&format!("{RUN} {split} --coarse-only --out out")).expect(0).says(&["loomtree join out"]);
+    place.run("join out").expect(2).says(&["of its segments 0, 1, 2 are not done"]);
+    place.run("run --out out --only-segment 3").expect(2).says(&["has the segments 0 to 2"]);
+    place.run("run --out out --only-segment 2 --workers 2").expect(0);
+    let first = place.start("run --out out --only-segment 0");
+    place.run("run --out out --only-segment 1").expect(0);
+    first.wait().expect(0);
+    place.run("join out").expect(0);
+    assert_eq!(place.hashes("out"), place.hashes("straight"));
+    assert_eq!(place.report("out")["status"], "done");
+    place.run("run swing.toml --only-segment 1 --out straight").expect(0).says(&["nothing is left to do"]);
+}
+
+#[test]
+fn a_point_cache_has_all_frames_of_a_split_shot() {
+    let place = place();
+    let run = format!("{RUN} --frames 8 --segments 2 --format pc2");
+    place.run(&format!("{run} --out out")).expect(0);
+    assert_eq!(loomtree::output::pc2::samples(&place.path("out/cloth.pc2")).expect("a point cache"), 9);
+    assert!(!place.path("out/frames/frame_000003.ply").exists() && place.path("out/rest.obj").exists());
+}
+
+#[test]
+fn without_recovery_a_seam_is_closed_as_well() {
+    let place = place();
+    let run = format!("{RUN} --segments 2 --partition static --recovery none --coarse 2 --out out");
+    place.run(&run).expect(0);
+    let report = place.report("out");
+    assert_eq!((&report["segments"][1]["recovery_steps"], &report["seams"][0]["met"]), (&0.into(), &true.into()));
+}
