@@ -4,7 +4,10 @@ use std::path::Path;
 
 use crate::math::{DVec3, Vec3};
 
-use super::{MeshFault, Part, Surface, TextureFit, TriangleMesh, flatten_triangles, material, validate, weld, winding};
+use super::{
+    MeshFault, Part, Surface, TextureFit, TriangleMesh, VertexProperty, flatten_triangles, material, validate, weld,
+    winding,
+};
 
 /// Source of the material (rest) coordinates of a mesh file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -51,7 +54,7 @@ impl Surface {
     /// flipped if that makes the winding consistent.
     pub fn into_mesh(self, options: impl Into<MeshOptions>) -> Result<FileMesh, MeshFault> {
         let options = options.into();
-        let Surface { base, mut positions, mut triangles, mut texture_uv, parts } = self;
+        let Surface { base, mut positions, mut triangles, mut texture_uv, parts, properties } = self;
         let mut joined = None;
         if let Some(distance) = options.weld {
             validate::check_triangles(&positions, &triangles)?;
@@ -110,7 +113,19 @@ impl Surface {
         let mesh = TriangleMesh { positions, triangles, material_uv };
         validate::check_material(&mesh)?;
         let material = options.material;
-        Ok(FileMesh { base, mesh, parts, mesh_vertices, dropped, welded, turned, fit, material, from_texture })
+        Ok(FileMesh {
+            base,
+            mesh,
+            parts,
+            properties,
+            mesh_vertices,
+            dropped,
+            welded,
+            turned,
+            fit,
+            material,
+            from_texture,
+        })
     }
 }
 
@@ -123,6 +138,8 @@ pub struct FileMesh {
     pub mesh: TriangleMesh,
     /// Objects and groups of the file.
     pub parts: Vec<Part>,
+    /// Further numbers of the vertices of the file.
+    pub properties: Vec<VertexProperty>,
     /// The mesh vertex of every vertex of the file; none if they are equal.
     mesh_vertices: Option<Vec<u32>>,
     /// Vertices of the file in no triangle. They are dropped, because they have no mass.
@@ -143,6 +160,7 @@ impl From<TriangleMesh> for FileMesh {
             base: DVec3::ZERO,
             mesh,
             parts: Vec::new(),
+            properties: Vec::new(),
             mesh_vertices: None,
             dropped: 0,
             welded: 0,
@@ -161,6 +179,16 @@ impl FileMesh {
             None => ((file_vertex as usize) < self.mesh.positions.len()).then_some(file_vertex),
             Some(numbers) => numbers.get(file_vertex as usize).copied().filter(|&vertex| vertex != NONE),
         }
+    }
+
+    /// The vertices at which a property of the file is 0.5 or more, ascending; none if the file has no such property.
+    pub fn vertices_with(&self, name: &str) -> Option<Vec<u32>> {
+        let property = self.properties.iter().find(|property| property.name == name)?;
+        let chosen = (0u32..).zip(&property.values).filter(|(_, value)| **value >= 0.5);
+        let mut vertices: Vec<u32> = chosen.filter_map(|(vertex, _)| self.vertex(vertex)).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        Some(vertices)
     }
 
     /// The vertices of the triangles in an object or group, ascending; none if the file has no such name.

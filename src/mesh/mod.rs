@@ -165,6 +165,17 @@ pub struct Surface {
     pub texture_uv: Vec<[Vec2; 3]>,
     /// Objects and groups, ascending by triangles. Empty if the file has none.
     pub parts: Vec<Part>,
+    /// Further numbers of the vertices.
+    pub properties: Vec<VertexProperty>,
+}
+
+/// A number that a file gives to every vertex, such as a selection that was painted.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct VertexProperty {
+    /// Its name in the file.
+    pub name: String,
+    /// Its value at every vertex of the file.
+    pub values: Vec<f32>,
 }
 
 /// Triangles of one object and group of a file.

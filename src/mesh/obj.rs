@@ -175,7 +175,7 @@ impl Obj {
             }
         }
         let triangles = cut.triangles.iter().map(|t| t.map(|corner| self.faces.corners[corner as usize])).collect();
-        Ok(Surface { base, positions, triangles, texture_uv, parts })
+        Ok(Surface { base, positions, triangles, texture_uv, parts, properties: Vec::new() })
     }
 }
 

@@ -14,10 +14,13 @@ use ply_rs_bw::ply::{
 use crate::math::{DVec3, Vec2};
 
 use super::polygon::Faces;
-use super::{ParseFault, Surface, rounded};
+use super::{ParseFault, Surface, VertexProperty, rounded};
 
 /// Longest header that is accepted, bytes. Real headers have some hundred bytes.
 const LONGEST_HEADER: u64 = 1 << 16;
+
+/// Scalar properties of a vertex that have a meaning of their own.
+const KNOWN: [&str; 9] = ["x", "y", "z", "u", "v", "s", "t", "texture_u", "texture_v"];
 
 /// Reads a PLY file of `bytes` bytes. Texture coordinates come from the corners (face property `texcoord`) or from the
 /// vertices (`u`/`v`, `s`/`t` or `texture_u`/`texture_v`), if present.
@@ -42,6 +45,14 @@ pub(crate) fn parse_ply_far(mut reader: impl BufRead, bytes: u64, far: f64) -> R
         if element.properties.is_empty() {
             continue;
         }
+        if name == "vertex" {
+            surface.properties.clear();
+            for (name, property) in &element.properties {
+                if matches!(property.data_type, PropertyType::Scalar(_)) && !KNOWN.contains(&name.as_str()) {
+                    surface.properties.push(VertexProperty { name: name.clone(), values: Vec::new() });
+                }
+            }
+        }
         for i in 0..element.count {
             let record = body.record(header.encoding, element).map_err(|what| ParseFault {
                 line: (header.encoding == Encoding::Ascii).then_some(body.line),
@@ -53,6 +64,8 @@ pub(crate) fn parse_ply_far(mut reader: impl BufRead, bytes: u64, far: f64) -> R
                         record.position().map_err(|what| ParseFault::whole(format!("vertex {} {what}", i + 1)))?;
                     positions.push(position);
                     vertex_uv.extend(record.uv());
+                    let others = surface.properties.iter_mut().zip(&record.others);
+                    others.for_each(|(property, &value)| property.values.push(value as f32));
                 }
                 "face" => {
                     let fault = |what: String| ParseFault::whole(format!("face {} {what}", i + 1));
@@ -188,6 +201,8 @@ fn least_bytes(encoding: Encoding, kind: &PropertyType) -> u64 {
 struct Record {
     xyz: [Option<f64>; 3],
     uv: [Option<f64>; 2],
+    /// Other numbers, in the order of the header.
+    others: Vec<f64>,
     indices: Vec<i64>,
     texcoord: Vec<f64>,
 }
@@ -200,7 +215,7 @@ impl Record {
             "z" => self.xyz[2] = Some(value),
             "u" | "s" | "texture_u" => self.uv[0] = Some(value),
             "v" | "t" | "texture_v" => self.uv[1] = Some(value),
-            _ => {}
+            _ => self.others.push(value),
         }
     }
 

@@ -9,9 +9,9 @@ use super::keyframes::motion;
 use super::pins::{self, PinSource, Selection, Spread};
 use super::{Motion, Obstacle, SceneError};
 
-pub(super) const PIN_FIELDS: [&str; 14] = [
-    "cloth", "corners", "edge", "every", "count", "vertices", "group", "box_m", "sphere", "nearest", "start_s",
-    "end_s", "motion", "follow",
+pub(super) const PIN_FIELDS: [&str; 15] = [
+    "cloth", "corners", "edge", "every", "count", "vertices", "group", "property", "box_m", "sphere", "nearest",
+    "start_s", "end_s", "motion", "follow",
 ];
 
 /// What pins move with.
@@ -84,7 +84,7 @@ fn follow(fields: &Fields, obstacles: &[Obstacle], followed: &mut Vec<u32>) -> R
 
 /// The selection of a pin and the field that gives it.
 fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Result<(Selection, Value<'a>), SceneError> {
-    let ways = ["corners", "edge", "vertices", "group", "box_m", "sphere", "nearest"];
+    let ways = ["corners", "edge", "vertices", "group", "property", "box_m", "sphere", "nearest"];
     let given: Vec<&str> = ways.into_iter().filter(|way| pin.get(way).is_some()).collect();
     let [way] = given[..] else {
         return Err(pin.error(format!("a pin needs exactly one of {}, not {}", ways.join(", "), given.len())));
@@ -130,6 +130,18 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Resu
                 let what = format!("`{}` has no object or group named `{name}`", cloth.name);
                 return Err(value.error(format!("{what}; {}", known_parts(mesh))));
             }
+            Selection::MeshVertices(vertices)
+        }
+        "property" => {
+            let name = value.text()?;
+            let Shape::Mesh(mesh) = &cloth.shape else {
+                return Err(value.error(format!("`{}` is a sheet; only a mesh has properties", cloth.name)));
+            };
+            let vertices = mesh.vertices_with(name).ok_or_else(|| {
+                let known: Vec<&str> = mesh.properties.iter().map(|property| &property.name[..]).collect();
+                let known = if known.is_empty() { "its file has none".to_owned() } else { known.join(", ") };
+                value.error(format!("`{}` has no vertex property named `{name}` ({known})", cloth.name))
+            })?;
             Selection::MeshVertices(vertices)
         }
         "box_m" => {

@@ -254,3 +254,24 @@ proptest! {
         prop_assert_eq!(places(locality_order(&moved), &moved), places(locality_order(&distinct), &distinct));
     }
 }
+
+#[test]
+fn a_pin_takes_the_vertices_of_a_ply_property() {
+    let folder = tempfile::tempdir().unwrap();
+    // The first vertex belongs to no triangle, so the others move up by one.
+    let text = "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float nx\n\
+        property float z\nproperty uchar waist\nproperty float weight\nelement face 2\n\
+        property list uchar int vertex_indices\nend_header\n\
+        9 9 1 9 1 1\n0 0 1 0 1 0\n1 0 1 0 0 0.5\n1 1 1 0 1 0.4\n0 1 1 0 0 7\n3 1 2 3\n3 1 3 4\n";
+    std::fs::write(folder.path().join("a.ply"), text).unwrap();
+    let pins = |pin: &str| {
+        let scene = format!("[[cloth]]\nname = \"a\"\nmesh = \"a.ply\"\n[[pin]]\n{pin}\n");
+        let read = loomtree::scene::parse(&scene, &folder.path().join("x.toml"), &Default::default());
+        read.map(|scene| scene.pins.iter().map(|pin| pin.vertex).collect::<Vec<u32>>()).map_err(|e| e.to_string())
+    };
+    assert_eq!(pins("property = \"waist\""), Ok(vec![0, 2]));
+    assert_eq!(pins("property = \"weight\""), Ok(vec![1, 3]));
+    let error = pins("property = \"hem\"").unwrap_err();
+    assert!(error.contains("no vertex property named `hem` (nx, waist, weight)"), "{error}");
+    assert!(pins("property = \"nx\"\ngroup = \"b\"").unwrap_err().contains("exactly one of"));
+}

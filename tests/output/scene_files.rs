@@ -294,7 +294,8 @@ fn mistakes_of_pins_name_line_and_field() {
     let with = |rest: &str| fault(&format!("{SHEET}[[pin]]\n{rest}"));
     assert_eq!(
         with(""),
-        "line 3: field `pin`: a pin needs exactly one of corners, edge, vertices, group, box_m, sphere, nearest, not 0"
+        "line 3: field `pin`: a pin needs exactly one of corners, edge, vertices, group, property, box_m, sphere, \
+         nearest, not 0"
     );
     assert_eq!(
         with("corners = \"middle\""),
