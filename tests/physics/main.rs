@@ -5,6 +5,7 @@ mod contact_curved;
 mod contact_edge;
 mod contact_energy;
 mod contact_friction;
+mod contact_rolling;
 mod contact_scenes;
 mod creases;
 mod follow;
