@@ -3,7 +3,7 @@
 use super::CliError;
 use super::run_lines::{conclude, introduce};
 use super::start_state::Places;
-use crate::coordinator::{Launch, PlanError, RunOptions, RunPlaces, Scope, SeamRule, TimeError, TimePlan, run_split};
+use crate::coordinator::{Launch, PlanError, RunOptions, RunPlaces, Scope, TimeError, TimePlan, run_split};
 use crate::os::console::note;
 use crate::os::signals;
 use crate::output::Existing;
@@ -54,10 +54,7 @@ pub(super) fn run(
 /// What Eq. 16 allows for, with the ratio of costs that is expected before anything is measured.
 fn bound(plan: &TimePlan) -> String {
     let (steps, ratio) = (u64::from(plan.steps()), plan.expected_ratio());
-    let handover = match plan.options.seam {
-        SeamRule::HandOver => u64::from(plan.handover_most()),
-        SeamRule::Cut => 0,
-    };
+    let handover = if plan.options.hands_over() { u64::from(plan.handover_most()) } else { 0 };
     let extra = u64::from(plan.recovery_of(u32::MAX)) + handover;
     let of = |segments: u32| {
         let balanced = partition::speedup_balanced(ratio, segments as usize);

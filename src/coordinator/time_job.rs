@@ -1,9 +1,7 @@
 //! The jobs of a split shot, and which of them may begin.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-
-use super::time_options::SeamRule;
 
 /// A part of a split shot that one session makes at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -14,7 +12,17 @@ pub(super) enum Job {
     Segment(usize),
     /// The hand-over from the segment before to this one.
     Seam(usize),
+    /// A segment once more, from the end that the one before had after the sweep before.
+    Again {
+        /// From 1.
+        sweep: usize,
+        /// At least `sweep`: those before are exact by then.
+        segment: usize,
+    },
 }
+
+/// Sweeps have numbers from here on.
+const SWEEP: usize = 1 << 20;
 
 impl Job {
     pub(super) fn number(self) -> usize {
@@ -22,12 +30,14 @@ impl Job {
             Job::Coarse => 0,
             Job::Segment(j) => 1 + 2 * j,
             Job::Seam(j) => 2 + 2 * j,
+            Job::Again { sweep, segment } => sweep * SWEEP + segment,
         }
     }
 
     pub(super) fn of_number(number: usize) -> Job {
         match number {
             0 => Job::Coarse,
+            again if again >= SWEEP => Job::Again { sweep: again / SWEEP, segment: again % SWEEP },
             odd if odd % 2 == 1 => Job::Segment(odd / 2),
             even => Job::Seam(even / 2 - 1),
         }
@@ -39,6 +49,7 @@ impl Job {
             Job::Coarse => run.join("preview"),
             Job::Segment(j) => run.join(format!("segments/{j:03}")),
             Job::Seam(j) => run.join(format!("segments/{j:03}/seam")),
+            Job::Again { sweep, segment } => run.join(format!("segments/{segment:03}/sweep_{sweep:03}")),
         }
     }
 
@@ -47,6 +58,7 @@ impl Job {
             Job::Coarse => "coarse run".into(),
             Job::Segment(j) => format!("segment {j}"),
             Job::Seam(j) => format!("seam {j}"),
+            Job::Again { sweep, segment } => format!("sweep {sweep} of segment {segment}"),
         }
     }
 }
@@ -95,23 +107,65 @@ pub(super) struct Table {
     pub stages: BTreeMap<Job, Stage>,
     /// Whether a hand-over has met its segment before the end of that.
     pub met: BTreeMap<usize, bool>,
+    /// Number of sweeps.
+    sweeps: usize,
+    /// Sweeps of segments that were not made, because the segment would start as before.
+    unchanged: BTreeSet<Job>,
 }
 
 impl Table {
     /// With the coarse run waiting and no cuts yet.
-    pub(super) fn new() -> Table {
-        Table { cuts: Vec::new(), stages: BTreeMap::from([(Job::Coarse, Stage::Waiting)]), met: BTreeMap::new() }
+    pub(super) fn new(sweeps: usize) -> Table {
+        Table {
+            cuts: Vec::new(),
+            stages: BTreeMap::from([(Job::Coarse, Stage::Waiting)]),
+            met: BTreeMap::new(),
+            sweeps,
+            unchanged: BTreeSet::new(),
+        }
     }
 
-    /// Takes the cuts: segments and seams wait from now on, but for those that are known.
-    pub(super) fn take_cuts(&mut self, cuts: Vec<u32>, seam: SeamRule) {
+    /// Takes the cuts: segments, seams and sweeps wait from now on, but for those that are known. `handed_over`: whether
+    /// there are seams.
+    pub(super) fn take_cuts(&mut self, cuts: Vec<u32>, handed_over: bool) {
         for j in 0..cuts.len() {
             self.stages.entry(Job::Segment(j)).or_insert(Stage::Waiting);
-            if j > 0 && seam == SeamRule::HandOver {
+            if j > 0 && handed_over {
                 self.stages.entry(Job::Seam(j)).or_insert(Stage::Waiting);
+            }
+            for sweep in 1..=self.sweeps.min(j) {
+                self.stages.entry(Job::Again { sweep, segment: j }).or_insert(Stage::Waiting);
             }
         }
         self.cuts = cuts;
+    }
+
+    /// The job that made segment `j` as it is after a sweep; 0: before all of them.
+    fn after(&self, j: usize, sweep: usize) -> Job {
+        let sweeps = (1..=sweep.min(j)).rev().map(|sweep| Job::Again { sweep, segment: j });
+        sweeps.into_iter().find(|job| !self.unchanged.contains(job)).unwrap_or(Job::Segment(j))
+    }
+
+    /// The job that made segment `j` as it is in the end, but for the hand-over.
+    pub(super) fn last(&self, j: usize) -> Job {
+        self.after(j, self.sweeps)
+    }
+
+    /// The jobs that a sweep of a segment goes by: the segment before and this one after the sweep before.
+    pub(super) fn before_sweep(&self, sweep: usize, segment: usize) -> [Job; 2] {
+        [self.after(segment - 1, sweep - 1), self.after(segment, sweep - 1)]
+    }
+
+    /// A sweep of a segment that would start as before need not be made.
+    pub(super) fn leave(&mut self, job: Job) {
+        self.stages.insert(job, Stage::Done);
+        self.unchanged.insert(job);
+    }
+
+    /// Whether segment `j` and all its sweeps are done.
+    pub(super) fn is_swept(&self, j: usize) -> bool {
+        let sweeps = (1..=self.sweeps.min(j)).map(|sweep| Job::Again { sweep, segment: j });
+        sweeps.chain([Job::Segment(j)]).all(|job| self.is_done(job))
     }
 
     pub(super) fn is_done(&self, job: Job) -> bool {
@@ -129,7 +183,15 @@ impl Table {
             let earlier = j == 1 || self.is_done(Job::Seam(j - 1));
             self.is_done(Job::Segment(j - 1)) && self.is_done(Job::Segment(j)) && earlier
         });
-        segments.chain(seams.map(Job::Seam)).find(waits)
+        let done_before = |j: usize, sweep: usize| match sweep.min(j) {
+            0 => self.is_done(Job::Segment(j)),
+            sweep => self.is_done(Job::Again { sweep, segment: j }),
+        };
+        let sweeps = self.stages.keys().copied().filter(|job| match *job {
+            Job::Again { sweep, segment } => done_before(segment - 1, sweep - 1) && done_before(segment, sweep - 1),
+            _ => false,
+        });
+        segments.chain(seams.map(Job::Seam)).chain(sweeps).find(waits)
     }
 }
 
@@ -138,8 +200,8 @@ mod tests {
     use super::*;
 
     fn table(cuts: &[u32]) -> Table {
-        let mut table = Table::new();
-        table.take_cuts(cuts.to_vec(), SeamRule::HandOver);
+        let mut table = Table::new(0);
+        table.take_cuts(cuts.to_vec(), true);
         table
     }
 
@@ -155,7 +217,15 @@ mod tests {
 
     #[test]
     fn jobs_have_numbers() {
-        for job in [Job::Coarse, Job::Segment(0), Job::Segment(1), Job::Seam(1), Job::Segment(7), Job::Seam(7)] {
+        for job in [
+            Job::Coarse,
+            Job::Segment(0),
+            Job::Segment(1),
+            Job::Seam(1),
+            Job::Segment(7),
+            Job::Seam(7),
+            Job::Again { sweep: 3, segment: 4_000 },
+        ] {
             assert_eq!(Job::of_number(job.number()), job);
         }
     }
@@ -176,6 +246,27 @@ mod tests {
         assert_eq!(take(&mut table), [Job::Seam(2)]);
         assert!(!Scope::All.is_complete(&table) && Scope::Coarse.is_complete(&table));
         table.stages.insert(Job::Seam(2), Stage::Done);
+        assert!(Scope::All.is_complete(&table));
+    }
+
+    #[test]
+    fn sweeps_wait_for_the_sweep_before() {
+        let again = |sweep, segment| Job::Again { sweep, segment };
+        let mut table = Table::new(2);
+        table.take_cuts(vec![0, 10, 20], false);
+        for job in [Job::Coarse, Job::Segment(0), Job::Segment(1), Job::Segment(2)] {
+            table.stages.insert(job, Stage::Done);
+        }
+        assert_eq!(take(&mut table), [again(1, 1), again(1, 2)]);
+        assert_eq!(table.before_sweep(1, 2), [Job::Segment(1), Job::Segment(2)]);
+        table.leave(again(1, 1));
+        table.stages.insert(again(1, 2), Stage::Done);
+        assert_eq!(take(&mut table), [again(2, 2)]);
+        // The first sweep has not changed segment 1.
+        assert_eq!(table.before_sweep(2, 2), [Job::Segment(1), again(1, 2)]);
+        assert!(table.is_swept(1) && !table.is_swept(2));
+        table.stages.insert(again(2, 2), Stage::Done);
+        assert_eq!([0, 1, 2].map(|j| table.last(j)), [Job::Segment(0), Job::Segment(1), again(2, 2)]);
         assert!(Scope::All.is_complete(&table));
     }
 }

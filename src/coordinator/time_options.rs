@@ -41,6 +41,11 @@ pub struct TimeOptions {
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub handover_steps: Option<u32>,
+    /// Make the segments again from the true ends of those before, this many times; after k sweeps the first k + 1
+    /// segments are those of a plain run. Seams are cuts then
+    #[arg(long, value_name = "K", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=4095))]
+    #[serde(skip_serializing_if = "is_zero")]
+    pub sweeps: u32,
     /// Start the segments from the states that this run has kept instead (--keep-states 1), without recovery: true
     /// states give the bits of a plain run
     #[arg(long, value_name = "RUN")]
@@ -50,6 +55,17 @@ pub struct TimeOptions {
     #[arg(skip)]
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub cuts: Vec<u32>,
+}
+
+impl TimeOptions {
+    /// Whether segments are handed over to each other.
+    pub fn hands_over(&self) -> bool {
+        self.seam == SeamRule::HandOver && self.sweeps == 0
+    }
+}
+
+fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// Where a shot is cut.
@@ -99,6 +115,7 @@ impl Default for TimeOptions {
             recovery_steps: 10,
             seam: SeamRule::default(),
             handover_steps: None,
+            sweeps: 0,
             start_states: None,
             cuts: Vec::new(),
         }

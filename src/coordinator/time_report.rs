@@ -82,13 +82,14 @@ impl SplitReport {
         Report::load(&folder.join("report.json")).is_ok_and(|report| arrival(&report).is_some())
     }
 
-    /// Segment `j` is final: its frames move to those of the run, and the states to be kept; its steps and frames go
-    /// into the report.
+    /// Segment `j` is final; `all`: the jobs that have made the segments. Its frames move to those of the run, and the
+    /// states to be kept; its steps and frames go into the report.
     pub(super) fn settle(
         &mut self,
         plan: &TimePlan,
         directory: &RunDirectory,
         cuts: &[u32],
+        all: &[Job],
         j: usize,
         keep: Option<KeepStates>,
     ) -> Result<(), RecordError> {
@@ -98,11 +99,11 @@ impl SplitReport {
         let run = directory.path();
         let (start, end) = (cuts[j], cuts.get(j + 1).copied().unwrap_or(plan.steps()));
         let load = |job: Job| Report::load(&job.folder(run).join("report.json")).map_err(write_error);
-        let own = load(Job::Segment(j))?;
+        let own = load(all[j])?;
         let seam = if j > 0 && Job::Seam(j).folder(run).is_dir() { Some(load(Job::Seam(j))?) } else { None };
         // Steps up to this one are those of the hand-over.
         let joined = seam.as_ref().map_or(start, |seam| arrival(seam).unwrap_or(end));
-        let made_by = |step: u32| if step > start && step <= joined { Job::Seam(j) } else { Job::Segment(j) };
+        let made_by = |step: u32| if step > start && step <= joined { Job::Seam(j) } else { all[j] };
         let report_of = |step: u32| match (made_by(step), &seam) {
             (Job::Seam(_), Some(seam)) => seam,
             _ => &own,
@@ -131,7 +132,7 @@ impl SplitReport {
             }
         }
         if j > 0 {
-            let record = self.seam(plan, run, j, start, joined, seam.as_ref()).map_err(RecordError::Write)?;
+            let record = self.seam(plan, run, all, j, start, joined, seam.as_ref()).map_err(RecordError::Write)?;
             self.seams.insert(j, record);
         }
         self.report.save(&self.path).map_err(write_error)
@@ -142,12 +143,13 @@ impl SplitReport {
         &self,
         plan: &TimePlan,
         run: &Path,
+        all: &[Job],
         j: usize,
         cut: u32,
         joined: u32,
         seam: Option<&Report>,
     ) -> Result<SeamRecord, String> {
-        let (own, earlier) = (Job::Segment(j).folder(run), Job::Segment(j - 1).folder(run));
+        let (own, earlier) = (all[j].folder(run), all[j - 1].folder(run));
         let over = Job::Seam(j).folder(run);
         // A hand-over that went on to the end of the earlier segment has made its last states.
         let last_of_earlier = Job::Seam(j - 1).folder(run);

@@ -37,12 +37,13 @@ impl<'a> Schedule<'a> {
         let end = |j: usize| cuts.get(j + 1).copied().unwrap_or(self.plan.steps());
         match job {
             Job::Coarse => self.plan.steps() / self.plan.step_ratio,
-            Job::Segment(j) | Job::Seam(j) => end(j),
+            Job::Segment(j) | Job::Seam(j) | Job::Again { segment: j, .. } => end(j),
         }
     }
 
-    /// Input of a job. Reading and refining its start state is done by the session that takes it.
-    fn segment(&self, job: Job) -> Result<Segment<'a>, String> {
+    /// Input of a job; none if it need not be made. Reading and refining its start state is done by the session that
+    /// takes it.
+    fn segment(&self, job: Job) -> Result<Option<Segment<'a>>, String> {
         let (plan, run) = (self.plan, self.run);
         let cuts = self.table().cuts.clone();
         let last_step = self.last_step(job, &cuts);
@@ -74,13 +75,19 @@ impl<'a> Schedule<'a> {
                 if j > 0 && recovery > 0 {
                     segment.way = Some(Arc::new(WarmUp::new(plan, run, start)));
                 }
-                let (kept, per_frame) = (start + plan.handover_kept(), plan.fine.scene.settings.steps_per_frame);
-                let keep = self.keep;
-                segment.wants_state = Arc::new(move |step| {
-                    let near_a_seam = (start..=kept).contains(&step) || step + 2 >= last_step;
-                    let asked = keep.is_some_and(|keep| keep.wants(step, per_frame));
-                    step >= start && (near_a_seam || asked || step.is_multiple_of(per_frame))
-                });
+                segment.wants_state = self.wanted_of_segment(start, last_step);
+            }
+            Job::Again { sweep, segment: j } => {
+                let [earlier, own] = self.table().before_sweep(sweep, j);
+                let start = cuts[j];
+                let end = kept_state(&earlier.folder(run), start)?;
+                if end == kept_state(&own.folder(run), start)? {
+                    return Ok(None);
+                }
+                if segment.start.is_none() {
+                    (segment.first_step, segment.start) = (start, Some(Arc::new(end)));
+                }
+                segment.wants_state = self.wanted_of_segment(start, last_step);
             }
             Job::Seam(j) => {
                 let end = self.end_of(j - 1, cuts[j])?;
@@ -91,7 +98,18 @@ impl<'a> Schedule<'a> {
                 segment.wants_state = Arc::new(|_| true);
             }
         }
-        Ok(segment)
+        Ok(Some(segment))
+    }
+
+    /// The states of a segment that are needed: frames, those near its seams, those that the user asks for.
+    fn wanted_of_segment(&self, start: u32, last_step: u32) -> Arc<dyn Fn(u32) -> bool + Send + Sync> {
+        let kept = start + self.plan.handover_kept();
+        let (per_frame, keep) = (self.plan.fine.scene.settings.steps_per_frame, self.keep);
+        Arc::new(move |step| {
+            let near_a_seam = (start..=kept).contains(&step) || step + 2 >= last_step;
+            let asked = keep.is_some_and(|keep| keep.wants(step, per_frame));
+            step >= start && (near_a_seam || asked || step.is_multiple_of(per_frame))
+        })
     }
 
     /// The last state of a segment: that of its hand-over if it went on to the end.
@@ -105,26 +123,31 @@ impl<'a> Schedule<'a> {
 impl<'a> Source<'a> for Schedule<'a> {
     fn next(&self, _session: usize, halt: &AtomicBool) -> Option<(usize, Segment<'a>)> {
         let mut table = self.table();
-        let job = loop {
+        loop {
             let stop = halt.load(Ordering::Relaxed) || signals::stop_requested().is_some();
             if stop || self.scope.is_complete(&table) {
                 return None;
             }
-            if let Some(job) = table.ready(self.scope) {
-                table.stages.insert(job, Stage::UnderWay);
-                break job;
-            }
-            // Others end their jobs, and the listener tells; a stop is noticed after a moment.
-            let waited = self.changed.wait_timeout(table, Duration::from_millis(100));
-            table = waited.unwrap_or_else(PoisonError::into_inner).0;
-        };
-        drop(table);
-        match self.segment(job) {
-            Ok(segment) => Some((job.number(), segment)),
-            Err(why) => {
-                self.fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
-                halt.store(true, Ordering::Relaxed);
-                None
+            let Some(job) = table.ready(self.scope) else {
+                // Others end their jobs, and the listener tells; a stop is noticed after a moment.
+                let waited = self.changed.wait_timeout(table, Duration::from_millis(100));
+                table = waited.unwrap_or_else(PoisonError::into_inner).0;
+                continue;
+            };
+            table.stages.insert(job, Stage::UnderWay);
+            drop(table);
+            match self.segment(job) {
+                Ok(Some(segment)) => return Some((job.number(), segment)),
+                Ok(None) => {
+                    table = self.table();
+                    table.leave(job);
+                    self.changed.notify_all();
+                }
+                Err(why) => {
+                    self.fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
+                    halt.store(true, Ordering::Relaxed);
+                    return None;
+                }
             }
         }
     }

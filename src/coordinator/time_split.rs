@@ -16,7 +16,7 @@ use super::recorder::{RecordError, Recorder, RunPlaces};
 use super::session::{SessionError, StepDone};
 use super::shot::{self, Ended, News, ShotError, Told};
 use super::time_job::{Job, Scope, Stage, Table};
-use super::time_options::{PartitionRule, SeamRule, TimeOptions};
+use super::time_options::{PartitionRule, TimeOptions};
 use super::time_plan::{Counts, TimePlan};
 use super::time_report::SplitReport;
 use super::time_schedule::{Schedule, newest};
@@ -135,7 +135,7 @@ impl<'a> Listener<'a, '_> {
         let places = RunPlaces { scene: self.scene.clone(), out, existing };
         let (mut recorder, _) = Recorder::open(level, &options, &places)?;
         let cuts = self.schedule.table().cuts.clone();
-        if let Job::Segment(j) | Job::Seam(j) = job
+        if let Job::Segment(j) | Job::Seam(j) | Job::Again { segment: j, .. } = job
             && j > 0
         {
             recorder.start_at(cuts[j], plan.fine.scene.settings.steps_per_frame);
@@ -190,24 +190,24 @@ impl<'a> Listener<'a, '_> {
             manifest.set_flags(&self.options).map_err(fault)?;
             manifest.save(directory).map_err(fault)?;
         }
-        self.schedule.table().take_cuts(cuts, self.schedule.plan.options.seam);
+        self.schedule.table().take_cuts(cuts, self.schedule.plan.options.hands_over());
         Ok(())
     }
 
     /// Moves the frames of segments that are final to their place.
     fn settle(&mut self) -> Result<(), RecordError> {
-        let (done, cuts) = {
+        let (done, cuts, all) = {
             let table = self.schedule.table();
-            let handed_over = self.schedule.plan.options.seam == SeamRule::HandOver;
+            let handed_over = self.schedule.plan.options.hands_over();
             // The figures of a seam need both of its sides.
-            let is_joined =
-                |j: usize| table.is_done(Job::Segment(j - 1)) && (!handed_over || table.is_done(Job::Seam(j)));
-            let is_final = |&j: &usize| table.is_done(Job::Segment(j)) && (j == 0 || is_joined(j));
-            ((0..table.cuts.len()).filter(is_final).collect::<Vec<_>>(), table.cuts.clone())
+            let is_joined = |j: usize| table.is_swept(j - 1) && (!handed_over || table.is_done(Job::Seam(j)));
+            let is_final = |&j: &usize| table.is_swept(j) && (j == 0 || is_joined(j));
+            let all = (0..table.cuts.len()).map(|j| table.last(j)).collect::<Vec<_>>();
+            ((0..table.cuts.len()).filter(is_final).collect::<Vec<_>>(), table.cuts.clone(), all)
         };
         let Some(Whole { report, directory, .. }) = &mut self.whole else { return Ok(()) };
         for j in done {
-            report.settle(self.schedule.plan, directory, &cuts, j, self.options.keep_states)?;
+            report.settle(self.schedule.plan, directory, &cuts, &all, j, self.options.keep_states)?;
         }
         Ok(())
     }
@@ -322,14 +322,14 @@ pub fn run_split(
 
 /// The jobs of a shot as far as they are known before it starts, with what an earlier start has done.
 fn known_jobs(plan: &TimePlan, options: &RunOptions, run: &Path) -> Table {
-    let mut table = Table::new();
+    let mut table = Table::new(plan.options.sweeps as usize);
     let cuts = match (options.time.cuts.is_empty(), plan.options.partition) {
         (false, _) => options.time.cuts.clone(),
         (true, PartitionRule::Counted) => Vec::new(),
         (true, _) => plan.cuts(&[]),
     };
     if !cuts.is_empty() {
-        table.take_cuts(cuts, plan.options.seam);
+        table.take_cuts(cuts, plan.options.hands_over());
     }
     for (job, stage) in &mut table.stages {
         let folder = job.folder(run);
@@ -369,11 +369,13 @@ fn sessions(plan: &TimePlan, options: &RunOptions, launch: &Launch) -> usize {
 }
 
 fn finish(
-    listener: Listener<'_, '_>,
+    mut listener: Listener<'_, '_>,
     schedule: &Schedule<'_>,
     plan: &TimePlan,
     played: Result<Ended, ShotError<RecordError>>,
 ) -> Result<RunSummary, RunError> {
+    // Sweeps that need not be made have no end that would have been heard of.
+    let settled = listener.settle();
     let Listener { under_way, whole, options, steps, substeps, seconds, .. } = listener;
     let end = |status: Status, cuts: &[u32]| match whole {
         Some(Whole { report, directory, .. }) => report.end(plan, &directory, cuts, &options, status),
@@ -396,7 +398,7 @@ fn finish(
             drop(table);
             let status = if done { Status::Done } else { Status::Stopped };
             let frames = end(status, &cuts)?;
-            kept?;
+            kept.and(settled)?;
             let seconds_per_step = seconds / f64::from(steps.max(1));
             return Ok(RunSummary { frames, steps, substeps, seconds_per_step, stopped });
         }

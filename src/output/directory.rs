@@ -4,10 +4,10 @@
 //! RUN_DIR/report.json  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
 //!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc
 //!         states/step_%08d.ltc  pictures/*.png
-//!         preview/  segments/%03d/  segments/%03d/seam/
+//!         preview/  segments/%03d/  segments/%03d/seam/  segments/%03d/sweep_%03d/
 //! ```
-//! The last line is that of a shot split in time: the coarse run, and until the shot is done the segments and the
-//! hand-overs between them, each a run directory.
+//! The last line is that of a shot split in time: the coarse run, and until the shot is done the segments, the
+//! hand-overs between them and their sweeps, each a run directory.
 //!
 //! On a network file system without locks, two machines can still write to the same directory.
 
@@ -187,7 +187,16 @@ fn remove_run(path: &Path) -> io::Result<()> {
     own.chain(numbered_files(path)).try_for_each(fs::remove_file)?;
     let segments: Vec<PathBuf> =
         fs::read_dir(path.join("segments")).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
-    let inner = segments.iter().map(|segment| segment.join("seam")).chain(segments.iter().cloned());
+    // Those inside first.
+    let parts_of = |segment: &PathBuf| {
+        let entries = fs::read_dir(segment).into_iter().flatten().flatten().map(|entry| entry.path());
+        let is_part = |path: &PathBuf| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name == "seam" || name.starts_with("sweep_")
+        };
+        entries.filter(is_part).collect::<Vec<_>>()
+    };
+    let inner = segments.iter().flat_map(parts_of).chain(segments.iter().cloned());
     for part in inner.chain([path.join("preview")]).filter(|part| part.is_dir()) {
         remove_run(&part)?;
         // Folders that hold something else stay.

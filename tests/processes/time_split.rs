@@ -256,3 +256,20 @@ fn without_recovery_a_seam_is_closed_as_well() {
     let report = place.report("out");
     assert_eq!((&report["segments"][1]["recovery_steps"], &report["seams"][0]["met"]), (&0.into(), &true.into()));
 }
+
+#[test]
+fn after_k_sweeps_the_first_segments_are_those_of_the_plain_run() {
+    let place = place();
+    place.run(&format!("{RUN} --keep-states 1 --out plain")).expect(0);
+    let plain = place.hashes("plain");
+    let split = "--segments 3 --partition uniform --sessions 2";
+    place.run(&format!("{RUN} {split} --sweeps 1 --out one")).expect(0).says(&["sweep 1 of segment 2 done"]);
+    let one = place.hashes("one");
+    assert_eq!(one[..=16], plain[..=16], "two segments");
+    assert_ne!(one[17..], plain[17..]);
+    place.run(&format!("{RUN} {split} --sweeps 2 --workers 2 --out two")).expect(0);
+    assert_eq!(place.hashes("two"), plain, "all three");
+    // What has not changed is not made again.
+    let told = place.run(&format!("{RUN} {split} --sweeps 2 --start-states plain --out same")).expect(0).stderr;
+    assert!(!told.contains("sweep") && place.hashes("same") == plain, "{told}");
+}
