@@ -339,7 +339,7 @@ fn interpolated(values: &[f32], frames: usize, at: f64, out: &mut Vec<f32>) {
 mod tests {
     use super::*;
     use crate::math::DVec3;
-    use crate::scene::Keyframe;
+    use crate::scene::{Keyframe, Playback};
 
     fn triangle(name: &str, at: f32, movement: Movement) -> Obstacle {
         let positions = [Vec3::ZERO, Vec3::X, Vec3::Y].map(|p| p + at).to_vec();
@@ -397,6 +397,105 @@ mod tests {
             assert_eq!(out[9..12], [moved, 0.0, 0.0], "the moved one at {time_s} s");
             assert_eq!(out[18..22], [first, first, first, second], "the sequence at {time_s} s");
         }
+    }
+
+    /// A node that moves and carries a morph target, two joints that carry a triangle, and a cache of two samples.
+    fn more() -> Obstacles {
+        use crate::math::{DAffine3, DQuat};
+        use crate::scene::rig::{Node, Rig, RigHeader, RigPart, Skin};
+        use crate::scene::rig_track::{Interpolation, Pose, Property, Track};
+        let playback = Playback { start_s: 0.25, rate: 1.0, repeats: false, lead_in_s: 0.5, length_s: 1.0 };
+        let pose = Pose { translation: DVec3::ZERO, rotation: DQuat::IDENTITY, scale: DVec3::ONE };
+        let node = |parent, weights| Node { parent, pose, matrix: None, weights };
+        let part = RigPart { node: 0, vertices: 3, points: 0, targets: 1, skin: None };
+        let joints = Skin {
+            joints: vec![0, 1],
+            inverse_bind: vec![DAffine3::IDENTITY; 2],
+            influences: 2,
+            carriers: 27,
+            weights: 33,
+        };
+        let skinned = RigPart { node: 1, vertices: 3, points: 18, targets: 0, skin: Some(joints) };
+        let track = |node, property, width, values| Track {
+            node,
+            property,
+            interpolation: Interpolation::Linear,
+            keys: 2,
+            width,
+            times: 39,
+            values,
+        };
+        let points = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+        let target = [0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0, 3.0];
+        let weights = [1.0, 0.0, 0.5, 0.5, 0.25, 0.75];
+        let carriers = [0.0, 1.0, 0.0, 1.0, 0.0, 1.0];
+        let keys = [0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0];
+        let values = [&points[..], &target, &points, &carriers, &weights, &keys].concat();
+        let header = RigHeader {
+            nodes: vec![node(None, vec![0.0]), node(Some(0), Vec::new())],
+            tracks: vec![track(0, Property::Weights, 1, 41), track(1, Property::Translation, 3, 43)],
+            parts: vec![part, skinned],
+            playback: Some(playback),
+            placement: DAffine3::from_translation(DVec3::new(0.0, 0.0, 10.0)),
+        };
+        let rig = Movement::Rigged(Rig { header, values }.into());
+        let frames = [9.0, 1.0, 3.0].map(|x| vec![Vec3::splat(x), Vec3::ZERO, Vec3::splat(-x)]).to_vec();
+        let cache = Movement::Cached(Cache { playback, times_s: vec![0.0, 1.0], frames }.into());
+        let six = [triangle("", 0.0, Movement::Still).positions, vec![Vec3::ZERO; 3]].concat();
+        let body = Obstacle { positions: six, ..triangle("body", 0.0, rig) };
+        Obstacles::new(&[triangle("still", 7.0, Movement::Still), body, triangle("cache", 0.0, cache)])
+    }
+
+    #[test]
+    fn bodies_and_caches_move_as_their_clips_say() {
+        let all = more();
+        let mut out = Vec::new();
+        // The lead-in ends at 0.75 s; half a second later the weight is 0.5 and the second joint is 2 m further.
+        all.positions_at(1.25, &mut out);
+        let at = |vertex: usize| Vec3::from_slice(&out[3 * vertex..]);
+        assert_eq!([3, 4, 5].map(at), [[0., 0., 10.5], [1., 0., 11.], [0., 1., 11.5]].map(Vec3::from));
+        assert_eq!([6, 7, 8].map(at), [[0., 0., 10.], [2., 0., 10.], [1.5, 1., 10.]].map(Vec3::from));
+        assert_eq!([9, 10, 11].map(at), [Vec3::splat(2.0), Vec3::ZERO, Vec3::splat(-2.0)]);
+        // Half of the lead-in: half of the first pose of the clip, which is the rest pose here.
+        all.positions_at(0.5, &mut out);
+        assert_eq!(Vec3::from_slice(&out[27..]), Vec3::splat(5.0));
+        assert!(all.moving());
+    }
+
+    #[test]
+    fn a_few_vertices_move_as_in_the_whole() {
+        for (all, few) in [(three(), vec![1, 3, 5, 6, 8]), (more(), vec![0, 3, 5, 6, 8, 9, 11]), (more(), vec![7])] {
+            let part = all.only(&few);
+            assert_eq!((part.vertices(), part.triangles().len()), (few.len(), 0));
+            for time_s in [-1.0, 0.0, 0.4, 0.75, 1.1, 9.0] {
+                let (mut whole, mut own) = (Vec::new(), Vec::new());
+                all.positions_at(time_s, &mut whole);
+                part.positions_at(time_s, &mut own);
+                let expected: Vec<f32> = few.iter().flat_map(|&v| whole[3 * v as usize..][..3].to_vec()).collect();
+                assert_eq!(own, expected, "{few:?} at {time_s} s");
+            }
+            let (positions, _) = part.arrays();
+            let again = Obstacles::from_parts(part.header().clone(), positions.to_vec(), Vec::new());
+            assert_eq!(again.as_ref(), Some(&part));
+        }
+        assert!(three().only(&[]).is_empty());
+    }
+
+    #[test]
+    fn vertices_that_are_always_at_one_place_are_one_for_contacts() {
+        let all = more();
+        assert_eq!(all.welded_triangles(), all.triangles(), "none is doubled");
+        let frames = vec![vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::X, Vec3::X]; 3];
+        let playback = Playback { start_s: 0.0, rate: 1.0, repeats: false, lead_in_s: 0.0, length_s: 1.0 };
+        let mut moved = frames.clone();
+        moved[2][4] = Vec3::Z;
+        let cache = Movement::Cached(Cache { playback, times_s: vec![0.0, 1.0], frames: moved }.into());
+        let seam = Obstacle {
+            positions: frames[0].clone(),
+            triangles: vec![[0, 1, 2], [0, 3, 2], [0, 4, 2]],
+            ..triangle("seam", 0.0, cache)
+        };
+        assert_eq!(Obstacles::new(&[seam]).welded_triangles(), [[0, 1, 2], [0, 1, 2], [0, 4, 2]]);
     }
 
     #[test]
