@@ -157,6 +157,31 @@ fn body(name: &str, bytes: &[u8]) -> Result<(), String> {
     })
 }
 
+/// A point cache of a triangle as an obstacle.
+fn obstacle_cache(form: &str, bytes: &[u8]) -> Result<(), String> {
+    from_file("c.cache", bytes, |path| {
+        std::fs::write(path.with_file_name("r.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("a mesh");
+        let rate = if form == "pc2" { "frames_per_s = 2\n" } else { "" };
+        let text = format!(
+            "[simulation]\ncollisions = false\n[[cloth]]\nsheet = {{ size_m = [1, 1], triangles = 8 }}\n\
+             [[obstacle]]\nlead_in_s = 0.5\n{rate}{form} = {{ rest = \"r.obj\", cache = \"c.cache\" }}\n"
+        );
+        let scene = parse(&text, &path.with_file_name("a.toml"), &Overrides::default());
+        let obstacles = Obstacles::new(&scene.map_err(|error| error.to_string())?.obstacles);
+        let mut out = Vec::new();
+        [0.0, 0.6, 7.0].iter().for_each(|&time_s| obstacles.positions_at(time_s, &mut out));
+        assert!(out.len() == 9 && out.iter().all(|x| x.is_finite()));
+        Ok(())
+    })
+}
+
+fn mdd_seed() -> Vec<u8> {
+    let mut bytes: Vec<u8> = [2i32, 3].iter().flat_map(|x| x.to_be_bytes()).collect();
+    bytes.extend([0.0f32, 0.5].iter().flat_map(|x| x.to_be_bytes()));
+    bytes.extend((0..18).flat_map(|i| ((i * i) as f32).to_be_bytes()));
+    bytes
+}
+
 /// A triangle that hangs on two joints and has a morph target; `uri` = where its bytes are.
 fn body_text(uri: &str) -> String {
     format!(
@@ -227,6 +252,11 @@ fn run_seeds() -> Vec<Seed> {
     cache.extend(2i32.to_le_bytes());
     (0..18).for_each(|i| cache.extend((i as f32).to_le_bytes()));
     add("point cache", &cache, point_cache);
+    // Points that are not on one line.
+    cache.truncate(32);
+    (0..18).for_each(|i| cache.extend(((i * i) as f32).to_le_bytes()));
+    add("pc2 obstacle", &cache, |bytes| obstacle_cache("pc2", bytes));
+    add("mdd obstacle", &mdd_seed(), |bytes| obstacle_cache("mdd", bytes));
     seeds
 }
 
