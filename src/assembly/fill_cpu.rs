@@ -190,6 +190,10 @@ pub(crate) fn add_hinge(
     let r = &inputs.hinge_records[e * HINGE_RECORD_FLOATS..][..HINGE_RECORD_FLOATS];
     let g = |corner: usize| Vec3::new(r[corner * 4], r[corner * 4 + 1], r[corner * 4 + 2]);
     let (stiffness, moment) = (r[3], r[7]);
+    // Most fibers of strain limits are slack. Nothing is added to sums that begin at +0.
+    if stiffness == 0.0 && moment == 0.0 {
+        return;
+    }
     let ga = g(a);
     *force -= ga * moment;
     let scaled = (ga * stiffness).to_array();

@@ -13,8 +13,9 @@ use crate::impact_zone::ZoneCounts;
 use crate::model::State;
 use crate::os::console::note;
 use crate::output::{
-    Checkpoint, Existing, FrameRecord, FrameWriter, LetGoRecord, QueryRecord, RankEvents, ReportHeader, ReportWriter,
-    RunDirectory, RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint, take_up_formats,
+    BeyondLimits, Checkpoint, Existing, FrameRecord, FrameWriter, LetGoRecord, QueryRecord, RankEvents, ReportHeader,
+    ReportWriter, RunDirectory, RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint,
+    take_up_formats,
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
@@ -292,7 +293,8 @@ impl Recorder {
         if let Some(report) = &mut self.report {
             let name = |obstacle: usize| self.obstacles.name(obstacle).to_string();
             let let_go = LetGoRecord::of(&state.let_go, name);
-            let record = FrameRecord { frame, time_s, state_hash: state_hash.clone(), let_go };
+            let beyond_limits = BeyondLimits::of(&plan.scene, &state.positions, time_s);
+            let record = FrameRecord { frame, time_s, state_hash: state_hash.clone(), let_go, beyond_limits };
             report.frame(record).map_err(write_error)?;
         }
         Ok(state_hash)

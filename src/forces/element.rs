@@ -3,7 +3,7 @@
 
 use crate::gpu::gpu_struct;
 use crate::math::{DVec2, Vec2, Vec3};
-use crate::scene::{Fabric, Plasticity};
+use crate::scene::{Fabric, Plasticity, StrainLimit};
 
 /// Corners of a triangle element.
 pub const CORNERS_TRIANGLE: usize = 3;
@@ -109,7 +109,7 @@ gpu_struct! {
 const LIMIT_STIFFENING: f64 = 80.0;
 
 gpu_struct! {
-    /// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping, plasticity, strain limits; 48
+    /// A fabric on the device: stretching rows (6 x 4), bending rows (3 x 5), damping, plasticity, strain limits; 52
     /// floats.
     pub struct FabricTable {
         /// As [`Fabric::stretching_n_m`].
@@ -124,19 +124,33 @@ gpu_struct! {
         pub hardening: f32,
         /// As [`Plasticity::weakening`].
         pub weakening: f32,
-        /// Least and largest stretch in any direction.
+        /// Least and largest stretch in any direction; 0 and [`FREE`] = no limit, here and below.
         pub strain_limit: [f32; 2],
-        /// Largest stiffness of a fiber beyond the strain limit, N/m; 0 = no limit.
+        /// Least and largest stretch of the warp.
+        pub warp_limit: [f32; 2],
+        /// Least and largest stretch of the weft.
+        pub weft_limit: [f32; 2],
+        /// Sine of the largest change of the angle between warp and weft.
+        pub shear_limit: f32,
+        /// Largest stiffness beyond a strain limit, N/m; 0 = no limit of any kind.
         pub limit_stiffness: f32,
         /// Fills the struct to a multiple of 16 bytes.
-        pub padding: [f32; 2],
+        pub padding: f32,
     }
 }
 
+/// A stretch that no cloth reaches; its square is a finite number.
+pub(super) const FREE: f32 = 1e6;
+
 impl FabricTable {
-    /// True if the fabric has a strain limit.
+    /// True if the fabric has a strain limit of any kind.
     pub fn is_limited(&self) -> bool {
         self.limit_stiffness > 0.0
+    }
+
+    /// True if the fabric has a strain limit that is the same in every direction, so that its triangles have fibers.
+    pub fn has_fibers(&self) -> bool {
+        self.is_limited() && self.strain_limit[1] < FREE
     }
 
     /// Which of the two fabrics of a hinge yields first; the first one if none does.
@@ -161,6 +175,12 @@ impl From<&Fabric> for FabricTable {
         }
         let none = Plasticity { yield_curvature_1_m: 0.0, hardening: 0.0, weakening: 0.0 };
         let Plasticity { yield_curvature_1_m, hardening, weakening } = fabric.plasticity.unwrap_or(none);
+        let narrow = |range: Option<[f64; 2]>| range.map_or([0.0, FREE], |range| range.map(|stretch| stretch as f32));
+        let (every, warp, weft, shear_deg) = match fabric.strain_limit {
+            None => (None, None, None, None),
+            Some(StrainLimit::Every(range)) => (Some(range), None, None, None),
+            Some(StrainLimit::Along { warp, weft, shear_deg }) => (None, warp, weft, shear_deg),
+        };
         let stiffest = fabric.stretching_n_m.iter().map(|row| row[0].max(row[2])).fold(0.0, f64::max);
         FabricTable {
             stretching: fabric.stretching_n_m.map(|row| row.map(|k| k as f32)),
@@ -169,9 +189,12 @@ impl From<&Fabric> for FabricTable {
             yield_curvature: yield_curvature_1_m as f32,
             hardening: hardening as f32,
             weakening: weakening as f32,
-            strain_limit: fabric.strain_limit.map_or([0.0, f32::MAX], |limit| limit.map(|stretch| stretch as f32)),
+            strain_limit: narrow(every),
+            warp_limit: narrow(warp),
+            weft_limit: narrow(weft),
+            shear_limit: shear_deg.map_or(1.0, |angle| angle.to_radians().sin() as f32),
             limit_stiffness: if fabric.strain_limit.is_some() { (LIMIT_STIFFENING * stiffest) as f32 } else { 0.0 },
-            padding: [0.0; 2],
+            padding: 0.0,
         }
     }
 }

@@ -28,8 +28,11 @@ struct FabricTable {
     weakening: f32,
     // Not a vec2: it would be aligned to 8 bytes.
     strain_limit: array<f32, 2>,
+    warp_limit: array<f32, 2>,
+    weft_limit: array<f32, 2>,
+    shear_limit: f32,
     limit_stiffness: f32,
-    padding: array<f32, 2>,
+    padding: f32,
 }
 
 struct StepParams {

@@ -13,7 +13,9 @@
 //! for. It is the largest slope instead of that at e, an upper bound. Here it is a record like that of a hinge (layout:
 //! `bend`) whose gradients are w_a F d at corner a of the triangle, w_a = u_a d_u + v_a d_v, and zero at the fourth
 //! corner. Where both principal stretches are out of the limits, the stiffness is K in all directions instead, which
-//! the triangle record holds.
+//! the triangle record holds. Limits of warp, weft and shear by themselves need no fiber: d is a direction of the
+//! fabric there, and their stiffness adds to that of warp, weft and shear in the triangle record. The strain of shear
+//! beyond its limit is (|x_u . x_v| - sin(limit) |x_u| |x_v|) / 2.
 
 use super::element::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TriangleElement};
 use super::fiber_cpu;

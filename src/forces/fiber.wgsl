@@ -9,6 +9,17 @@
 @group(0) @binding(4) var<storage, read_write> records: array<vec4<f32>>;
 @group(0) @binding(5) var<uniform> params: StepParams;
 
+// What a fabric says of limits.
+fn limits_of_fabric(fabric: u32) -> LimitTable {
+    return LimitTable(
+        vec2<f32>(fabrics[fabric].strain_limit[0], fabrics[fabric].strain_limit[1]),
+        vec2<f32>(fabrics[fabric].warp_limit[0], fabrics[fabric].warp_limit[1]),
+        vec2<f32>(fabrics[fabric].weft_limit[0], fabrics[fabric].weft_limit[1]),
+        fabrics[fabric].shear_limit,
+        fabrics[fabric].limit_stiffness,
+    );
+}
+
 @compute @workgroup_size(WORKGROUP)
 fn fiber(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let e = global_index(id, groups);
@@ -27,9 +38,9 @@ fn fiber(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) 
     let wv = w1 * element.weights_v.x + w2 * element.weights_v.y;
     let xu = d1 * element.weights_u.x + d2 * element.weights_u.y;
     let xv = d1 * element.weights_v.x + d2 * element.weights_v.y;
-    if (fabrics[element.fabric].limit_stiffness > 0.0) {
-        let limits = vec2<f32>(fabrics[element.fabric].strain_limit[0], fabrics[element.fabric].strain_limit[1]);
-        found = limit_of(limits, fabrics[element.fabric].limit_stiffness, xu, xv, wu, wv, params.ahead_s);
+    let table = limits_of_fabric(element.fabric);
+    if (has_fibers(table)) {
+        found = limit_of(table, xu, xv, wu, wv, params.ahead_s);
     }
     let stiffness = found.fiber * element.area_m2;
     let d = found.direction * select(0.0, 1.0, found.fiber > 0.0);

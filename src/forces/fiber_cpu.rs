@@ -12,14 +12,16 @@ const LIMIT_BEND: f32 = 0.0025;
 pub(super) struct Limit {
     /// Second Piola stress uu, vv, uv, N/m: that of the state, or that of the end of the step.
     pub stress: [f32; 3],
-    /// The stress is that of this time before the end of the step, seconds.
-    pub ahead_s: f32,
     /// Stiffness along `direction`, N/m.
     pub fiber: f32,
+    /// The stress of the fiber is that of this time before the end of the step, seconds.
+    pub ahead_s: f32,
     /// Unit vector in material space.
     pub direction: Vec2,
-    /// Stiffness in every direction, N/m.
-    pub isotropic: f32,
+    /// Stiffness of warp, weft and a quarter of that of shear, N/m.
+    pub plain: [f32; 3],
+    /// `plain` times the time before the end of the step that its stress is of, N s/m.
+    pub plain_ahead: [f32; 3],
 }
 
 /// Stress (N/m) of a fiber at the Green strain `beyond` its limit, for a fabric of this
@@ -30,8 +32,49 @@ pub(super) fn fiber_stress(stiffness: f32, beyond: f32) -> f32 {
     beyond.signum() * stiffness * (bent / LIMIT_BEND) * (size - 0.5 * bent)
 }
 
+/// Largest slope of [`fiber_stress`] on the side of the limit where `beyond` is; 0 within it.
+pub(super) fn fiber_slope(stiffness: f32, beyond: f32) -> f32 {
+    if beyond == 0.0 { 0.0 } else { stiffness }
+}
+
 /// The limits of a triangle with this deformation `[x_u, x_v]` and its rate, `ahead_s` after the state.
 pub(super) fn limit(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2], ahead_s: f32) -> Limit {
+    if fabric.has_fibers() {
+        limit_of_every_direction(fabric, now, rate, ahead_s)
+    } else {
+        limit_by_direction(fabric, now, rate, ahead_s)
+    }
+}
+
+/// As [`limit`] for limits of warp, weft and shear. Their stiffness has a place in the record of the triangle.
+fn limit_by_direction(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2], ahead_s: f32) -> Limit {
+    let ([u, v], [wu, wv], k) = (now, rate, fabric.limit_stiffness);
+    let mut found = Limit::default();
+    for (i, x, w, [least, most]) in [(0, u, wu, fabric.warp_limit), (1, v, wv, fabric.weft_limit)] {
+        let beyond = |squared: f32| 0.5 * ((squared - most * most).max(0.0) + (squared - least * least).min(0.0));
+        let (mut e, mut ahead) = (beyond(x.dot(x)), ahead_s);
+        if e == 0.0 {
+            (e, ahead) = (beyond(x.dot(x) + 2.0 * ahead_s * x.dot(w)), 0.0);
+        }
+        found.stress[i] = fiber_stress(k, e);
+        found.plain[i] = fiber_slope(k, e);
+        found.plain_ahead[i] = found.plain[i] * ahead;
+    }
+    // The stretch of the threads counts as what it is now.
+    let most = fabric.shear_limit * (u.dot(u) * v.dot(v)).sqrt();
+    let beyond = |product: f32| 0.5 * ((product - most).max(0.0) + (product + most).min(0.0));
+    let (mut e, mut ahead) = (beyond(u.dot(v)), ahead_s);
+    if e == 0.0 {
+        (e, ahead) = (beyond(u.dot(v) + ahead_s * (u.dot(wv) + v.dot(wu))), 0.0);
+    }
+    found.stress[2] = 0.5 * fiber_stress(k, e);
+    found.plain[2] = 0.25 * fiber_slope(k, e);
+    found.plain_ahead[2] = found.plain[2] * ahead;
+    found
+}
+
+/// As [`limit`] for a limit that is the same in every direction.
+fn limit_of_every_direction(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2], ahead_s: f32) -> Limit {
     let least = fabric.strain_limit[0] * fabric.strain_limit[0];
     let most = fabric.strain_limit[1] * fabric.strain_limit[1];
     // mean and half the difference of the squares of x_u and x_v, their product, and the radius of Mohr's circle.
@@ -53,12 +96,9 @@ pub(super) fn limit(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2], ahead
     }
     let (mean, half, uv, radius) = at;
     let (largest, smallest) = (mean + radius, mean - radius);
-    // Direction of the largest stretch; any if all are alike.
-    let wide = if half >= 0.0 { Vec2::new(half + radius, uv) } else { Vec2::new(uv, radius - half) };
-    let length = wide.length();
-    let first = if length > 0.0 { wide / length } else { Vec2::X };
+    let first = wide_direction(half, uv, radius);
     let mut found = Limit { direction: first, ahead_s: ahead, ..Limit::default() };
-    let mut beyond = 0;
+    let (mut beyond, mut stiffness) = (0, 0.0f32);
     for (squared, d) in [(largest, first), (smallest, Vec2::new(-first.y, first.x))] {
         let limit = if squared > most {
             most
@@ -69,18 +109,27 @@ pub(super) fn limit(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2], ahead
         };
         beyond += 1;
         let stress = fiber_stress(fabric.limit_stiffness, 0.5 * (squared - limit));
+        stiffness = stiffness.max(fiber_slope(fabric.limit_stiffness, 0.5 * (squared - limit)));
         found.stress[0] += stress * d.x * d.x;
         found.stress[1] += stress * d.y * d.y;
         found.stress[2] += stress * d.x * d.y;
         found.direction = d;
     }
-    let stiffness = fabric.limit_stiffness;
     if beyond == 2 {
-        found.isotropic = stiffness
+        found.plain = [stiffness, stiffness, 0.5 * stiffness];
+        found.plain_ahead = found.plain.map(|k| k * ahead);
     } else {
         found.fiber = stiffness
     }
     found
+}
+
+/// Direction of the largest stretch; any if all are alike. `half`: half the difference of the squares of x_u and x_v,
+/// `uv` their product, `radius` that of Mohr's circle.
+fn wide_direction(half: f32, uv: f32, radius: f32) -> Vec2 {
+    let wide = if half >= 0.0 { Vec2::new(half + radius, uv) } else { Vec2::new(uv, radius - half) };
+    let length = wide.length();
+    if length > 0.0 { wide / length } else { Vec2::X }
 }
 
 /// Fills `records` (16 floats per triangle). Bytes per triangle: 48 element + 72 state read, 64 written.
@@ -97,7 +146,7 @@ pub(super) fn fiber(
         for (element, record) in elements[range].iter().zip(out.chunks_exact_mut(HINGE_RECORD_FLOATS)) {
             record.fill(0.0);
             let fabric = &fabrics[element.fabric as usize];
-            if !fabric.is_limited() {
+            if !fabric.has_fibers() {
                 continue;
             }
             let x = element.vertices.map(|v| vertex(positions, v));
@@ -127,7 +176,7 @@ fn deformation(element: &TriangleElement, x: [Vec3; 3]) -> [Vec3; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Fabric;
+    use crate::scene::{Fabric, StrainLimit};
 
     #[test]
     fn the_slope_of_the_stress_is_continuous_and_at_most_the_stiffness() {
@@ -135,6 +184,7 @@ mod tests {
         for e in [-0.02f32, -0.002, -0.001, 0.001, 0.002, 0.006, 0.03] {
             let expected = 1000.0 * (e.abs() / LIMIT_BEND).min(1.0);
             assert!((slope(e) - expected).abs() < 2.0, "at {e}: {} {expected}", slope(e));
+            assert!(fiber_slope(1000.0, e) >= expected, "at {e}");
             assert!(fiber_stress(1000.0, e) * e > 0.0);
         }
         assert_eq!(fiber_stress(1000.0, 0.0), 0.0);
@@ -142,7 +192,10 @@ mod tests {
 
     #[test]
     fn only_what_is_beyond_the_limits_is_resisted() {
-        let fabric = Fabric { strain_limit: Some([0.9, 1.1]), ..Fabric::uniform("f", 0.1, [100.0; 4], 1e-5) };
+        let fabric = Fabric {
+            strain_limit: Some(StrainLimit::Every([0.9, 1.1])),
+            ..Fabric::uniform("f", 0.1, [100.0; 4], 1e-5)
+        };
         let fabric = FabricTable::from(&fabric);
         // Stretched by s along the direction at `angle` and by t across it.
         let found = |s: f32, t: f32, angle: f32| {
@@ -155,8 +208,8 @@ mod tests {
         let law = fiber_stress(k, 0.5 * (1.2f32.powi(2) - 1.1f32.powi(2)));
         for angle in [0.0, 0.4, 1.3, 2.8] {
             let d = Vec2::from_angle(angle);
-            let Limit { stress, fiber, direction, isotropic, .. } = found(1.2, 1.0, angle);
-            assert!((direction.dot(d).abs() - 1.0).abs() < 1e-5 && isotropic == 0.0 && (fiber - k).abs() < 1e-3 * k);
+            let Limit { stress, fiber, direction, plain, .. } = found(1.2, 1.0, angle);
+            assert!((direction.dot(d).abs() - 1.0).abs() < 1e-5 && plain == [0.0; 3] && (fiber - k).abs() < 1e-3 * k);
             let expected = [d.x * d.x, d.y * d.y, d.x * d.y].map(|part| law * part);
             assert!(stress.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-3 * law), "{stress:?} {expected:?}");
             // Too short across: the fiber lies there and pushes.
@@ -164,10 +217,59 @@ mod tests {
             assert!(short.direction.dot(d).abs() < 1e-5 && short.stress[0] + short.stress[1] < 0.0);
             // Both: no fiber, but the stiffness in all directions.
             let both = found(1.2, 0.8, angle);
-            assert!(both.fiber == 0.0 && (both.isotropic - k).abs() < 1e-3 * k);
+            assert!(both.fiber == 0.0 && (both.plain[0] - k).abs() < 1e-3 * k && both.plain[1] == both.plain[0]);
+            assert_eq!(both.plain[2], 0.5 * both.plain[0]);
         }
         // What the velocity leads to within the step counts.
         let ahead = limit(&fabric, [Vec3::X, Vec3::Y], [Vec3::X * 50.0, Vec3::ZERO], 0.004);
         assert!(ahead.stress[0] > 0.0 && ahead.direction.x.abs() > 0.999);
+    }
+
+    /// By differences of an energy: the stress is its derivative, the stiffness a bound of the second one.
+    #[test]
+    fn limits_of_warp_weft_and_shear_are_derivatives_of_an_energy() {
+        let along = StrainLimit::Along { warp: Some([0.9, 1.02]), weft: Some([0.95, 1.1]), shear_deg: Some(10.0) };
+        let fabric = Fabric { strain_limit: Some(along), ..Fabric::uniform("f", 0.1, [100.0; 4], 1e-5) };
+        let fabric = FabricTable::from(&fabric);
+        assert!(fabric.is_limited() && !fabric.has_fibers());
+        let still = [Vec3::ZERO; 2];
+        // Within: 1 % along the warp, 5 % along the weft, sheared by 8 degrees.
+        let within = [Vec3::X * 1.01, Vec3::new(8f32.to_radians().sin(), 8f32.to_radians().cos(), 0.0) * 1.05];
+        assert_eq!(limit(&fabric, within, still, 0.0), Limit::default());
+        let k = f64::from(fabric.limit_stiffness);
+        for (u, v) in [
+            (Vec3::new(1.05, 0.02, 0.01), Vec3::new(0.3, 1.01, 0.1)),
+            (Vec3::new(0.8, 0.1, 0.2), Vec3::new(-0.4, 1.2, 0.0)),
+            (Vec3::new(1.021, 0.0, 0.0), Vec3::new(0.18, 0.94, 0.0)),
+        ] {
+            let found = limit(&fabric, [u, v], still, 0.004);
+            assert_eq!(found.fiber, 0.0);
+            // The force on x_u is x_u S_uu + x_v S_uv, and the law is cubic, then square in what is beyond.
+            let law = |e: f64| {
+                let (e, b) = (e.abs(), f64::from(LIMIT_BEND));
+                if e < b { k * e.powi(3) / (6.0 * b) } else { k * (e * e / 2.0 - b * e / 2.0 + b * b / 6.0) }
+            };
+            let (u, v) = (u.as_dvec3(), v.as_dvec3());
+            let cap = f64::from(fabric.shear_limit) * (u.length_squared() * v.length_squared()).sqrt();
+            let beyond = |x: f64, least: f64, most: f64| (x - most).max(0.0) + (x - least).min(0.0);
+            let square =
+                |x: f64, [least, most]: [f32; 2]| 0.5 * beyond(x, f64::from(least).powi(2), f64::from(most).powi(2));
+            let warp = |x: f64| law(square(x, fabric.warp_limit));
+            let weft = |x: f64| law(square(x, fabric.weft_limit));
+            let shear = |x: f64| law(0.5 * beyond(x, -cap, cap));
+            let slope = |f: &dyn Fn(f64) -> f64, x: f64| (f(x + 1e-5) - f(x - 1e-5)) / 2e-5;
+            let curve = |f: &dyn Fn(f64) -> f64, x: f64| (f(x + 1e-4) - 2.0 * f(x) + f(x - 1e-4)) / 1e-8;
+            let (uu, vv, uv) = (u.length_squared(), v.length_squared(), u.dot(v));
+            // d(uu)/2 = x_u dx_u, so stress = 2 dW/d(uu); stiffness along x_u = 4 d2W/d(uu)2.
+            let expected = [2.0 * slope(&warp, uu), 2.0 * slope(&weft, vv), slope(&shear, uv)];
+            let stiffness = [4.0 * curve(&warp, uu), 4.0 * curve(&weft, vv), curve(&shear, uv)];
+            for i in 0..3 {
+                assert!(
+                    (f64::from(found.stress[i]) - expected[i]).abs() < 1e-3 * k * 0.1,
+                    "{i} {found:?} {expected:?}"
+                );
+                assert!(f64::from(found.plain[i]) > stiffness[i] - 2e-2 * k, "{i} {found:?} {stiffness:?}");
+            }
+        }
     }
 }

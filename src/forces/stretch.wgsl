@@ -45,6 +45,17 @@ fn positive_part(uu: f32, uv: f32, vv: f32) -> vec3<f32> {
     return vec3<f32>(uu - smallest, uv, vv - smallest) * (largest / (2.0 * radius));
 }
 
+// What a fabric says of limits.
+fn limits_of_fabric(fabric: u32) -> LimitTable {
+    return LimitTable(
+        vec2<f32>(fabrics[fabric].strain_limit[0], fabrics[fabric].strain_limit[1]),
+        vec2<f32>(fabrics[fabric].warp_limit[0], fabrics[fabric].warp_limit[1]),
+        vec2<f32>(fabrics[fabric].weft_limit[0], fabrics[fabric].weft_limit[1]),
+        fabrics[fabric].shear_limit,
+        fabrics[fabric].limit_stiffness,
+    );
+}
+
 @compute @workgroup_size(WORKGROUP)
 fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let e = global_index(id, groups);
@@ -78,16 +89,15 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let wu = (v1 - v0) * element.weights_u.x + (v2 - v0) * element.weights_u.y;
     let wv = (v1 - v0) * element.weights_v.x + (v2 - v0) * element.weights_v.y;
     // K w of a limit counts as far as its stress is not that of the end of the step, and it has no damping.
-    var limits = 0.0;
-    var limits_ahead = 0.0;
+    var limits = vec3<f32>(0.0);
+    var limits_ahead = vec3<f32>(0.0);
     if (fabrics[element.fabric].limit_stiffness > 0.0) {
-        let range = vec2<f32>(fabrics[element.fabric].strain_limit[0], fabrics[element.fabric].strain_limit[1]);
-        let found = limit_of(range, fabrics[element.fabric].limit_stiffness, xu, xv, wu, wv, params.ahead_s);
+        let found = limit_of(limits_of_fabric(element.fabric), xu, xv, wu, wv, params.ahead_s);
         suu += found.stress.x;
         svv += found.stress.y;
         suv += found.stress.z;
-        limits = found.isotropic;
-        limits_ahead = found.isotropic * found.ahead_s;
+        limits = found.plain;
+        limits_ahead = found.plain_ahead;
     }
     let p = positive_part(suu, suv, svv);
 
@@ -99,11 +109,9 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let rate = params.ahead_s + damping;
     var pu = (xu * suu + xv * suv + ku * rate) * area;
     var pv = (xu * suv + xv * svv + kv * rate) * area;
-    if (limits_ahead > 0.0) {
-        let limit_shear = 0.5 * (dot(xv, wu) + dot(xu, wv));
-        pu += (xu * dot(xu, wu) + xv * limit_shear) * (limits_ahead * area);
-        pv += (xv * dot(xv, wv) + xu * limit_shear) * (limits_ahead * area);
-    }
+    let limit_shear = limits_ahead.z * (dot(xv, wu) + dot(xu, wv));
+    pu += (xu * (limits_ahead.x * dot(xu, wu)) + xv * limit_shear) * area;
+    pv += (xv * (limits_ahead.y * dot(xv, wv)) + xu * limit_shear) * area;
 
     // Air: pressure and tangential drag, each corner a third.
     let normal = cross(xu, xv);
@@ -121,9 +129,9 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
 
     let h = dt * (dt + damping) * area;
     let at = e * 6u;
-    records[at] = vec4<f32>(xu, h * (warp + limits));
+    records[at] = vec4<f32>(xu, h * (warp + limits.x));
     records[at + 1u] = vec4<f32>(xv, h * cross_stiffness);
-    records[at + 2u] = vec4<f32>(h * (weft + limits), h * (quarter + 0.5 * limits), h * p.x, h * p.y);
+    records[at + 2u] = vec4<f32>(h * (weft + limits.y), h * (quarter + limits.z), h * p.x, h * p.y);
     records[at + 3u] = vec4<f32>(h * p.z, air_normal, air_tangent, air.x);
     records[at + 4u] = vec4<f32>(pu, air.y);
     records[at + 5u] = vec4<f32>(pv, air.z);

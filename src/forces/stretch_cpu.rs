@@ -102,11 +102,11 @@ fn stretch_record(
     let (mut suu, mut svv, mut suv) = (warp * uu + cross * vv, weft * vv + cross * uu, 0.5 * shear * uv);
     let (wu, wv) = deformation(element, v);
     // K w of a limit counts as far as its stress is not that of the end of the step, and it has no damping.
-    let (mut limits, mut limits_ahead) = (0.0, 0.0);
+    let (mut limits, mut limits_ahead) = ([0.0; 3], [0.0; 3]);
     if fabric.is_limited() {
         let limit = limit(fabric, [xu, xv], [wu, wv], params.ahead_s);
         (suu, svv, suv) = (suu + limit.stress[0], svv + limit.stress[1], suv + limit.stress[2]);
-        (limits, limits_ahead) = (limit.isotropic, limit.isotropic * limit.ahead_s);
+        (limits, limits_ahead) = (limit.plain, limit.plain_ahead);
     }
     let [puu, puv, pvv] = positive_part(suu, suv, svv);
 
@@ -118,10 +118,11 @@ fn stretch_record(
     let rate = params.ahead_s + fabric.damping_s;
     let mut pu = (xu * suu + xv * suv + ku * rate) * area;
     let mut pv = (xu * suv + xv * svv + kv * rate) * area;
-    if limits_ahead > 0.0 {
-        let shear_rate = 0.5 * (xv.dot(wu) + xu.dot(wv));
-        pu += (xu * xu.dot(wu) + xv * shear_rate) * (limits_ahead * area);
-        pv += (xv * xv.dot(wv) + xu * shear_rate) * (limits_ahead * area);
+    if limits_ahead != [0.0; 3] {
+        let [warp, weft, quarter] = limits_ahead;
+        let shear_rate = quarter * (xv.dot(wu) + xu.dot(wv));
+        pu += (xu * (warp * xu.dot(wu)) + xv * shear_rate) * area;
+        pv += (xv * (weft * xv.dot(wv)) + xu * shear_rate) * area;
     }
 
     // Air: pressure rho |vn| vn n and tangential drag, each corner a third; the Jacobian blocks of all corner pairs are
@@ -137,7 +138,7 @@ fn stretch_record(
     let air_tangent = dt * area * params.air_drag * (1.0 / 9.0);
 
     let h = dt * (dt + fabric.damping_s) * area;
-    let (warp, weft, quarter) = (warp + limits, weft + limits, quarter + 0.5 * limits);
+    let (warp, weft, quarter) = (warp + limits[0], weft + limits[1], quarter + limits[2]);
     record.copy_from_slice(&[
         xu.x,
         xu.y,

@@ -39,7 +39,7 @@ pub use report::{
     FrameRecord, LetGoRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, SeamRecord,
     SegmentRecord, Status, StepRecord,
 };
-pub use stretch::principal_stretches;
+pub use stretch::{BeyondLimits, beyond_limit, principal_stretches};
 pub use take_up::take_up_formats;
 pub use timeline::{Timeline, TimelineBox, timeline_svg, write_timeline};
 pub use trace::{RankEvents, TraceWriter};

@@ -14,6 +14,7 @@ use thiserror::Error;
 
 use super::atomic::{WriteError, write_atomically};
 use super::machine::Machine;
+use super::stretch::BeyondLimits;
 use crate::impact_zone::ZoneCounts;
 use crate::model::LetGo;
 use crate::scene::Untangling;
@@ -165,6 +166,9 @@ pub struct FrameRecord {
     /// What the state has let go, by obstacle; omitted if nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub let_go: Vec<LetGoRecord>,
+    /// Triangles more than 0.5 % of strain beyond their limits; omitted if there are none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub beyond_limits: Option<BeyondLimits>,
 }
 
 /// Vertices that pass through an obstacle, because they had no room between it and one that overlaps it.

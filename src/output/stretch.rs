@@ -1,19 +1,99 @@
-//! Stretch of triangles: principal stretches against the shape at rest.
+//! Stretch of triangles: principal stretches against the shape at rest, and what is beyond strain limits.
 
-use crate::math::{DVec2, Vec2, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::math::{DVec2, DVec3, Vec2, Vec3};
+use crate::scene::{Scene, StrainLimit};
+
+/// Strain beyond a limit from which on a triangle is counted in a report.
+const COUNTED_FROM: f64 = 0.005;
+
+/// Triangles of a frame that are beyond their strain limits, and the worst of them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BeyondLimits {
+    /// Triangles more than 0.5 % of strain beyond a limit.
+    pub triangles: usize,
+    /// Those of them with a corner that a pin holds.
+    pub at_pins: usize,
+    /// Largest strain beyond a limit.
+    pub strain: f64,
+    /// Triangle of the mesh where that is.
+    pub triangle: usize,
+    /// A corner of it: one that a pin holds if there is one, and the pin is what asks for the stretch.
+    pub place: String,
+}
+
+impl BeyondLimits {
+    /// What is beyond the limits in a state at `time_s`; none if nothing is. `positions`: of its vertices.
+    pub fn of(scene: &Scene, positions: &[Vec3], time_s: f64) -> Option<BeyondLimits> {
+        if scene.fabrics.iter().all(|fabric| fabric.strain_limit.is_none()) {
+            return None;
+        }
+        let mut held = vec![false; scene.mesh.positions.len()];
+        let holds = |pin: &&crate::scene::Pin| (pin.start_s..pin.end_s).contains(&time_s);
+        scene.pins.iter().filter(holds).for_each(|pin| held[pin.vertex as usize] = true);
+        let mut found = BeyondLimits::default();
+        for (triangle, corners) in scene.mesh.triangles.iter().enumerate() {
+            let Some(limit) = &scene.fabrics[usize::from(scene.fabric_of_triangle[triangle])].strain_limit else {
+                continue;
+            };
+            let at = corners.map(|v| positions[v as usize]);
+            let strain = beyond_limit(limit, at, scene.mesh.material_uv[triangle]);
+            if strain <= COUNTED_FROM {
+                continue;
+            }
+            let pinned = corners.iter().find(|&&v| held[v as usize]);
+            found.triangles += 1;
+            found.at_pins += usize::from(pinned.is_some());
+            if strain > found.strain {
+                let place = match pinned {
+                    Some(&v) => format!("{}, which a pin holds", scene.vertex_name(v)),
+                    None => scene.vertex_name(corners[0]),
+                };
+                (found.strain, found.triangle, found.place) = (strain, triangle, place);
+            }
+        }
+        (found.triangles > 0).then_some(found)
+    }
+}
+
+/// Strain of a triangle beyond a limit, below 0 if it is within: a stretch minus its limit, for shear half the sine of
+/// the change of angle minus half that of the limit. `uv`: shape at rest.
+pub fn beyond_limit(limit: &StrainLimit, corners: [Vec3; 3], uv: [Vec2; 3]) -> f64 {
+    let beyond = |stretch: f64, range: Option<[f64; 2]>| {
+        range.map_or(f64::NEG_INFINITY, |[least, most]| (stretch - most).max(least - stretch))
+    };
+    match *limit {
+        StrainLimit::Every([least, most]) => {
+            let [largest, smallest] = principal_stretches(corners, uv);
+            (largest - most).max(least - smallest)
+        }
+        StrainLimit::Along { warp, weft, shear_deg } => {
+            let [u, v] = deformation(corners, uv);
+            let sine = u.dot(v).abs() / (u.length() * v.length()).max(f64::MIN_POSITIVE);
+            let shear = shear_deg.map_or(f64::NEG_INFINITY, |angle| 0.5 * (sine - angle.to_radians().sin()));
+            beyond(u.length(), warp).max(beyond(v.length(), weft)).max(shear)
+        }
+    }
+}
 
 /// Largest and smallest stretch (length / length at rest) of a triangle in any direction. `uv`: its shape at rest.
 pub fn principal_stretches(corners: [Vec3; 3], uv: [Vec2; 3]) -> [f64; 2] {
+    let [u, v] = deformation(corners, uv);
+    let (mean, half) = (0.5 * (u.dot(u) + v.dot(v)), 0.5 * (u.dot(u) - v.dot(v)));
+    let radius = half.hypot(u.dot(v));
+    [(mean + radius).sqrt(), (mean - radius).max(0.0).sqrt()]
+}
+
+/// d(position)/d(warp) and d(position)/d(weft).
+fn deformation(corners: [Vec3; 3], uv: [Vec2; 3]) -> [DVec3; 2] {
     let [p, q, r] = corners.map(Vec3::as_dvec3);
     let [a, b, c] = uv.map(Vec2::as_dvec2);
     let (e1, e2) = (b - a, c - a);
     let det = e1.perp_dot(e2);
     // Gradients of the barycentric coordinates of the second and third corner.
     let (w1, w2) = (DVec2::new(e2.y, -e2.x) / det, DVec2::new(-e1.y, e1.x) / det);
-    let (u, v) = ((q - p) * w1.x + (r - p) * w2.x, (q - p) * w1.y + (r - p) * w2.y);
-    let (mean, half) = (0.5 * (u.dot(u) + v.dot(v)), 0.5 * (u.dot(u) - v.dot(v)));
-    let radius = half.hypot(u.dot(v));
-    [(mean + radius).sqrt(), (mean - radius).max(0.0).sqrt()]
+    [(q - p) * w1.x + (r - p) * w2.x, (q - p) * w1.y + (r - p) * w2.y]
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@ use super::model::CONTACT_STIFFNESS;
 use super::parsed::ParsedScene;
 use super::pins::{PinSource, Selection};
 use super::placement::unplaced_mesh;
-use super::{Fabric, Motion, Plasticity, SceneError, Settings, load_fabric};
+use super::{Fabric, Motion, Plasticity, SceneError, Settings, StrainLimit, load_fabric};
 
 use common::{UNMOVED, find, placement};
 use left_out::LeftOut;
@@ -159,7 +159,7 @@ fn material(json: &Json, left_out: &LeftOut) -> Result<Fabric, SceneError> {
     if !left_out.disabled.contains(&"strainlimiting")
         && let Some(limits) = json.get("strain_limits")
     {
-        fabric.strain_limit = Some(limits.pair()?);
+        fabric.strain_limit = Some(StrainLimit::Every(limits.pair()?));
     }
     if !left_out.disabled.contains(&"plasticity")
         && let Some(yields_at) = json.get("yield_curv")

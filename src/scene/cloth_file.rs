@@ -10,7 +10,7 @@ use super::cloth_source::{ClothSource, Shape, SheetKind, SheetSource, StartVeloc
 use super::fields::{Fields, Value};
 use super::files::find;
 use super::placement::{Placement, unplaced_mesh};
-use super::{Fabric, Plasticity, RESOLUTIONS, SceneError};
+use super::{Fabric, Plasticity, RESOLUTIONS, SceneError, StrainLimit};
 
 pub(super) const FABRIC_FIELDS: [&str; 10] = [
     "name",
@@ -51,7 +51,7 @@ pub(super) fn fabric(fields: &Fields) -> Result<Fabric, SceneError> {
         bending_n_m,
         damping_s: fields.or("damping_s", 0.0, Value::not_negative)?,
         plasticity: plasticity(fields, None)?,
-        strain_limit: fields.optional("strain_limit", Value::numbers)?,
+        strain_limit: strain_limit(fields)?,
     };
     fabric.check().map_err(|what| fields.error(what))?;
     Ok(fabric)
@@ -71,6 +71,20 @@ fn plasticity(fields: &Fields, before: Option<Plasticity>) -> Result<Option<Plas
         yield_curvature_1_m,
         hardening: fields.or("hardening", hardening, Value::not_negative)?,
         weakening: fields.or("weakening", weakening, Value::not_negative)?,
+    }))
+}
+
+/// `strain_limit`: two stretches, or a table of limits of their own.
+fn strain_limit(fields: &Fields) -> Result<Option<StrainLimit>, SceneError> {
+    let Some(value) = fields.get("strain_limit") else { return Ok(None) };
+    if value.is_array() {
+        return Ok(Some(StrainLimit::Every(value.numbers()?)));
+    }
+    let along = value.table(&["warp", "weft", "shear_deg"])?;
+    Ok(Some(StrainLimit::Along {
+        warp: along.optional("warp", Value::numbers)?,
+        weft: along.optional("weft", Value::numbers)?,
+        shear_deg: along.optional("shear_deg", Value::number)?,
     }))
 }
 
@@ -161,7 +175,7 @@ pub(super) fn cloth(
     }
     fabric.damping_s = fields.or("damping_s", fabric.damping_s, Value::not_negative)?;
     fabric.plasticity = plasticity(fields, fabric.plasticity)?;
-    fabric.strain_limit = fields.optional("strain_limit", Value::numbers)?.or(fabric.strain_limit);
+    fabric.strain_limit = strain_limit(fields)?.or(fabric.strain_limit);
     fabric.check().map_err(|what| fields.error_at("fabric", what))?;
     let source = ClothSource {
         name: fields.or("name", format!("cloth {index}"), |value| value.text().map(str::to_owned))?,

@@ -27,9 +27,53 @@ pub struct Fabric {
     /// Bending beyond which folds stay; none = elastic.
     #[serde(default)]
     pub plasticity: Option<Plasticity>,
-    /// Least and largest stretch (length / length at rest) in any direction; none = as the stiffness allows.
+    /// How far it stretches; none = as the stiffness allows.
     #[serde(default)]
-    pub strain_limit: Option<[f64; 2]>,
+    pub strain_limit: Option<StrainLimit>,
+}
+
+/// Strain limits. A stretch is length / length at rest.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub enum StrainLimit {
+    /// Least and largest stretch in every direction.
+    Every([f64; 2]),
+    /// Limits of their own; what has none is as the stiffness allows.
+    Along {
+        /// Least and largest stretch of the warp.
+        warp: Option<[f64; 2]>,
+        /// Least and largest stretch of the weft.
+        weft: Option<[f64; 2]>,
+        /// Largest change of the right angle between warp and weft, degrees.
+        shear_deg: Option<f64>,
+    },
+}
+
+impl StrainLimit {
+    /// Checks the values.
+    fn check(&self) -> Result<(), String> {
+        let usable = |[least, most]: [f64; 2]| {
+            (0.0..=1.0).contains(&least) && (1.0..=f64::from(f32::MAX)).contains(&most) && most > least
+        };
+        let bad = |of: &str, [least, most]: [f64; 2]| {
+            Err(format!(
+                "the strain limit{of} must be two stretches, the first from 0 to 1 and the second at least 1, such as \
+                 [0.95, 1.05], not [{least}, {most}]"
+            ))
+        };
+        match *self {
+            StrainLimit::Every(range) if !usable(range) => bad("", range),
+            StrainLimit::Every(_) => Ok(()),
+            StrainLimit::Along { warp: Some(range), .. } if !usable(range) => bad(" of the warp", range),
+            StrainLimit::Along { weft: Some(range), .. } if !usable(range) => bad(" of the weft", range),
+            StrainLimit::Along { shear_deg: Some(angle), .. } if !(angle > 0.0 && angle < 90.0) => {
+                Err(format!("the limit of shear must be an angle above 0 and below 90 degrees, not {angle}"))
+            }
+            StrainLimit::Along { warp: None, weft: None, shear_deg: None } => {
+                Err("the strain limit has none of `warp`, `weft` and `shear_deg`".into())
+            }
+            StrainLimit::Along { .. } => Ok(()),
+        }
+    }
 }
 
 /// Plastic bending [Narain et al. 2013], per hinge: see [`crate::forces::crease`].
@@ -106,14 +150,7 @@ impl Fabric {
                 }
             }
         }
-        if let Some([least, most]) = self.strain_limit
-            && !(usable(least) && usable(most) && (0.0..=1.0).contains(&least) && most >= 1.0 && most > least)
-        {
-            return Err(format!(
-                "the strain limit must be two stretches, the first from 0 to 1 and the second at least 1, such as \
-                 [0.95, 1.05], not [{least}, {most}]"
-            ));
-        }
+        self.strain_limit.as_ref().map_or(Ok(()), StrainLimit::check)?;
         for (row, values) in self.stretching_n_m.iter().enumerate() {
             if let Some(column) = values.iter().position(|&k| !usable(k)) {
                 return Err(format!("stretching row {}, column {} must be a finite number", row + 1, column + 1));

@@ -41,7 +41,7 @@ use std::path::Path;
 pub use cache::Cache;
 pub use crossings::{BestState, Crossings, Doubled, Untangling};
 pub use error::SceneError;
-pub use fabric::{Fabric, Plasticity, load_fabric, parse_fabric};
+pub use fabric::{Fabric, Plasticity, StrainLimit, load_fabric, parse_fabric};
 pub use gltf::{BodyFile, Clip, read_body};
 pub use grip::Grip;
 pub use model::{Cloth, DEFAULT_THICKNESS_M, Overrides, Pin, RESOLUTIONS, Scene, Settings};

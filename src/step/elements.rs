@@ -42,7 +42,7 @@ impl Elements {
     pub(super) fn new(executor: &Executor, arrays: &RankArrays, plastic: bool) -> Elements {
         let bends = arrays.hinges.len();
         let mut hinges = Cow::Borrowed(&arrays.hinges);
-        let is_limited = arrays.fabrics.iter().any(FabricTable::is_limited);
+        let is_limited = arrays.fabrics.iter().any(FabricTable::has_fibers);
         if is_limited {
             let hinges = hinges.to_mut();
             if let Executor::Gpu(_) = executor {

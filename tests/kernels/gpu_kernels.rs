@@ -211,10 +211,15 @@ fn creases_equal_the_native_twin() {
 }
 
 /// Triangle records and fibers of a fabric with tight limits; fibers follow 192 other records.
-fn limits(executor: &Executor, part: &RankModel) -> (Vec<f32>, Vec<f32>) {
+fn limits(executor: &Executor, part: &RankModel, along: bool) -> (Vec<f32>, Vec<f32>) {
     let arrays = &part.arrays;
     let mut fabric = arrays.fabrics[0];
-    (fabric.strain_limit, fabric.limit_stiffness) = ([0.9, 1.1], 5000.0);
+    fabric.limit_stiffness = 5000.0;
+    if along {
+        (fabric.warp_limit, fabric.weft_limit, fabric.shear_limit) = ([0.9, 1.1], [0.95, 1.02], 0.1);
+    } else {
+        fabric.strain_limit = [0.9, 1.1];
+    }
     let fabrics = DeviceVec::upload(executor, &[fabric]);
     let triangles = DeviceVec::upload(executor, &arrays.triangles);
     let (x, v) = (DeviceVec::upload(executor, &arrays.positions), DeviceVec::upload(executor, &arrays.velocities));
@@ -236,14 +241,23 @@ fn limits(executor: &Executor, part: &RankModel) -> (Vec<f32>, Vec<f32>) {
 fn limits_equal_the_native_twins() {
     let (Some(gpu), Some(split)) = (device::executor(), device::executor_binding(192 << 10)) else { return };
     let part = crumpled_rank(65);
-    let expected = limits(&Executor::cpu(1), &part);
+    let expected = limits(&Executor::cpu(1), &part, false);
     let fibers = expected.1.chunks(HINGE_RECORD_FLOATS).filter(|record| record[3] > 0.0).count();
     let triangles = part.arrays.triangles.len();
     assert!(fibers > triangles / 10 && fibers < triangles, "{fibers} fibers in {triangles} triangles");
     for executor in [gpu, split] {
-        let found = limits(&executor, &part);
+        let found = limits(&executor, &part, false);
         assert_close("triangle records", &found.0, &expected.0, TRIANGLE_RECORD_FLOATS, 1e-4);
         assert_close("fibers", &found.1, &expected.1, HINGE_RECORD_FLOATS, 1e-4);
+        let (expected, found) = (limits(&Executor::cpu(1), &part, true), limits(&executor, &part, true));
+        assert_close(
+            "records with limits of warp, weft and shear",
+            &found.0,
+            &expected.0,
+            TRIANGLE_RECORD_FLOATS,
+            1e-4,
+        );
+        assert!(found.1.iter().all(|value| *value == 0.0), "a fiber without a limit of every direction");
     }
 }
 

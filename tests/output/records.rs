@@ -94,7 +94,7 @@ fn the_fields_of_a_step_keep_their_names() {
 }
 
 fn frame_record(frame: u32) -> FrameRecord {
-    FrameRecord { frame, time_s: f64::from(frame) / 250.0, state_hash: "00ff".to_string(), let_go: Vec::new() }
+    FrameRecord { frame, time_s: f64::from(frame) / 250.0, state_hash: "00ff".to_string(), ..FrameRecord::default() }
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use loomtree::math::Vec3;
-use loomtree::scene::{Obstacles, Overrides, Plasticity, Scene, load, load_fabric};
+use loomtree::scene::{Obstacles, Overrides, Plasticity, Scene, StrainLimit, load, load_fabric};
 
 const OBJ: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n";
 const HALF_UV: &str =
@@ -63,7 +63,7 @@ fn every_field_arrives() {
     assert_eq!((fabric.name.as_str(), fabric.density_kg_m2, fabric.damping_s), ("f", 0.4, 0.01));
     assert_eq!((fabric.stretching_n_m[0], fabric.bending_n_m[0][0]), ([20.0, 2.0, 40.0, 10.0], 6e-6));
 
-    assert_eq!(fabric.strain_limit, Some([0.9, 1.1]));
+    assert_eq!(fabric.strain_limit, Some(StrainLimit::Every([0.9, 1.1])));
     let plasticity = Plasticity { yield_curvature_1_m: 200.0, hardening: 0.0, weakening: 0.5 };
     assert_eq!(fabric.plasticity, Some(plasticity));
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use loomtree::math::{Vec2, Vec3};
 use loomtree::mesh::validate;
-use loomtree::scene::{Overrides, Scene, load, parse};
+use loomtree::scene::{Overrides, Scene, StrainLimit, load, parse};
 
 fn read(text: &str) -> Result<Scene, String> {
     parse(text, Path::new("scenes/x.toml"), &Overrides::default()).map_err(|error| error.to_string())
@@ -230,6 +230,33 @@ fn every_field_arrives() {
 }
 
 const SHEET: &str = "[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8, mesh = \"grid\" }\n";
+
+#[test]
+fn strain_limits_are_a_list_or_a_table() {
+    let limit = |limit: &str| {
+        let text = format!("{SHEET}strain_limit = {limit}");
+        read(&text).expect("a scene").fabrics[0].strain_limit
+    };
+    assert_eq!(limit("[0.9, 1.05]"), Some(StrainLimit::Every([0.9, 1.05])));
+    let along = |warp, weft, shear_deg| Some(StrainLimit::Along { warp, weft, shear_deg });
+    assert_eq!(limit("{ warp = [0.95, 1.02], shear_deg = 20 }"), along(Some([0.95, 1.02]), None, Some(20.0)));
+    assert_eq!(limit("{ weft = [0, 1.1] }"), along(None, Some([0.0, 1.1]), None));
+    let wrong = |limit: &str| fault(&format!("{SHEET}strain_limit = {limit}"));
+    let range = "must be two stretches, the first from 0 to 1 and the second at least 1, such as [0.95, 1.05], not";
+    for (text, sentence) in [
+        ("[1.05, 1.1]", format!("`cloth.fabric`: the strain limit {range} [1.05, 1.1]")),
+        ("{ warp = [0.9, 0.95] }", format!("`cloth.fabric`: the strain limit of the warp {range} [0.9, 0.95]")),
+        ("{ weft = [1, 1] }", format!("`cloth.fabric`: the strain limit of the weft {range} [1, 1]")),
+        ("{ weft = 1.1 }", "`cloth.strain_limit.weft`: must be an array of 2 numbers".into()),
+        ("{ shear_deg = 90 }", "the limit of shear must be an angle above 0 and below 90 degrees, not 90".into()),
+        ("{}", "the strain limit has none of `warp`, `weft` and `shear_deg`".into()),
+        ("{ bias = 3 }", "`cloth.strain_limit.bias`: unknown field; known here: warp, weft, shear_deg".into()),
+        ("1.05", "`cloth.strain_limit`: must be a table".into()),
+    ] {
+        let found = wrong(text);
+        assert!(found.contains(&sentence), "{text}: {found}");
+    }
+}
 
 #[test]
 fn mistakes_name_line_and_field() {

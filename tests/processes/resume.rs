@@ -151,6 +151,26 @@ fn what_is_let_go_between_obstacles_goes_on_on_other_workers() {
     assert!(sum("new") > 0 && sum("new") == sum("taken_up"), "{} and {}", sum("new"), sum("taken_up"));
 }
 
+/// Both kinds of what a state may hold besides positions and velocities, in one checkpoint.
+#[test]
+fn creases_and_what_is_let_go_go_on_together() {
+    let place = Place::new();
+    let creased =
+        PINCHED.replace("[[cloth]]", "[[cloth]]\nyield_curvature = 0.5\nhardening = 0.1\nstrain_limit = [0.9, 1.03]");
+    place.write("pinched.toml", creased);
+    place.run("run pinched.toml --executor cpu --workers 1 --out straight").expect(0);
+    place.run("run pinched.toml --executor cpu --workers 3 --keep-states frames --frames 5 --out out").expect(0);
+    let kept = fs::read_dir(place.path("out/states")).expect("states").map(|entry| entry.expect("an entry").path());
+    let last = fs::read(kept.max().expect("a state")).expect("a state");
+    let state = Checkpoint::from_bytes(&last).expect("a state").state;
+    assert!(!state.let_go.is_empty(), "pairs are let go where the run is interrupted");
+    let yielded = state.creases.iter().filter(|crease| crease[1] > 0.0).count();
+    assert!(yielded > 0, "none of {} hinges has yielded where the run is interrupted", state.creases.len());
+    place.run("run --resume --out out --workers 2 --frames 7").expect(0);
+    place.run("run --resume --out out --workers 8 --frames 10").expect(0);
+    assert_eq!(place.hashes("out"), place.hashes("straight"));
+}
+
 /// A checkpoint may be newer than the last report that was due, and the coordinator may be killed right after it.
 #[test]
 fn a_killed_coordinator_leaves_no_hole_in_the_report() {

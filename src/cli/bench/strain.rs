@@ -6,8 +6,8 @@ use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::coordinator::RunOptions;
 use crate::os::console;
-use crate::output::{FrameMesh, FrameSource, RunDirectory, RunManifest, principal_stretches};
-use crate::scene::{Overrides, Scene, read_str};
+use crate::output::{FrameMesh, FrameSource, RunDirectory, RunManifest, beyond_limit, principal_stretches};
+use crate::scene::{Overrides, Scene, StrainLimit, read_str};
 
 /// Arguments of `loomtree bench strain`.
 #[derive(Clone, Debug, clap::Args)]
@@ -25,6 +25,7 @@ pub(super) struct StrainBench {
 /// Of one piece, over all frames.
 #[derive(Clone, Debug)]
 struct Figures {
+    strain_limit: Option<StrainLimit>,
     limit: [f64; 2],
     largest: f64,
     smallest: f64,
@@ -109,10 +110,29 @@ fn pieces(scene: &Scene) -> Vec<(std::ops::Range<usize>, Figures)> {
     };
     let figures = |triangles: std::ops::Range<usize>| {
         let fabric = &scene.fabrics[usize::from(scene.fabric_of_triangle[triangles.start])];
-        let limit = fabric.strain_limit.unwrap_or([0.0, f64::INFINITY]);
+        let free = [0.0, f64::INFINITY];
+        let strain_limit = fabric.strain_limit;
+        let limit = match strain_limit {
+            None => free,
+            Some(StrainLimit::Every(range)) => range,
+            // The wider of both: a stretch beyond it is beyond the other one, too.
+            Some(StrainLimit::Along { warp, weft, .. }) => {
+                let (warp, weft) = (warp.unwrap_or(free), weft.unwrap_or(free));
+                [warp[0].min(weft[0]), warp[1].max(weft[1])]
+            }
+        };
         let (largest, smallest, percentile, beyond) = (0.0, f64::INFINITY, 0.0, 0.0);
-        let figures =
-            Figures { limit, largest, smallest, percentile, beyond, place: None, counted: 0, counted_at_pins: 0 };
+        let figures = Figures {
+            strain_limit,
+            limit,
+            largest,
+            smallest,
+            percentile,
+            beyond,
+            place: None,
+            counted: 0,
+            counted_at_pins: 0,
+        };
         (triangles, figures)
     };
     ranges.into_iter().filter(|triangles| !triangles.is_empty()).map(figures).collect()
@@ -137,7 +157,8 @@ impl Figures {
         for triangle in triangles {
             let corners = scene.mesh.triangles[triangle].map(|v| mesh.positions[v as usize]);
             let [largest, smallest] = principal_stretches(corners, scene.mesh.material_uv[triangle]);
-            let beyond = (largest - self.limit[1]).max(self.limit[0] - smallest);
+            let of_limit = |limit| beyond_limit(limit, corners, scene.mesh.material_uv[triangle]);
+            let beyond = self.strain_limit.as_ref().map_or(f64::NEG_INFINITY, of_limit);
             if beyond > self.beyond {
                 (self.beyond, self.place) = (beyond, Some((frame, triangle)));
             }
