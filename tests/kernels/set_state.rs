@@ -195,7 +195,7 @@ fn a_sphere_in_contact() {
 fn a_sheet_pinched_between_balls() {
     let mut scene = between_balls(0.006, [0.0, 0.032, 0.064]);
     pinched(&scene);
-    // Creases, pairs that are let go, and triangles that are pulled back, in one state.
+    // Creases and pairs that are let go in one state, with strain limits beside them.
     scene.fabrics[0].plasticity = Some(Plasticity { yield_curvature_1_m: 0.2, hardening: 0.1, weakening: 0.5 });
     scene.fabrics[0].strain_limit = Some(StrainLimit::Every([0.95, 1.002]));
     let state = pinched(&scene);
