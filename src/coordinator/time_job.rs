@@ -105,6 +105,8 @@ pub(super) struct Table {
     /// First steps of the segments, once they are known.
     pub cuts: Vec<u32>,
     pub stages: BTreeMap<Job, Stage>,
+    /// The fine step up to which the coarse run has come.
+    pub coarse_step: u32,
     /// Whether a hand-over has met its segment before the end of that.
     pub met: BTreeMap<usize, bool>,
     /// Number of sweeps.
@@ -119,6 +121,7 @@ impl Table {
         Table {
             cuts: Vec::new(),
             stages: BTreeMap::from([(Job::Coarse, Stage::Waiting)]),
+            coarse_step: 0,
             met: BTreeMap::new(),
             sweeps,
             unchanged: BTreeSet::new(),
@@ -178,7 +181,8 @@ impl Table {
         if waits(&Job::Coarse) {
             return Some(Job::Coarse);
         }
-        let segments = (0..self.cuts.len()).map(Job::Segment).filter(|_| self.is_done(Job::Coarse));
+        let has_start = |&j: &usize| self.is_done(Job::Coarse) || self.coarse_step >= self.cuts[j];
+        let segments = (0..self.cuts.len()).filter(has_start).map(Job::Segment);
         let seams = (1..self.cuts.len()).filter(|&j| {
             let earlier = j == 1 || self.is_done(Job::Seam(j - 1));
             self.is_done(Job::Segment(j - 1)) && self.is_done(Job::Segment(j)) && earlier
@@ -233,9 +237,11 @@ mod tests {
     #[test]
     fn jobs_wait_for_what_they_start_from() {
         let mut table = table(&[0, 10, 20]);
-        assert_eq!(take(&mut table), [Job::Coarse]);
+        assert_eq!(take(&mut table), [Job::Coarse, Job::Segment(0)]);
+        table.coarse_step = 12;
+        assert_eq!(take(&mut table), [Job::Segment(1)]);
         table.stages.insert(Job::Coarse, Stage::Done);
-        assert_eq!(take(&mut table), [Job::Segment(0), Job::Segment(1), Job::Segment(2)]);
+        assert_eq!(take(&mut table), [Job::Segment(2)]);
         table.stages.insert(Job::Segment(0), Stage::Done);
         table.stages.insert(Job::Segment(2), Stage::Done);
         assert_eq!(take(&mut table), []);

@@ -90,6 +90,10 @@ impl<'a> Listener<'a, '_> {
             News::State { step, state } => {
                 let Some(under) = self.under_way.get_mut(&told.segment) else { return Ok(()) };
                 let hash = under.recorder.state(level, step, state)?;
+                if job == Job::Coarse {
+                    self.schedule.table().coarse_step = step * plan.step_ratio;
+                    self.schedule.changed.notify_all();
+                }
                 let settings = &level.scene.settings;
                 let (frame, every) = (step / settings.steps_per_frame, self.options.checkpoint_every);
                 if let (Some(hash), Some(done)) = (hash, &under.last) {
