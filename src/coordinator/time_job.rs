@@ -128,8 +128,8 @@ impl Table {
         }
     }
 
-    /// Takes the cuts: segments, seams and sweeps wait from now on, but for those that are known. `handed_over`: whether
-    /// there are seams.
+    /// Takes the cuts: segments, seams and sweeps wait from now on, but for those that are known. `handed_over`:
+    /// whether there are seams.
     pub(super) fn take_cuts(&mut self, cuts: Vec<u32>, handed_over: bool) {
         for j in 0..cuts.len() {
             self.stages.entry(Job::Segment(j)).or_insert(Stage::Waiting);

@@ -151,8 +151,8 @@ impl TimePlan {
         match self.first_crossing(&state, step) {
             None => Ok(state),
             Some([s, t]) => Err(format!(
-                "the coarse state of step {step} touches itself when it is refined (triangles {s} and {t}); another number \
-                 of --segments or another --coarse cuts elsewhere"
+                "the coarse state of step {step} touches itself when it is refined (triangles {s} and {t}); another \
+                 number of --segments or another --coarse cuts elsewhere"
             )),
         }
     }

@@ -6,6 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::options::KeepStates;
+use super::plan::RunPlan;
 use super::seams::{HandOver, WarmUp, kept_state};
 use super::shot::{Segment, Source};
 use super::time_job::{Job, Scope, Stage, Table};
@@ -32,6 +33,11 @@ impl<'a> Schedule<'a> {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The level that a job simulates.
+    pub(super) fn level(&self, job: Job) -> &'a RunPlan {
+        if job == Job::Coarse { &self.plan.coarse } else { &self.plan.fine }
+    }
+
     /// Last step of a job, in steps of its own level.
     fn last_step(&self, job: Job, cuts: &[u32]) -> u32 {
         let end = |j: usize| cuts.get(j + 1).copied().unwrap_or(self.plan.steps());
@@ -48,8 +54,8 @@ impl<'a> Schedule<'a> {
         let cuts = self.table().cuts.clone();
         let last_step = self.last_step(job, &cuts);
         let resumed = newest(&job.folder(run), job);
-        let level = if job == Job::Coarse { &plan.coarse } else { &plan.fine };
-        let mut segment = Segment { tells_start: resumed.is_none(), ..Segment::plain(level, last_step) };
+        let tells_start = resumed.is_none();
+        let mut segment = Segment { tells_start, ..Segment::plain(self.level(job), last_step) };
         if job == Job::Coarse {
             segment.wants_state = Arc::new(|_| true);
         }

@@ -1,7 +1,8 @@
 //! A shot that is split in time [Liang and Lin 2018], on sessions side by side: the coarse run, the segments from its
 //! states, the seams between them.
 //!
-//! Every job writes a run directory of its own: `preview/` (the coarse run), `segments/NNN/` and `segments/NNN/seam/`.
+//! Every job writes a run directory of its own: `preview/` (the coarse run), `segments/NNN/`, `segments/NNN/seam/` and
+//! `segments/NNN/sweep_KKK/`.
 //! When the frames of a segment are final they move to `frames/`, in any order, and the report gets its steps. What is
 //! done is never made again, so a resumed run makes what is missing.
 
@@ -65,7 +66,7 @@ impl<'a> Listener<'a, '_> {
     fn hear(&mut self, told: Told) -> Result<(), RecordError> {
         let job = Job::of_number(told.segment);
         let plan = self.schedule.plan;
-        let level = if job == Job::Coarse { &plan.coarse } else { &plan.fine };
+        let level = self.schedule.level(job);
         match told.news {
             News::Ready(ready) => {
                 let mut under = self.open(job, told.session)?;
@@ -102,7 +103,8 @@ impl<'a> Listener<'a, '_> {
                     }
                     let (stats, each_ms) = (&done.ranks[0], under.busy_s / f64::from(under.steps) * 1e3);
                     note(format_args!(
-                        "{}: frame {frame}/{} (step {step}): {} iterations, {} contacts, {each_ms:.1} ms/step, state {hash}",
+                        "{}: frame {frame}/{} (step {step}): {} iterations, {} contacts, {each_ms:.1} ms/step, \
+                         state {hash}",
                         job.name(),
                         settings.frames,
                         stats.iterations,
@@ -135,7 +137,7 @@ impl<'a> Listener<'a, '_> {
             trace_steps: 0,
             ..self.options.clone()
         };
-        let level = if job == Job::Coarse { &plan.coarse } else { &plan.fine };
+        let level = self.schedule.level(job);
         let places = RunPlaces { scene: self.scene.clone(), out, existing };
         let (mut recorder, _) = Recorder::open(level, &options, &places)?;
         let cuts = self.schedule.table().cuts.clone();
@@ -354,8 +356,8 @@ fn unfit_to_resume(plan: &TimePlan, options: &RunOptions, out: &Path) -> Option<
     let [there, asked] = [&recorded, options].map(|all| TimeOptions { sessions: None, ..all.time.clone() });
     if there != asked {
         return Some(format!(
-            "{} is split in time in another way; resume it with the options of its run.toml, of which only --sessions and \
-             --workers may change",
+            "{} is split in time in another way; resume it with the options of its run.toml, of which only \
+             --sessions and --workers may change",
             out.display()
         ));
     }
@@ -411,7 +413,7 @@ fn finish(
         }
         (Err(ShotError::Session { error, segment }), None) => {
             let job = Job::of_number(segment);
-            let scene = if job == Job::Coarse { &plan.coarse.scene } else { &plan.fine.scene };
+            let scene = &schedule.level(job).scene;
             let text = format!("{}: {}", job.name(), error.sentence(&|vertex| scene.vertex_name(vertex)));
             if error.is_bad_input() { RunError::BadInput(text) } else { RunError::Failed(text) }
         }

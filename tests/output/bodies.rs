@@ -3,23 +3,11 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::one_obstacle::{positions, read};
 use loomtree::cli::check::{CheckArgs, check};
 use loomtree::math::Vec3;
-use loomtree::scene::{Obstacles, Overrides, Scene, parse, read_body};
+use loomtree::scene::{Obstacles, read_body};
 use support::numpy::{Array, read_npz, test_data};
-
-const SHEET: &str = "[simulation]\ncollisions = false\n[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8 }\n";
-
-fn read(folder: &Path, obstacle: &str) -> Result<Scene, String> {
-    let text = format!("{SHEET}[[obstacle]]\n{obstacle}\n");
-    parse(&text, &folder.join("x.toml"), &Overrides::default()).map_err(|error| error.to_string())
-}
-
-fn positions(scene: &Scene, time_s: f64) -> Vec<f32> {
-    let mut values = Vec::new();
-    Obstacles::new(&scene.obstacles).positions_at(time_s, &mut values);
-    values
-}
 
 /// Largest distance of a vertex from its truth.
 fn off(got: &[f32], truth: &[f64]) -> f64 {

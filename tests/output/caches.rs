@@ -1,24 +1,10 @@
 //! Point caches and sequences as obstacles: files that other programs wrote against their truth, the fields that say
 //! when they are played, and the sentence for every file that cannot be read.
 
-use std::path::Path;
-
+use crate::one_obstacle::{positions, read};
 use loomtree::math::Vec3;
-use loomtree::scene::{Obstacles, Overrides, Scene, parse};
+use loomtree::scene::{Obstacles, Scene};
 use support::numpy::{read_npz, test_data};
-
-const SHEET: &str = "[simulation]\ncollisions = false\n[[cloth]]\nsheet = { size_m = [1, 1], triangles = 8 }\n";
-
-fn read(folder: &Path, obstacle: &str) -> Result<Scene, String> {
-    let text = format!("{SHEET}[[obstacle]]\n{obstacle}\n");
-    parse(&text, &folder.join("x.toml"), &Overrides::default()).map_err(|error| error.to_string())
-}
-
-fn positions(scene: &Scene, time_s: f64) -> Vec<f32> {
-    let mut values = Vec::new();
-    Obstacles::new(&scene.obstacles).positions_at(time_s, &mut values);
-    values
-}
 
 fn cache(form: &str, file: &str, more: &str) -> String {
     format!("{form} = {{ rest = \"wave_rest.obj\", cache = \"{file}\" }}\n{more}")

@@ -6,6 +6,7 @@ mod compare;
 mod files;
 mod fuzz;
 mod mesh_files;
+mod one_obstacle;
 mod outside_files;
 mod pictures;
 mod records;

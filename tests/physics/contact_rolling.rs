@@ -36,7 +36,8 @@ fn loop_size() -> (f32, f32) {
     (out, 4.0 * HALF_M + std::f32::consts::TAU * out)
 }
 
-/// A point of the loop, `s` from the left end of its upper half, and how far round it a point is: inverse to each other.
+/// A point of the loop, `s` from the left end of its upper half, and how far round it a point is: inverse to each
+/// other.
 fn point(s: f32) -> [f32; 2] {
     let ((out, _), turn) = (loop_size(), std::f32::consts::PI);
     let (flat, round) = (2.0 * HALF_M, turn * out);
