@@ -8,6 +8,7 @@ mod crossings;
 mod file_mesh;
 mod intersect;
 mod irregular;
+pub mod level_set;
 mod material;
 mod nearest;
 mod nested;

@@ -13,14 +13,17 @@ use super::cloth_file::Remarks;
 use super::fields::{Fields, Value};
 use super::files::find;
 use super::gltf::{BodyFile, read_body};
+use super::person::person;
 use super::placement::Placement;
 use super::sequence::MOST_VALUES;
 use super::{Cache, Movement, Playback, Rig, SceneError};
 
 /// Fields of an obstacle that plays a clip.
 pub(super) const PLAY_FIELDS: [&str; 4] = ["start_s", "rate", "loop", "lead_in_s"];
-/// Fields of an obstacle from a glTF file.
-const GLTF_FIELDS: [&str; 2] = ["clip", "node"];
+/// Triangles of a body that is made, if the scene does not give a number.
+const DEFAULT_TRIANGLES: u64 = 12_000;
+/// Valid numbers of triangles of a body that is made. With less, fingers and ankles are thinner than a triangle.
+const TRIANGLES: std::ops::RangeInclusive<u64> = 4_000..=2_000_000;
 /// Poses at which the triangles of a body are looked at, besides the first: none may be without area in one of them.
 const LOOKS: u32 = 16;
 /// A body that starts its clip over and is then this far from where it was jumps.
@@ -37,19 +40,27 @@ pub(super) enum Body {
 /// Refuses fields that belong to other forms of an obstacle.
 pub(super) fn check_fields(fields: &Fields, form: &str) -> Result<(), SceneError> {
     let given = |keys: &[&'static str]| keys.iter().copied().find(|key| fields.get(key).is_some());
-    if form != "gltf"
-        && let Some(key) = given(&GLTF_FIELDS)
-    {
-        return Err(fields.error_at(key, "belongs to an obstacle with a `gltf`"));
+    let of_bodies: &[&'static str] = match form {
+        "gltf" => &["triangles"],
+        "body" => &["node"],
+        _ => &["clip", "node", "triangles"],
+    };
+    if let Some(key) = given(of_bodies) {
+        let owner = match key {
+            "clip" => "`gltf` or `body`",
+            "node" => "`gltf`",
+            _ => "`body`",
+        };
+        return Err(fields.error_at(key, format!("belongs to an obstacle with a {owner}")));
     }
     let moved_by = match form {
-        "gltf" => fields.get("clip").map(|_| "clip"),
+        "gltf" | "body" => fields.get("clip").map(|_| "clip"),
         "sequence" | "pc2" | "mdd" => Some(form),
         _ => None,
     };
     match (moved_by, given(&PLAY_FIELDS)) {
         (None, Some(key)) => {
-            let what = "belongs to an obstacle with a `sequence`, `pc2`, `mdd` or a `clip` of a `gltf`";
+            let what = "belongs to an obstacle with a `sequence`, `pc2`, `mdd` or a `clip` of a `gltf` or `body`";
             return Err(fields.error_at(key, what));
         }
         (Some("sequence"), Some(_)) if fields.get("lead_in_s").is_some() => {
@@ -90,7 +101,8 @@ fn playback(fields: &Fields, length_s: f64) -> Result<Playback, SceneError> {
     })
 }
 
-/// Reads the body of a `gltf`. `name` = the obstacle's, `placement` = relative to the scene's local origin.
+/// Reads the body of a `gltf`, or makes that of a `body`. `name` = the obstacle's, `placement` = relative to the
+/// scene's local origin.
 pub(super) fn gltf(
     fields: &Fields,
     value: &Value,
@@ -99,12 +111,23 @@ pub(super) fn gltf(
     placement: &Placement,
     remarks: &mut Remarks,
 ) -> Result<Body, SceneError> {
-    let path = find(scene, value.text()?).map_err(|what| value.error(what))?;
-    let file = read_body(&path)?;
+    let (path, file) = match value.is_named("body") {
+        false => {
+            let path = find(scene, value.text()?).map_err(|what| value.error(what))?;
+            let file = read_body(&path)?;
+            (path, file)
+        }
+        true => {
+            value.choice(&[("person", ())])?;
+            let triangles = fields.or("triangles", DEFAULT_TRIANGLES, |value| value.whole(TRIANGLES))?;
+            let made = person(triangles as f64);
+            (scene.into(), made.ok_or_else(|| value.error("cannot be made with so few triangles; give more"))?)
+        }
+    };
     let node = fields.optional("node", Value::text)?;
     let no_node = |what: String| fields.error_at("node", what);
     let Some(clip) = fields.get("clip") else {
-        if !file.clips.is_empty() {
+        if !file.clips.is_empty() && value.is_named("gltf") {
             let clips = clip_names(&file);
             remarks.left_out.push(format!("{}: `{name}` plays none of its clips ({clips})", path.display()));
         }

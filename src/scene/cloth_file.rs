@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use crate::math::{DQuat, DVec3};
 use crate::mesh::{FileMesh, MaterialSource, Outline};
 
-use super::cloth_source::{ClothSource, Shape, SheetKind, SheetSource, StartVelocity, UnplacedCloth};
+use super::cloth_source::{ClothSource, GarmentSource, Shape, SheetKind, SheetSource, StartVelocity, UnplacedCloth};
 use super::fields::{Fields, Value};
 use super::files::find;
+use super::person::{Garment, KINDS};
 use super::placement::{Placement, unplaced_mesh};
 use super::{Fabric, Plasticity, RESOLUTIONS, SceneError, StrainLimit};
 
@@ -94,9 +95,10 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 18] = [
+pub(super) const CLOTH_FIELDS: [&str; 19] = [
     "name",
     "sheet",
+    "garment",
     "mesh",
     "material",
     "weld_m",
@@ -117,8 +119,11 @@ pub(super) const CLOTH_FIELDS: [&str; 18] = [
 
 const SHEET_FIELDS: [&str; 4] = ["size_m", "radius_m", "triangles", "mesh"];
 
-/// Triangles of every cloth's sheet (0 for a mesh). Without a count of its own, a sheet gets a share of the scene's
-/// resolution in proportion to its area.
+const GARMENT_FIELDS: [&str; 8] =
+    ["kind", "ease_m", "hem_m", "width_m", "pleats", "pleat_depth_m", "open", "triangles"];
+
+/// Triangles of every cloth's sheet or garment (0 for a mesh). Without a count of its own, it gets a share of the
+/// scene's resolution in proportion to its area.
 pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<f64>, SceneError> {
     let mut areas = Vec::new();
     let mut given = Vec::new();
@@ -126,8 +131,16 @@ pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<
         let sheet = cloth.table("sheet", &SHEET_FIELDS)?;
         let rectangle = sheet.optional("size_m", |value| Ok(value.numbers::<2>()?.iter().product::<f64>().abs()))?;
         let disc = sheet.optional("radius_m", |value| Ok(PI * value.positive()?.powi(2)))?;
-        areas.push(rectangle.or(disc).unwrap_or(0.0));
-        given.push(sheet.optional("triangles", |value| value.whole(RESOLUTIONS))?);
+        let worn = cloth.table("garment", &GARMENT_FIELDS)?;
+        let count = |value: &Value| value.whole(RESOLUTIONS);
+        let count = sheet.optional("triangles", count)?.or(worn.optional("triangles", count)?);
+        // An area is worth measuring where it decides.
+        let garment = match cloth.get("garment") {
+            Some(_) if count.is_none() => garment(&worn)?.area(),
+            _ => None,
+        };
+        areas.push(rectangle.or(disc).or(garment).unwrap_or(0.0));
+        given.push(count);
     }
     let area: f64 = areas.iter().sum();
     let share = |i: usize| {
@@ -157,14 +170,25 @@ pub(super) fn cloth(
         scale: fields.or("scale", 1.0, Value::positive)?,
     };
     let mut found = None;
-    let shape = match (fields.get("sheet"), fields.get("mesh")) {
-        (Some(_), None) => Shape::Sheet(sheet(fields, triangles, placement)?),
-        (None, Some(file)) => {
+    let shape = match (fields.get("sheet"), fields.get("garment"), fields.get("mesh")) {
+        (Some(_), None, None) => Shape::Sheet(sheet(fields, triangles, placement)?),
+        (None, Some(_), None) => {
+            if let Some(key) = ["material", "weld_m", "plane"].into_iter().find(|key| fields.get(key).is_some()) {
+                return Err(fields.error_at(key, "does not belong to a cloth with a `garment`"));
+            }
+            let garment = garment(&fields.table("garment", &GARMENT_FIELDS)?)?;
+            Shape::Garment(GarmentSource { garment, placement, triangles, at: fields.place_at("garment") })
+        }
+        (None, None, Some(file)) => {
             let (mesh, path) = mesh(fields, &file, placement, path, remarks)?;
             found = Some(path);
             Shape::Mesh(mesh)
         }
-        _ => return Err(fields.error("a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`")),
+        _ => {
+            let what = "a cloth needs one of `sheet = { size_m = [w, h] }`, `garment = { kind = \"dress\" }` and \
+                `mesh = \"file.obj\"`";
+            return Err(fields.error(what));
+        }
     };
     let mut fabric = match fields.get("fabric") {
         None => Fabric::preset("cotton").unwrap_or_else(|| Fabric::uniform("cotton", 0.15, [400.0; 4], 1e-5)),
@@ -236,6 +260,38 @@ fn sheet(fields: &Fields, triangles: f64, placement: Placement) -> Result<SheetS
     let planes = [("xy", [DVec3::X, DVec3::Y]), ("xz", [DVec3::X, DVec3::NEG_Z]), ("yz", [DVec3::Y, DVec3::Z])];
     let axes = fields.or("plane", planes[0].1, |value| value.choice(&planes))?;
     Ok(SheetSource { outline, axes, placement, triangles, kind, at: fields.place_at("sheet") })
+}
+
+/// Most pleats around a skirt.
+const PLEATS: std::ops::RangeInclusive<u64> = 3..=200;
+
+/// Reads a `garment`.
+fn garment(fields: &Fields) -> Result<Garment, SceneError> {
+    let kind = fields.required("kind")?.choice(&KINDS)?;
+    let (hem_m, width_m) = kind.measures();
+    if let Some(key) =
+        ["pleats", "pleat_depth_m"].into_iter().find(|key| fields.get(key).is_some() && !kind.has_skirt())
+    {
+        return Err(fields.error_at(key, "belongs to a dress or skirt"));
+    }
+    let pleats = fields.or("pleats", 0, |value| value.whole(PLEATS))?;
+    let depth = if pleats > 0 { 0.02 } else { 0.0 };
+    let within = |key: &str, default: f64, [least, most]: [f64; 2]| {
+        let number = fields.or(key, default, Value::number)?;
+        match (least..=most).contains(&number) {
+            true => Ok(number),
+            false => Err(fields.error_at(key, format!("must be from {least} to {most} m, not {number}"))),
+        }
+    };
+    Ok(Garment {
+        kind,
+        ease_m: within("ease_m", 0.012, [0.002, 0.1])?,
+        hem_m: within("hem_m", hem_m, kind.hems())?,
+        width_m: within("width_m", width_m, [0.05, 1.0])?,
+        pleats,
+        pleat_depth_m: within("pleat_depth_m", depth, [0.0, 0.1])?,
+        open: fields.or("open", false, Value::boolean)?,
+    })
 }
 
 fn named_fabric(value: &Value, fabrics: &[Fabric], path: &Path) -> Result<Fabric, SceneError> {

@@ -8,6 +8,7 @@ use crate::mesh::{FileMesh, Outline};
 use super::SceneError;
 use super::error::Place;
 use super::fabric::Fabric;
+use super::person::Garment;
 use super::placement::{Placement, place_mesh};
 
 /// Source of a piece of cloth; a resolution turns it into a mesh.
@@ -27,6 +28,8 @@ pub(super) struct ClothSource {
 pub(super) enum Shape {
     /// A rectangle or disc, meshed at the requested resolution.
     Sheet(SheetSource),
+    /// A garment of a person, meshed at the requested resolution.
+    Garment(GarmentSource),
     /// A mesh from a file, placed relative to the scene's local origin; the same at every resolution.
     Mesh(FileMesh),
 }
@@ -42,6 +45,17 @@ pub(super) struct SheetSource {
     /// Triangles at the scene's own resolution. It is a fraction, so that the shares of several sheets add up.
     pub triangles: f64,
     pub kind: SheetKind,
+    pub at: Place,
+}
+
+/// A garment of a person.
+#[derive(Clone, Debug)]
+pub(super) struct GarmentSource {
+    pub garment: Garment,
+    /// In coordinates relative to the scene's local origin.
+    pub placement: Placement,
+    /// Triangles at the scene's own resolution.
+    pub triangles: f64,
     pub at: Place,
 }
 
@@ -63,9 +77,11 @@ pub(super) enum StartVelocity {
 }
 
 impl ClothSource {
-    pub(super) fn sheet(&self) -> Option<&SheetSource> {
+    /// Triangles at the scene's own resolution, if the piece is meshed at any.
+    pub(super) fn triangles(&self) -> Option<f64> {
         match &self.shape {
-            Shape::Sheet(sheet) => Some(sheet),
+            Shape::Sheet(sheet) => Some(sheet.triangles),
+            Shape::Garment(garment) => Some(garment.triangles),
             Shape::Mesh(_) => None,
         }
     }
@@ -86,6 +102,7 @@ impl UnplacedCloth {
     fn bounds(&self) -> (DVec3, DVec3) {
         match &self.source.shape {
             Shape::Mesh(file) => self.placement.bounds(&file.mesh.positions, file.base),
+            Shape::Garment(source) => self.placement.box_of(source.garment.bounds()),
             Shape::Sheet(sheet) => {
                 let [low, high] = sheet.outline.bounds();
                 let corners = [[low.x, low.y], [high.x, low.y], [low.x, high.y], [high.x, high.y]];
@@ -100,6 +117,7 @@ impl UnplacedCloth {
         match &mut source.shape {
             Shape::Mesh(mesh) => place_mesh(mesh, &self.file.unwrap_or_default(), &placement)?,
             Shape::Sheet(sheet) => sheet.placement = placement,
+            Shape::Garment(garment) => garment.placement = placement,
         }
         Ok(source)
     }

@@ -23,6 +23,7 @@ mod obstacle;
 mod obstacle_file;
 mod parsed;
 mod pieces;
+mod person;
 mod pin_file;
 mod pins;
 mod placement;

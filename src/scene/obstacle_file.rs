@@ -14,7 +14,7 @@ use super::placement::Placement;
 use super::sequence::{Pattern, read_frames};
 use super::{Cache, Movement, Obstacle, SceneError};
 
-pub(super) const OBSTACLE_FIELDS: [&str; 26] = [
+pub(super) const OBSTACLE_FIELDS: [&str; 28] = [
     "name",
     "sphere",
     "plane",
@@ -26,6 +26,8 @@ pub(super) const OBSTACLE_FIELDS: [&str; 26] = [
     "frames_per_s",
     "first",
     "gltf",
+    "body",
+    "triangles",
     "pc2",
     "mdd",
     "clip",
@@ -44,7 +46,8 @@ pub(super) const OBSTACLE_FIELDS: [&str; 26] = [
 ];
 
 /// Fields that give the geometry; an obstacle has exactly one of them.
-const FORMS: [&str; 10] = ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence", "gltf", "pc2", "mdd"];
+const FORMS: [&str; 11] =
+    ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence", "gltf", "body", "pc2", "mdd"];
 /// Those whose geometry is in files.
 const FILES: [&str; 5] = ["mesh", "sequence", "gltf", "pc2", "mdd"];
 /// Triangles of a shape if the scene does not give a number.
@@ -69,9 +72,9 @@ pub(super) fn obstacle(
     };
     let value = fields.required(form)?;
     let name = fields.or("name", format!("{form} {index}"), |value| value.text().map(str::to_owned))?;
-    let own = ["origin_m", "scale", "units_m", "up"];
+    let own: &[&str] = if form == "body" { &["units_m", "up"] } else { &["origin_m", "scale", "units_m", "up"] };
     if !FILES.contains(&form)
-        && let Some(key) = own.into_iter().find(|key| fields.get(key).is_some())
+        && let Some(key) = own.iter().copied().find(|key| fields.get(key).is_some())
     {
         let what = format!("belongs to an obstacle with one of {}; a {form} has its place in itself", FILES.join(", "));
         return Err(fields.error_at(key, what));
@@ -130,7 +133,7 @@ pub(super) fn obstacle(
             settle(&placement, &mut surface);
             surface
         }
-        "gltf" => {
+        "gltf" | "body" => {
             let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
             match gltf(fields, &value, &name, path, &placement.about(origin_m), remarks)? {
                 Body::AtRest(mut surface) => {

@@ -50,8 +50,8 @@ impl ParsedScene {
     }
 
     /// Like [`ParsedScene::at`], but every sheet is `coarsenings` levels coarser: it has a fourth of the triangles per
-    /// level, and its vertices are the first ones of the same sheet in the finer scene. [`ParsedScene::nested_at`] tells
-    /// how the others follow from them. Meshes from files stay as they are.
+    /// level, and its vertices are the first ones of the same sheet in the finer scene. [`ParsedScene::nested_at`]
+    /// tells how the others follow from them. Meshes from files stay as they are.
     ///
     /// # Errors
     /// Those of [`ParsedScene::at`], and a sheet that has no such level: a grid, or one of less than 128 triangles.
@@ -59,8 +59,8 @@ impl ParsedScene {
         self.build(overrides, coarsenings, &mut StartState::default())
     }
 
-    /// The levels of every piece that [`ParsedScene::at`] makes, in the order of `Scene::cloths`; none for grids and for
-    /// meshes from files.
+    /// The levels of every piece that [`ParsedScene::at`] makes, in the order of `Scene::cloths`; none for grids and
+    /// for meshes from files.
     ///
     /// # Errors
     /// The resolution or a sheet is invalid.
@@ -145,6 +145,10 @@ impl ParsedScene {
                     self.warnings.extend(size_warning(&format!("`{}`", cloth.name), mesh.extent(), thickness_m));
                     mesh.extent()
                 }
+                Shape::Garment(source) => {
+                    let (low, high) = source.placement.box_of(source.garment.bounds());
+                    (high - low).max_element()
+                }
                 Shape::Sheet(sheet) => {
                     let [low, high] = sheet.outline.bounds();
                     (high - low).max_element()
@@ -169,9 +173,11 @@ impl ParsedScene {
             let (least, most) = (RESOLUTIONS.start(), RESOLUTIONS.end());
             return Err(fault(&format!("the resolution must be from {least} to {most} triangles, not {wanted}")));
         }
-        let mut shares = self.cloths.iter().filter_map(ClothSource::sheet).map(|sheet| sheet.triangles).peekable();
+        let mut shares = self.cloths.iter().filter_map(ClothSource::triangles).peekable();
         if shares.peek().is_none() {
-            return Err(fault("the resolution of a scene can be chosen for sheets only, and this scene has none"));
+            return Err(fault(
+                "the resolution of a scene can be chosen for sheets and garments only, and this scene has none",
+            ));
         }
         Ok(wanted as f64 / shares.sum::<f64>())
     }

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use crate::math::{DVec2, DVec3, Vec3};
 use crate::mesh::{FileMesh, NestedSheet, Outline, Part, TriangleMesh, validate};
 
-use super::cloth_source::{ClothSource, Shape, SheetKind, SheetSource, StartVelocity};
+use super::cloth_source::{ClothSource, GarmentSource, Shape, SheetKind, SheetSource, StartVelocity};
 use super::sheet::SheetMesh;
 use super::{Cloth, Fabric, SceneError, sheet_cells};
 
@@ -24,6 +24,8 @@ impl<'a> Piece<'a> {
     pub(super) fn new(source: &'a ClothSource, factor: f64, coarsenings: usize) -> Result<Piece<'a>, SceneError> {
         let (cloth, sheet) = match &source.shape {
             Shape::Mesh(mesh) => (Cow::Borrowed(mesh), None),
+            // Like a mesh from a file it has no coarser levels.
+            Shape::Garment(source) => (Cow::Owned(garment_mesh(source, factor)?), None),
             Shape::Sheet(sheet) => {
                 let cells = sheet_mesh(sheet, factor, coarsenings)?;
                 let uv = cells.coordinates();
@@ -41,6 +43,15 @@ impl<'a> Piece<'a> {
         };
         Ok(Piece { source, cloth, sheet })
     }
+}
+
+/// Meshes a garment with `factor` times its triangles.
+fn garment_mesh(source: &GarmentSource, factor: f64) -> Result<FileMesh, SceneError> {
+    let few = || source.at.error("cannot be made with so few triangles; give more, or a higher resolution");
+    let mut mesh = source.garment.mesh(source.triangles * factor).ok_or_else(few)?;
+    source.placement.place(&mut mesh.mesh, DVec3::ZERO);
+    validate(&mesh.mesh).map_err(|fault| source.at.error(fault.to_string()))?;
+    Ok(mesh)
 }
 
 /// Meshes a sheet with `factor` times its triangles, `coarsenings` levels above its finest one.
@@ -87,8 +98,8 @@ pub fn size_warning(name: &str, extent_m: f64, thickness_m: f64) -> Option<Strin
 /// Above this ratio of their extents a cloth and an obstacle from a file are probably in different units.
 const UNEQUAL: f64 = 50.0;
 
-/// A warning about an obstacle from a file that is far larger or smaller than the largest cloth (`cloth_m`), most likely
-/// because its unit is not the meter. `extent_m`, `cloth_m` = longest sides of their bounding boxes.
+/// A warning about an obstacle from a file that is far larger or smaller than the largest cloth (`cloth_m`), most
+/// likely because its unit is not the meter. `extent_m`, `cloth_m` = longest sides of their bounding boxes.
 pub(super) fn obstacle_warning(name: &str, extent_m: f64, cloth_m: f64) -> Option<String> {
     let what = if extent_m > UNEQUAL * cloth_m {
         let (unit, scale) =

@@ -95,8 +95,9 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Resu
     {
         return Err(pin.error_at(key, "belongs to a pin with an `edge`"));
     }
-    if matches!((way, &cloth.shape), ("corners" | "edge", Shape::Mesh(_))) {
-        return Err(value.error(format!("`{}` is a mesh; only a sheet has corners and edges", cloth.name)));
+    if matches!(way, "corners" | "edge") && !matches!(cloth.shape, Shape::Sheet(_)) {
+        let what = if matches!(cloth.shape, Shape::Mesh(_)) { "mesh" } else { "garment" };
+        return Err(value.error(format!("`{}` is a {what}; only a sheet has corners and edges", cloth.name)));
     }
     let select = match way {
         "corners" => Selection::Corners(if value.is_text() {
@@ -123,7 +124,7 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Resu
         "group" => {
             let name = value.text()?;
             let Shape::Mesh(mesh) = &cloth.shape else {
-                return Err(value.error(format!("`{}` is a sheet; only a mesh has objects and groups", cloth.name)));
+                return Err(value.error(format!("`{}` has no file; only a mesh has objects and groups", cloth.name)));
             };
             let vertices = mesh.vertices_of(name);
             if vertices.is_empty() {
@@ -133,16 +134,11 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Resu
             Selection::MeshVertices(vertices)
         }
         "property" => {
-            let name = value.text()?;
-            let Shape::Mesh(mesh) = &cloth.shape else {
-                return Err(value.error(format!("`{}` is a sheet; only a mesh has properties", cloth.name)));
-            };
-            let vertices = mesh.vertices_with(name).ok_or_else(|| {
-                let known: Vec<&str> = mesh.properties.iter().map(|property| &property.name[..]).collect();
-                let known = if known.is_empty() { "its file has none".to_owned() } else { known.join(", ") };
-                value.error(format!("`{}` has no vertex property named `{name}` ({known})", cloth.name))
-            })?;
-            Selection::MeshVertices(vertices)
+            if matches!(cloth.shape, Shape::Sheet(_)) {
+                let what = format!("`{}` is a sheet; only a mesh or a garment has properties", cloth.name);
+                return Err(value.error(what));
+            }
+            Selection::Property(value.text()?.to_owned())
         }
         "box_m" => {
             let corners = value.array()?.iter().map(Value::vector).collect::<Result<Vec<DVec3>, _>>()?;

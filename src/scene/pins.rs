@@ -35,6 +35,8 @@ pub(super) enum Selection {
     Vertices(Vec<u32>),
     /// Vertices of the mesh of a file.
     MeshVertices(Vec<u32>),
+    /// Vertices at which a property of the piece is 0.5 or more.
+    Property(String),
     /// All vertices that start in a box, relative to the scene's local origin.
     Box { low: DVec3, high: DVec3 },
     /// All vertices that start in a sphere, relative to the scene's local origin.
@@ -87,6 +89,11 @@ impl PinSource {
                 numbers.iter().enumerate().map(vertex).collect::<Result<_, _>>()?
             }
             Selection::MeshVertices(vertices) => vertices.clone(),
+            Selection::Property(property) => piece.cloth.vertices_with(property).ok_or_else(|| {
+                let known: Vec<&str> = piece.cloth.properties.iter().map(|property| &property.name[..]).collect();
+                let known = if known.is_empty() { "its file has none".to_owned() } else { known.join(", ") };
+                self.at.error(format!("`{name}` has no vertex property named `{property}` ({known})"))
+            })?,
             Selection::Box { low, high } => region(&piece.cloth.mesh, |p| p.cmpge(*low).all() && p.cmple(*high).all()),
             Selection::Sphere { center, radius_m } => region(&piece.cloth.mesh, |p| p.distance(*center) <= *radius_m),
             Selection::Nearest(count) => {

@@ -50,6 +50,13 @@ impl Placement {
         bounds(points.iter().map(|p| self.point(p.as_dvec3() + base)))
     }
 
+    /// The box that holds another one, given by its lowest and highest corner, once it is placed.
+    pub(super) fn box_of(&self, [low, high]: [DVec3; 2]) -> (DVec3, DVec3) {
+        let ends = [low, high];
+        let corner = |bits: usize| DVec3::new(ends[bits & 1].x, ends[bits >> 1 & 1].y, ends[bits >> 2].z);
+        bounds((0..8).map(|bits| self.point(corner(bits))))
+    }
+
     fn move_points(&self, points: &mut [Vec3], base: DVec3) {
         for p in points {
             *p = self.point(p.as_dvec3() + base).as_vec3();

@@ -35,7 +35,7 @@ pub(super) struct RigHeader {
 
 /// A node of the tree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Node {
+pub(crate) struct Node {
     pub parent: Option<u32>,
     /// The rest pose.
     pub pose: Pose,
@@ -47,7 +47,7 @@ pub(super) struct Node {
 
 /// One primitive of the mesh of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct RigPart {
+pub(crate) struct RigPart {
     pub node: u32,
     pub vertices: usize,
     /// Place of its points (xyz); the displacements of its morph targets follow, target by target.
@@ -58,7 +58,7 @@ pub(super) struct RigPart {
 
 /// Joints that carry the vertices of a part.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Skin {
+pub(crate) struct Skin {
     /// Node of every joint.
     pub joints: Vec<u32>,
     /// Inverse bind matrix of every joint.

@@ -6,7 +6,7 @@ use crate::math::{DQuat, DVec3};
 
 /// How values between two keys are found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Interpolation {
+pub(crate) enum Interpolation {
     /// Linear; rotations by slerp along the shorter way.
     Linear,
     /// The value of the key before.
@@ -17,7 +17,7 @@ pub(super) enum Interpolation {
 
 /// The property of a node that a channel moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Property {
+pub(crate) enum Property {
     Translation,
     Rotation,
     Scale,
@@ -27,7 +27,7 @@ pub(super) enum Property {
 
 /// A channel. Its keys are a part of the values of the rig.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Track {
+pub(crate) struct Track {
     pub node: u32,
     pub property: Property,
     pub interpolation: Interpolation,
@@ -135,7 +135,7 @@ pub(super) fn slerp(a: DQuat, b: DQuat, s: f64) -> DQuat {
 
 /// Translation, rotation and scale of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Pose {
+pub(crate) struct Pose {
     pub translation: DVec3,
     pub rotation: DQuat,
     pub scale: DVec3,

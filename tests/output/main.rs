@@ -8,6 +8,7 @@ mod fuzz;
 mod mesh_files;
 mod one_obstacle;
 mod outside_files;
+mod person;
 mod pictures;
 mod records;
 mod scene_any_input;

@@ -265,8 +265,9 @@ fn mistakes_name_line_and_field() {
     assert_eq!(fault("a = "), "line 1: string values must be quoted, expected literal string");
     assert_eq!(
         with("\ncolour = 1"),
-        "line 4: field `cloth.colour`: unknown field; known here: name, sheet, mesh, material, weld_m, plane, origin_m, rotate_deg, \
-         scale, fabric, thicken, damping_s, yield_curvature, hardening, weakening, strain_limit, velocity_m_s, friction"
+        "line 4: field `cloth.colour`: unknown field; known here: name, sheet, garment, mesh, material, \
+         weld_m, plane, origin_m, rotate_deg, scale, fabric, thicken, damping_s, yield_curvature, hardening, \
+         weakening, strain_limit, velocity_m_s, friction"
     );
     assert_eq!(
         with("fabric = \"coton\""),
@@ -304,7 +305,8 @@ fn mistakes_name_line_and_field() {
     );
     assert_eq!(
         fault("[[cloth]]\nname = \"a\""),
-        "line 1: field `cloth`: a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`"
+        "line 1: field `cloth`: a cloth needs one of `sheet = { size_m = [w, h] }`, \
+         `garment = { kind = \"dress\" }` and `mesh = \"file.obj\"`"
     );
     assert_eq!(
         fault("[[cloth]]\nsheet = { size_m = [1, -1] }"),
@@ -312,7 +314,8 @@ fn mistakes_name_line_and_field() {
     );
     assert_eq!(
         with("[[cloth]]\nname = \"b\""),
-        "line 3: field `cloth[1]`: a cloth needs either `sheet = { size_m = [w, h] }` or `mesh = \"file.obj\"`"
+        "line 3: field `cloth[1]`: a cloth needs one of `sheet = { size_m = [w, h] }`, \
+         `garment = { kind = \"dress\" }` and `mesh = \"file.obj\"`"
     );
 }
 

@@ -44,7 +44,36 @@ struct Part {
     triangles: Vec<[u32; 3]>,
 }
 
+/// A body of one mesh that was made instead of read.
+pub(crate) struct MadeBody {
+    /// Parents stand before their children.
+    pub nodes: Vec<Node>,
+    /// Their names.
+    pub names: Vec<String>,
+    /// Its places begin at 0 in `values`.
+    pub part: RigPart,
+    pub values: Vec<f32>,
+    pub triangles: Vec<[u32; 3]>,
+    pub clips: Vec<MadeClip>,
+}
+
+/// A clip of a body that was made. Places of the tracks begin at 0 in `values`.
+pub(crate) struct MadeClip {
+    pub name: String,
+    pub length_s: f64,
+    pub tracks: Vec<Track>,
+    pub values: Vec<f32>,
+}
+
 impl BodyFile {
+    /// The body that others made.
+    pub(crate) fn made(body: MadeBody) -> BodyFile {
+        let MadeBody { nodes, names, part, values, triangles, clips } = body;
+        let clip = |MadeClip { name, length_s, tracks, values }| Clip { name, length_s, tracks, values };
+        let clips = clips.into_iter().map(clip).collect();
+        BodyFile { nodes, names, parts: vec![Part { part, values, triangles }], clips }
+    }
+
     /// An error is half a sentence.
     pub(super) fn new(document: &Document) -> Result<BodyFile, String> {
         let Tree { order, parents } = Tree::new(&document.root.nodes)?;

@@ -17,6 +17,7 @@ use super::SceneError;
 use crate::input::{Input, Streams};
 
 pub use body::{BodyFile, Clip};
+pub(super) use body::{MadeBody, MadeClip};
 
 /// Required extensions that change nothing in the positions of vertices, or that are read.
 const KNOWN: [&str; 6] = [
