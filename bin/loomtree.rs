@@ -34,6 +34,8 @@ enum Command {
     Compare(cli::compare::CompareArgs),
     /// Write the frames of a run for other programs (USD, glTF, MDD, PC2, VTK, PLY)
     Convert(cli::convert::ConvertArgs),
+    /// Show a run in the browser, while it goes on or afterwards
+    View(cli::view::ViewArgs),
     /// Draw the frames of a run as PNG
     Render(cli::render::RenderArgs),
     /// Show adapters, cores, shared memory and what dead runs have left
@@ -62,6 +64,7 @@ fn main() -> ExitCode {
         Command::Join(args) => cli::join::run(args),
         Command::Compare(args) => cli::compare::run(args),
         Command::Convert(args) => cli::convert::run(args),
+        Command::View(args) => cli::view::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),

@@ -45,6 +45,7 @@ pub mod time_parallel;
 pub mod protocol;
 pub mod worker;
 pub mod coordinator;
+pub mod view;
 pub mod cli;
 
 pub use collision::broad::{CollisionMesh, Split};

@@ -21,6 +21,7 @@ mod solve_report;
 mod solve_trace;
 mod start_state;
 pub mod topology;
+pub mod view;
 pub mod worker;
 
 pub(crate) use crate::coordinator::options::count;

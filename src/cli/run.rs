@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::CliError;
 use super::run_lines::{conclude, introduce};
 use super::start_state::Places;
+use super::view::{PageArgs, serve};
 use crate::coordinator::{GivenOptions, Launch, PlanError, RunOptions, RunPlaces, RunPlan, Scope};
 use crate::os::console::note;
 use crate::os::signals;
@@ -33,6 +34,12 @@ pub struct RunArgs {
     /// `loomtree join`
     #[arg(long, value_name = "J", conflicts_with_all = ["resume", "overwrite"])]
     pub only_segment: Option<usize>,
+    /// Show the run in the browser while it goes on; the page stays until Ctrl-C
+    #[arg(long)]
+    pub view: bool,
+    /// Where the page is served.
+    #[command(flatten)]
+    pub page: PageArgs,
     /// Everything that run.toml keeps.
     #[command(flatten)]
     pub options: GivenOptions,
@@ -52,25 +59,46 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
         (false, Some(segment)) => Scope::Segment(segment),
         (false, None) => Scope::All,
     };
+    if args.view {
+        serve(std::slice::from_ref(&places.out), &args.page)?;
+    } else if args.page.open || args.page.port != 0 {
+        return Err(CliError::bad_input("--port and --open go with --view"));
+    }
+    let made = make(recorded_scene.as_deref(), &options, &places, scope, &launch);
+    if args.view && made.is_ok() {
+        note("the page stays until Ctrl-C");
+        signals::wait_for_stop();
+    }
+    made
+}
+
+/// Makes the run.
+fn make(
+    recorded_scene: Option<&str>,
+    options: &RunOptions,
+    places: &RunPlaces,
+    scope: Scope,
+    launch: &Launch,
+) -> Result<(), CliError> {
     if options.time.segments > 1 {
-        return super::run_split::run(recorded_scene.as_deref(), &options, &places, scope, &launch);
+        return super::run_split::run(recorded_scene, options, places, scope, launch);
     }
     if scope != Scope::All {
         let what = "--coarse-only and --only-segment need a shot that is split in time (--segments)";
         return Err(CliError::bad_input(what));
     }
-    let plan = match &recorded_scene {
-        Some(text) => RunPlan::of_text(text, &places.scene, &options),
-        None => RunPlan::new(&places.scene, &options),
+    let plan = match recorded_scene {
+        Some(text) => RunPlan::of_text(text, &places.scene, options),
+        None => RunPlan::new(&places.scene, options),
     };
     let plan = plan.map_err(|error| match error {
         PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
         other => CliError::bad_input(other),
     })?;
-    introduce(&plan, &options);
+    introduce(&plan, options);
     // Until here a signal ends the process in the default way.
     signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
-    conclude(crate::coordinator::run(plan, &options, &places, &launch), &places)
+    conclude(crate::coordinator::run(plan, options, places, launch), places)
 }
 
 /// Resolved arguments of the command.

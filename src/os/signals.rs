@@ -14,6 +14,8 @@ use signal_hook::iterator::Signals;
 
 use super::console::note;
 
+/// Whether a stop is what is waited for.
+static WAITED_FOR: AtomicBool = AtomicBool::new(false);
 /// Number of the first signal that requested a stop; 0 = none yet.
 static REQUESTED: AtomicI32 = AtomicI32::new(0);
 
@@ -82,10 +84,20 @@ pub fn listen() -> io::Result<()> {
                 // Workers detect the end of the coordinator and clean up.
                 std::process::exit(StopSignal(number).exit_code().into());
             }
-            note("stopping after the current step (Ctrl-C again: at once)");
+            if !WAITED_FOR.load(Ordering::Relaxed) {
+                note("stopping after the current step (Ctrl-C again: at once)");
+            }
         }
     })?;
     Ok(())
+}
+
+/// Returns at the next signal that asks to stop, after [`listen`]: for a program that has nothing left to do.
+pub fn wait_for_stop() {
+    WAITED_FOR.store(true, Ordering::Relaxed);
+    while stop_requested().is_none() {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
 }
 
 /// Makes a write beyond the limit of `ulimit -f` an error (EFBIG), which has a sentence, and not the end of the process

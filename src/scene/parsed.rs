@@ -81,9 +81,18 @@ impl ParsedScene {
     /// # Errors
     /// Those of [`ParsedScene::at`]; [`SceneError::Crossing`] then holds the best state that was reached.
     pub fn untangled_at(&self, overrides: &Overrides) -> Result<(Scene, Option<Untangling>), SceneError> {
-        let mut start = StartState { untangle: true, untangled: None };
+        let mut start = StartState { untangle: true, ..StartState::default() };
         let scene = self.build(overrides, 0, &mut start)?;
         Ok((scene, start.untangled))
+    }
+
+    /// Like [`ParsedScene::at`] without the check of the start state, for those who read a run that has made it: pieces,
+    /// shapes at rest and obstacles are those of the run, and so is the start state unless it was untangled.
+    ///
+    /// # Errors
+    /// The resolution is invalid, or a pin selects no vertex at it.
+    pub fn unchecked_at(&self, overrides: &Overrides) -> Result<Scene, SceneError> {
+        self.build(overrides, 0, &mut StartState { trusted: true, ..StartState::default() })
     }
 
     fn build(&self, overrides: &Overrides, coarsenings: usize, start: &mut StartState) -> Result<Scene, SceneError> {

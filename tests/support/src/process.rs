@@ -222,6 +222,11 @@ impl Running<'_> {
         self.child.id() as i32
     }
 
+    /// What it has written to stdout so far.
+    pub fn stdout(&self) -> String {
+        self.text("stdout")
+    }
+
     /// What it has written to stderr so far.
     pub fn stderr(&self) -> String {
         self.text("stderr")
