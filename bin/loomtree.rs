@@ -36,6 +36,8 @@ enum Command {
     Convert(cli::convert::ConvertArgs),
     /// Show a run in the browser, while it goes on or afterwards
     View(cli::view::ViewArgs),
+    /// Write a run as one HTML file with pictures, curves, tables and a timeline
+    Report(cli::report::ReportArgs),
     /// Draw the frames of a run as PNG
     Render(cli::render::RenderArgs),
     /// Show adapters, cores, shared memory and what dead runs have left
@@ -65,6 +67,7 @@ fn main() -> ExitCode {
         Command::Compare(args) => cli::compare::run(args),
         Command::Convert(args) => cli::convert::run(args),
         Command::View(args) => cli::view::run(args),
+        Command::Report(args) => cli::report::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),

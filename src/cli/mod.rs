@@ -12,6 +12,7 @@ mod far;
 pub mod join;
 pub mod predict;
 pub mod render;
+pub mod report;
 pub mod run;
 mod run_lines;
 mod run_split;

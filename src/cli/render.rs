@@ -139,7 +139,11 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
 }
 
 /// Opens the executor that draws. Software adapters are used only on request, because the native path is faster.
-fn open_executor(wanted: ExecutorChoice, adapter: Option<usize>, threads: usize) -> Result<Executor, CliError> {
+pub(super) fn open_executor(
+    wanted: ExecutorChoice,
+    adapter: Option<usize>,
+    threads: usize,
+) -> Result<Executor, CliError> {
     let executor = match wanted {
         ExecutorChoice::Cpu if adapter.is_some() => {
             return Err(CliError::bad_input("--adapter names a device, so it cannot go with --executor cpu"));
@@ -160,7 +164,7 @@ fn open_executor(wanted: ExecutorChoice, adapter: Option<usize>, threads: usize)
 }
 
 /// The local origin from the report; zero if there is no report.
-fn recorded_origin(directory: &RunDirectory) -> DVec3 {
+pub(super) fn recorded_origin(directory: &RunDirectory) -> DVec3 {
     Report::load(&directory.report()).map_or(DVec3::ZERO, |report| DVec3::from_array(report.header.local_origin_m))
 }
 
@@ -170,7 +174,7 @@ pub(super) fn recorded_up(directory: &RunDirectory) -> UpAxis {
     report.and_then(|r| r.header.up_axis.parse().ok()).unwrap_or_default()
 }
 
-fn cli_error(error: PictureError) -> CliError {
+pub(super) fn cli_error(error: PictureError) -> CliError {
     match &error {
         PictureError::Frames(FramesError::Io { .. })
         | PictureError::Write(_)

@@ -1,7 +1,7 @@
 //! The run directory: paths of all files of a run, and the lock that allows one writer.
 //!
 //! ```text
-//! RUN_DIR/report.json  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
+//! RUN_DIR/report.json  report.html  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
 //!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc
 //!         states/step_%08d.ltc  pictures/*.png
 //!         preview/  segments/%03d/  segments/%03d/seam/  segments/%03d/sweep_%03d/
@@ -67,8 +67,16 @@ pub struct RunDirectory {
 }
 
 /// Files at the top level of a run directory.
-const FILES: [&str; 7] =
-    ["report.json", "run.toml", "run_scene.toml", "run_scene.json", "trace.json", "cloth.pc2", "rest.obj"];
+const FILES: [&str; 8] = [
+    "report.json",
+    "run.toml",
+    "run_scene.toml",
+    "run_scene.json",
+    "trace.json",
+    "cloth.pc2",
+    "rest.obj",
+    "report.html",
+];
 /// Sub-folders, with the prefixes of the names of a run's files in them.
 const FOLDERS: [(&str, &[&str]); 4] = [
     ("frames", &["frame_", "obstacle_"]),

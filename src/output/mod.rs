@@ -2,6 +2,7 @@
 //!
 //! Files appear complete or not at all (`atomic`). This module does not influence the simulation.
 
+mod account;
 mod atomic;
 pub mod checkpoint;
 mod directory;
@@ -25,6 +26,7 @@ mod timeline;
 mod trace;
 mod trace_read;
 
+pub use account::{Account, account};
 pub use atomic::{WriteError, check_writable, write_atomically};
 pub use checkpoint::Checkpoint;
 pub use directory::{DirectoryError, Existing, RunDirectory};

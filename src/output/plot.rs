@@ -55,6 +55,14 @@ const TITLE_SIZE: u32 = 16;
 /// Characters per line of the title. A character is about half as wide as high.
 const TITLE_LINE: usize = 100;
 
+/// [`line_chart`] as text.
+///
+/// # Errors
+/// There is nothing to draw.
+pub fn line_chart_svg(title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<String, PlotError> {
+    draw(title, x_label, y_label, series)
+}
+
 /// Draws lines with a dot at every point into the SVG file `path`. The y axis starts at 0 unless a value is negative.
 pub fn line_chart(path: &Path, title: &str, x_label: &str, y_label: &str, series: &[Series]) -> Result<(), PlotError> {
     let svg = draw(title, x_label, y_label, series)?;

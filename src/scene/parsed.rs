@@ -49,9 +49,9 @@ impl ParsedScene {
         self.build(overrides, 0, &mut StartState::default())
     }
 
-    /// Like [`ParsedScene::at`], but every sheet is `coarsenings` levels coarser: it has a fourth of the triangles per
-    /// level, and its vertices are the first ones of the same sheet in the finer scene. [`ParsedScene::nested_at`]
-    /// tells how the others follow from them. Meshes from files stay as they are.
+    /// Like [`ParsedScene::at`], but every sheet is `coarsenings` levels coarser: it has a fourth of the triangles
+    /// per level, and its vertices are the first ones of the same sheet in the finer scene.
+    /// [`ParsedScene::nested_at`] tells how the others follow from them. Meshes from files stay as they are.
     ///
     /// # Errors
     /// Those of [`ParsedScene::at`], and a sheet that has no such level: a grid, or one of less than 128 triangles.
@@ -75,8 +75,8 @@ impl ParsedScene {
         self.cloths.iter().map(levels).collect()
     }
 
-    /// Like [`ParsedScene::at`], but a start state that crosses is untangled if possible. The scene then starts at the
-    /// untangled positions, with its rest shape unchanged, and the second value reports the untangling.
+    /// Like [`ParsedScene::at`], but a start state that crosses is untangled if possible. The scene then starts at
+    /// the untangled positions, with its rest shape unchanged, and the second value reports the untangling.
     ///
     /// # Errors
     /// Those of [`ParsedScene::at`]; [`SceneError::Crossing`] then holds the best state that was reached.
@@ -86,8 +86,8 @@ impl ParsedScene {
         Ok((scene, start.untangled))
     }
 
-    /// Like [`ParsedScene::at`] without the check of the start state, for those who read a run that has made it: pieces,
-    /// shapes at rest and obstacles are those of the run, and so is the start state unless it was untangled.
+    /// Like [`ParsedScene::at`] without the check of the start state, for those who read a run that has made it:
+    /// pieces, shapes at rest and obstacles are those of the run, and so is the start state unless it was untangled.
     ///
     /// # Errors
     /// The resolution is invalid, or a pin selects no vertex at it.
@@ -143,8 +143,9 @@ impl ParsedScene {
         })
     }
 
-    /// Adds a warning for every mesh whose size is implausible: that of a cloth for its thickness, that of an obstacle
-    /// for the cloth. `from_file` = whether an obstacle is a mesh from a file; others state their size in meters.
+    /// Adds a warning for every mesh whose size is implausible: that of a cloth for its thickness, that of an
+    /// obstacle for the cloth. `from_file` = whether an obstacle is a mesh from a file; others state their size in
+    /// meters.
     pub(super) fn warn_of_sizes(mut self, from_file: impl Fn(usize) -> bool) -> ParsedScene {
         let thickness_m = self.settings.thickness_m;
         let mut cloth_m: f64 = 0.0;

@@ -29,8 +29,8 @@ impl Answer {
         }
     }
 
-    /// What the page may ask for and cannot have now, such as a trace that was not kept: no error, but a sentence why. (A
-    /// status of 404 would be an error in the browser's console.)
+    /// What the page may ask for and cannot have now, such as a trace that was not kept: no error, but a sentence
+    /// why. (A status of 404 would be an error in the browser's console.)
     pub(super) fn unavailable(why: impl std::fmt::Display) -> Answer {
         Answer { status: 200, ..Answer::refused(404, why) }
     }

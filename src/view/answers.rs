@@ -1,5 +1,5 @@
-//! From the path of a request to its answer. Paths name files of the page, runs by their place on the command line, and
-//! frames by number; no part of a path becomes the name of a file.
+//! From the path of a request to its answer. Paths name files of the page, runs by their place on the command line,
+//! and frames by number; no part of a path becomes the name of a file.
 
 use std::sync::Mutex;
 

@@ -78,8 +78,8 @@ impl Known {
         ranks
     }
 
-    /// Of every vertex: the mean over its triangles of their largest stretch minus one, or of their smallest minus one,
-    /// whichever is farther from zero.
+    /// Of every vertex: the mean over its triangles of their largest stretch minus one, or of their smallest minus
+    /// one, whichever is farther from zero.
     pub(super) fn strain(&self, positions: &[Vec3]) -> Result<Vec<f32>, String> {
         self.check(positions)?;
         let mut sums = vec![[0.0_f64; 3]; positions.len()];

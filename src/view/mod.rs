@@ -1,9 +1,9 @@
-//! The page of `loomtree view`: cloth, costs and seams of a run in a browser of this machine, while the run goes on or
-//! afterwards.
+//! The page of `loomtree view`: cloth, costs and seams of a run in a browser of this machine, while the run goes on
+//! or afterwards.
 //!
-//! It reads run directories and nothing else, and writes nothing. `server` alone knows the HTTP library and decides who
-//! is answered; `answers` makes an answer of a path, without sockets; the rest reads. The page itself (`page/`) is plain
-//! HTML, CSS and JavaScript within this program.
+//! It reads run directories and nothing else, and writes nothing. `server` alone knows the HTTP library and decides
+//! who is answered; `answers` makes an answer of a path, without sockets; the rest reads. The page itself (`page/`)
+//! is plain HTML, CSS and JavaScript within this program.
 
 mod answer;
 mod answers;

@@ -1,8 +1,8 @@
 //! The server of the page. It listens on 127.0.0.1 alone and answers those who know the token of the printed address.
 //!
 //! A page of another site that the same browser shows could send requests here, too. It does not know the token, its
-//! requests carry a foreign `Origin`, and a name that it makes point here (DNS rebinding) is a foreign `Host`; each of
-//! the three is refused. Only GET is answered, nothing is ever written, and a request has a head and nothing else.
+//! requests carry a foreign `Origin`, and a name that it makes point here (DNS rebinding) is a foreign `Host`; each
+//! of the three is refused. Only GET is answered, nothing is ever written, and a request has a head and nothing else.
 //!
 //! A connection has a thread, of which there are few, and is closed when nothing comes for a while.
 

@@ -1,5 +1,5 @@
-//! Headless Chromium, driven over its DevTools protocol through two pipes (`--remote-debugging-pipe`): messages are JSON
-//! with a zero byte at the end.
+//! Headless Chromium, driven over its DevTools protocol through two pipes (`--remote-debugging-pipe`): messages are
+//! JSON with a zero byte at the end.
 
 use std::collections::VecDeque;
 use std::fs::{File, OpenOptions};

@@ -88,15 +88,27 @@ impl Image {
 
     /// Writes a PNG file.
     pub fn save(&self, path: &Path) -> Result<(), WriteError> {
-        write_atomically(path, |out| {
-            let mut encoder = png::Encoder::new(out, self.width as u32, self.height as u32);
-            encoder.set_color(png::ColorType::Rgb);
-            encoder.set_depth(png::BitDepth::Eight);
-            encoder.set_compression(png::Compression::Balanced);
-            let mut writer = encoder.write_header().map_err(io_from_png)?;
-            writer.write_image_data(&self.rgb).map_err(io_from_png)?;
-            writer.finish().map_err(io_from_png)
-        })
+        write_atomically(path, |out| self.encode(out))
+    }
+
+    /// The bytes of a PNG file.
+    ///
+    /// # Errors
+    /// The picture is too large for the format.
+    pub fn png(&self) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        self.encode(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn encode(&self, out: impl io::Write) -> io::Result<()> {
+        let mut encoder = png::Encoder::new(out, self.width as u32, self.height as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::Balanced);
+        let mut writer = encoder.write_header().map_err(io_from_png)?;
+        writer.write_image_data(&self.rgb).map_err(io_from_png)?;
+        writer.finish().map_err(io_from_png)
     }
 }
 

@@ -97,6 +97,31 @@ pub fn draw_frames(
     Ok(sheet)
 }
 
+/// Draws the frames `numbers` and returns their pictures in this order, all with one camera.
+///
+/// # Errors
+/// As [`draw_frames`], without those of writing.
+pub fn draw_images(
+    source: &FrameSource,
+    numbers: &[u32],
+    options: &PictureOptions,
+    executor: &Executor,
+) -> Result<Vec<(u32, Image)>, PictureError> {
+    let look = choose_look(source, numbers, options)?;
+    let painter = Painter::new(executor, &look, options.width, options.height)?;
+    let images = Mutex::new(Vec::new());
+    for_each_frame(numbers, options.threads, |frame| {
+        let image = painter.draw(&Content::new(source.read(frame)?, source.read_obstacle(frame)?))?;
+        if let Ok(mut images) = images.lock() {
+            images.push((frame, image));
+        }
+        Ok(())
+    })?;
+    let mut images = images.into_inner().unwrap_or_default();
+    images.sort_by_key(|(frame, _)| *frame);
+    Ok(images)
+}
+
 /// Camera and range of heights for the whole sequence.
 fn choose_look(source: &FrameSource, numbers: &[u32], options: &PictureOptions) -> Result<Look, PictureError> {
     let (first, last) = (numbers.first().copied().unwrap_or(0), numbers.last().copied().unwrap_or(0));
