@@ -10,6 +10,7 @@ use crate::coordinator::{GivenOptions, Launch, PlanError, RunOptions, RunPlaces,
 use crate::os::console::note;
 use crate::os::signals;
 use crate::output::{Existing, RunDirectory, RunManifest};
+use crate::scene::{read, read_str};
 use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
@@ -87,10 +88,13 @@ fn make(
         let what = "--coarse-only and --only-segment need a shot that is split in time (--segments)";
         return Err(CliError::bad_input(what));
     }
-    let plan = match recorded_scene {
-        Some(text) => RunPlan::of_text(text, &places.scene, options),
-        None => RunPlan::new(&places.scene, options),
+    let parsed = match recorded_scene {
+        Some(text) => read_str(text, &places.scene),
+        None => read(&places.scene),
     };
+    // A resumed run has kept what it took from the run that it started from.
+    let kept = (places.existing == Existing::Resume).then(|| places.out.join("start.ltc"));
+    let plan = parsed.map_err(PlanError::from).and_then(|parsed| RunPlan::of_parsed(&parsed, options, kept.as_deref()));
     let plan = plan.map_err(|error| match error {
         PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
         other => CliError::bad_input(other),

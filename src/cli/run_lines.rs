@@ -13,6 +13,9 @@ use crate::step::parts_of_step;
 
 /// What a user should know of a run before it starts.
 pub(super) fn introduce(plan: &RunPlan, options: &RunOptions) {
+    if let Some(line) = &plan.started {
+        note(line);
+    }
     if let Some(done) = &plan.untangled {
         note(untangled_line(done));
     }

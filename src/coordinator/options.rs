@@ -10,6 +10,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, Command, FromArgMatches, Id};
 use serde::{Deserialize, Serialize};
 
+use super::start_from::StartFrom;
 use super::time_options::TimeOptions;
 use crate::interconnect::ScheduleKind;
 use crate::output::FormatList;
@@ -57,6 +58,11 @@ pub struct RunOptions {
     #[arg(long, value_name = "TRIANGLES", value_parser = count)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<u64>,
+    /// Start with the positions and velocities that the cloth of another run has at a frame, or at its newest state;
+    /// the scene may have other physics, pins and obstacles, or a finer level of the sheets
+    #[arg(long, value_name = "RUN[:FRAME]")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_from: Option<StartFrom>,
     /// Untangle a start state that crosses, as far as possible, instead of refusing it
     #[arg(long)]
     pub untangle: bool,

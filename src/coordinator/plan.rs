@@ -6,11 +6,12 @@ use std::path::Path;
 use thiserror::Error;
 
 use super::options::RunOptions;
+use super::start_from::kept_start;
 use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology, TopologyError, Traffic, plan};
 use crate::math::DIM;
 use crate::model::{GlobalModel, RankModel};
 use crate::partition::RowPartition;
-use crate::scene::{Overrides, Scene, SceneError, Untangling, load, load_untangled, read_str};
+use crate::scene::{Overrides, ParsedScene, Scene, SceneError, Untangling, read, read_str};
 use crate::solver::ExchangeMode;
 use crate::transport::{RANKS_MAX, STAMP_VALUES};
 
@@ -24,6 +25,9 @@ pub enum PlanError {
     /// The scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// The run that the cloth's start is from.
+    #[error("{0}")]
+    Start(String),
     /// The topology file.
     #[error(transparent)]
     Topology(#[from] TopologyError),
@@ -47,6 +51,8 @@ pub struct RunPlan {
     pub scene: Scene,
     /// Report of the untangling of the start state, if it was requested and needed.
     pub untangled: Option<Untangling>,
+    /// A sentence about the run that the cloth's start is from, if it is from one.
+    pub started: Option<String>,
     /// Byte limit of the collision tables of a worker: the requested one, or the memory of a GPU of the topology file
     /// without the solver's. None: no limit.
     pub table_bytes: Option<u64>,
@@ -65,22 +71,42 @@ pub struct RunPlan {
 impl RunPlan {
     /// Reads and checks everything.
     pub fn new(scene_path: &Path, options: &RunOptions) -> Result<RunPlan, PlanError> {
-        let overrides = Overrides { resolution: options.resolution, frames: options.frames };
-        if !options.untangle {
-            return RunPlan::of_scene(load(scene_path, &overrides)?, options);
-        }
-        let (scene, untangled) = load_untangled(scene_path, &overrides)?;
-        Ok(RunPlan { untangled, ..RunPlan::of_scene(scene, options)? })
+        RunPlan::of_parsed(&read(scene_path)?, options, None)
     }
 
     /// As [`RunPlan::new`], for a text that was the file `scene_path`, which need not exist any more.
     pub fn of_text(text: &str, scene_path: &Path, options: &RunOptions) -> Result<RunPlan, PlanError> {
+        RunPlan::of_parsed(&read_str(text, scene_path)?, options, None)
+    }
+
+    /// As [`RunPlan::new`], for a scene that was read. `kept`: the file with the start that a run has taken from
+    /// another one, when it is resumed.
+    pub fn of_parsed(parsed: &ParsedScene, options: &RunOptions, kept: Option<&Path>) -> Result<RunPlan, PlanError> {
         let overrides = Overrides { resolution: options.resolution, frames: options.frames };
-        if !options.untangle {
-            return RunPlan::of_scene(read_str(text, scene_path)?.at(&overrides)?, options);
-        }
-        let (scene, untangled) = read_str(text, scene_path)?.untangled_at(&overrides)?;
-        Ok(RunPlan { untangled, ..RunPlan::of_scene(scene, options)? })
+        let (scene, untangled, started) = match (&options.start_from, kept) {
+            (Some(_), Some(file)) => {
+                let scene = parsed.unchecked_at(&overrides)?;
+                let given = kept_start(file, scene.origin_m).map_err(PlanError::Start)?;
+                let fits = given.positions.len() == scene.mesh.positions.len();
+                if !fits {
+                    let what = format!("{} belongs to another scene or resolution", file.display());
+                    return Err(PlanError::Start(what));
+                }
+                // It was untangled when it was kept.
+                (parsed.started_at(&overrides, &given, false)?.0, None, None)
+            }
+            (Some(from), None) => {
+                let (given, line) = from.find(parsed, &overrides).map_err(PlanError::Start)?;
+                let (scene, untangled) = parsed.started_at(&overrides, &given, options.untangle)?;
+                (scene, untangled, Some(line))
+            }
+            (None, _) if options.untangle => {
+                let (scene, untangled) = parsed.untangled_at(&overrides)?;
+                (scene, untangled, None)
+            }
+            (None, _) => (parsed.at(&overrides)?, None, None),
+        };
+        Ok(RunPlan { untangled, started, ..RunPlan::of_scene(scene, options)? })
     }
 
     /// As [`RunPlan::new`], for a scene that was read before.
@@ -116,7 +142,8 @@ impl RunPlan {
             topology += " (links emulated)";
         }
         let (table_bytes, exchange) = (options.memory_limit_bytes.or(table_bytes), options.exchange);
-        Ok(RunPlan { scene, untangled: None, table_bytes, exchange, partition, transfers, topology, emulated })
+        let (untangled, started) = (None, None);
+        Ok(RunPlan { scene, untangled, started, table_bytes, exchange, partition, transfers, topology, emulated })
     }
 
     /// The model in global order.

@@ -143,6 +143,11 @@ impl Recorder {
             manifest.save(&self.directory).map_err(write_error)?;
         }
         let scene = &plan.scene;
+        if self.is_new() && self.options.start_from.is_some() {
+            let (fingerprint, state) = (self.fingerprint, State::start_of(scene));
+            let start = Checkpoint { fingerprint, state, ..Checkpoint::default() };
+            checkpoint::write_to(&self.directory.start(), &start).map_err(write_error)?;
+        }
         let header = report_header(plan, &self.options, ready);
         let path = self.directory.report();
         let report = match &self.first {

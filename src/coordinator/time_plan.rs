@@ -55,6 +55,11 @@ impl TimePlan {
                 "--untangle and --segments do not go together: the coarse level would start crossed".into(),
             ));
         }
+        if options.start_from.is_some() {
+            return Err(TimeError::Unfit(
+                "--start-from and --segments do not go together: the coarse level starts from the scene".into(),
+            ));
+        }
         if options.topology.is_some() {
             return Err(TimeError::Unfit(
                 "--topology and --segments do not go together: sessions have their links in common".into(),

@@ -238,6 +238,21 @@ pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf, WriteErr
     Ok(path)
 }
 
+/// Writes `path`.
+pub fn write_to(path: &Path, checkpoint: &Checkpoint) -> Result<(), WriteError> {
+    write_atomically(path, |out| checkpoint.put(out))
+}
+
+/// The newest valid state in these folders after no more than `step` steps, and its file.
+pub fn newest_until(folders: &[PathBuf], step: u64) -> Option<(PathBuf, Checkpoint)> {
+    let mut files: Vec<(u64, PathBuf)> = folders.iter().flat_map(|folder| list(folder)).collect();
+    files.retain(|(after, _)| *after <= step);
+    // Of two files of one step that of the first folder comes first.
+    files.sort_by_key(|(after, _)| std::cmp::Reverse(*after));
+    let valid = |path: &Path| Checkpoint::from_bytes(&fs::read(path).ok()?).ok();
+    files.into_iter().find_map(|(_, path)| valid(&path).map(|found| (path, found)))
+}
+
 /// Result of [`latest`].
 #[derive(Debug, Default)]
 pub struct Latest {

@@ -67,7 +67,7 @@ pub struct RunDirectory {
 }
 
 /// Files at the top level of a run directory.
-const FILES: [&str; 8] = [
+const FILES: [&str; 9] = [
     "report.json",
     "run.toml",
     "run_scene.toml",
@@ -76,6 +76,7 @@ const FILES: [&str; 8] = [
     "cloth.pc2",
     "rest.obj",
     "report.html",
+    "start.ltc",
 ];
 /// Sub-folders, with the prefixes of the names of a run's files in them.
 const FOLDERS: [(&str, &[&str]); 4] = [
@@ -146,6 +147,10 @@ impl RunDirectory {
     /// `rest.obj`: the mesh that `cloth.pc2` moves.
     pub fn rest_mesh(&self) -> PathBuf {
         self.path.join("rest.obj")
+    }
+    /// `start.ltc`: where the cloth of a run started that has taken its start from another one.
+    pub fn start(&self) -> PathBuf {
+        self.path.join("start.ltc")
     }
     /// `frames/`.
     pub fn frames(&self) -> PathBuf {

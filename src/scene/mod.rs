@@ -54,6 +54,7 @@ pub use playback::Playback;
 pub use preconditioner::PreconditionerKind;
 pub use rig::Rig;
 pub use sheet::{Sheet, sheet_cells};
+pub use start::GivenStart;
 pub use substeps::Substeps;
 
 /// Reads and checks a scene file: `.toml` in the format of `docs/scene.md` or `.json` in ARCSim's format.

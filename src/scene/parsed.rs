@@ -13,7 +13,7 @@ use super::error::Place;
 use super::pieces::{Piece, merge, obstacle_warning, size_warning};
 use super::pins::{self, PinSource};
 use super::sheet::SheetMesh;
-use super::start::{Start, StartState};
+use super::start::{GivenStart, Start, StartState};
 use super::{Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling};
 
 /// A scene file that was read and checked, before a resolution is chosen.
@@ -86,6 +86,23 @@ impl ParsedScene {
         Ok((scene, start.untangled))
     }
 
+    /// Like [`ParsedScene::at`], but the cloth starts as `given` says, with the rest shape, the pins and the
+    /// obstacles of the scene; pins hold their vertices where those start. `given` must have as many vertices as the
+    /// scene. If `untangle`, as [`ParsedScene::untangled_at`].
+    ///
+    /// # Errors
+    /// Those of [`ParsedScene::at`].
+    pub fn started_at(
+        &self,
+        overrides: &Overrides,
+        given: &GivenStart,
+        untangle: bool,
+    ) -> Result<(Scene, Option<Untangling>), SceneError> {
+        let mut start = StartState { given: Some(given), untangle, ..StartState::default() };
+        let scene = self.build(overrides, 0, &mut start)?;
+        Ok((scene, start.untangled))
+    }
+
     /// Like [`ParsedScene::at`] without the check of the start state, for those who read a run that has made it:
     /// pieces, shapes at rest and obstacles are those of the run, and so is the start state unless it was untangled.
     ///
@@ -93,6 +110,14 @@ impl ParsedScene {
     /// The resolution is invalid, or a pin selects no vertex at it.
     pub fn unchecked_at(&self, overrides: &Overrides) -> Result<Scene, SceneError> {
         self.build(overrides, 0, &mut StartState { trusted: true, ..StartState::default() })
+    }
+
+    /// [`ParsedScene::coarser_at`] without that check.
+    ///
+    /// # Errors
+    /// Those of [`ParsedScene::coarser_at`] but that.
+    pub fn unchecked_coarser_at(&self, overrides: &Overrides, coarsenings: usize) -> Result<Scene, SceneError> {
+        self.build(overrides, coarsenings, &mut StartState { trusted: true, ..StartState::default() })
     }
 
     fn build(&self, overrides: &Overrides, coarsenings: usize, start: &mut StartState) -> Result<Scene, SceneError> {
@@ -112,7 +137,8 @@ impl ParsedScene {
             let what = "is held by two pins at the same time that move it differently";
             self.pins_at.error(format!("vertex {vertex} {what}"))
         })?;
-        let flat: Vec<bool> = pieces.iter().map(|piece| piece.sheet.is_some()).collect();
+        // A sheet that starts as a sheet is flat.
+        let flat: Vec<bool> = pieces.iter().map(|piece| piece.sheet.is_some() && start.given.is_none()).collect();
         Start {
             path: &self.path,
             resolution: overrides.resolution,

@@ -12,9 +12,22 @@ use super::{Obstacle, Obstacles, Pin, Settings};
 /// Gap that untangling leaves between surfaces, as a fraction of the thickness. Contacts then act but still have room.
 const GAP: f64 = 0.5;
 
-/// Request and result of an untangling.
+/// Positions and velocities that cloth starts with in place of those of its scene, such as those of another run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GivenStart {
+    /// Of every vertex of the scene, relative to `origin_m`, meters.
+    pub positions: Vec<Vec3>,
+    /// m/s.
+    pub velocities: Vec<Vec3>,
+    /// The local origin that the positions are relative to.
+    pub origin_m: DVec3,
+}
+
+/// Requests for a start state, and the result of an untangling.
 #[derive(Debug, Default)]
-pub(super) struct StartState {
+pub(super) struct StartState<'a> {
+    /// Where the cloth starts; none: as the scene has it.
+    pub given: Option<&'a GivenStart>,
     /// Take the start state as it is, because somebody has checked it before.
     pub trusted: bool,
     /// Untangle instead of refusing the scene.
@@ -38,6 +51,14 @@ pub(super) struct Start<'a> {
 impl Start<'_> {
     /// Checks that nothing crosses, or moves the cloth apart if `state` asks for it.
     pub(super) fn settle(&self, merged: &mut Merged, state: &mut StartState) -> Result<(), Box<Crossings>> {
+        if let Some(given) = state.given {
+            let moved = |p: &Vec3| (p.as_dvec3() + given.origin_m - self.origin_m).as_vec3();
+            match given.origin_m == self.origin_m {
+                true => merged.mesh.positions.copy_from_slice(&given.positions),
+                false => merged.mesh.positions = given.positions.iter().map(moved).collect(),
+            }
+            merged.velocities.copy_from_slice(&given.velocities);
+        }
         if !self.settings.collisions || state.trusted {
             return Ok(());
         }

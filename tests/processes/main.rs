@@ -17,6 +17,7 @@ mod resume;
 mod same_bits;
 mod session;
 mod solve_command;
+mod start_from;
 mod streams;
 mod suspended;
 mod time_split;

@@ -183,7 +183,10 @@ impl Garment {
             Kind::Skirt | Kind::Trousers => cut(WAIST_M + 0.01 - p.y),
             Kind::Dress | Kind::Jacket | Kind::Robe => {
                 let deep = if self.kind == Kind::Dress { 0.012 } else { 0.0 };
-                cut(Cone::new([0.0, 1.42 - deep, 0.055], [0.0, 1.60, -0.03], [0.078 + deep, 0.075]).distance(p));
+                // Wider for what stands off the neck.
+                let wide = (self.ease_m - 0.012).max(0.0);
+                let radii = [0.078 + deep + wide, 0.075 + wide];
+                cut(Cone::new([0.0, 1.42 - deep, 0.055], [0.0, 1.60, -0.03], radii).distance(p));
             }
         }
         let arm = DVec3::new(p.x.abs(), p.y, p.z);
