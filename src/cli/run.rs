@@ -1,16 +1,16 @@
 //! `loomtree run`: runs the coordinator in this process and starts workers as child processes.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::CliError;
 use super::run_lines::{conclude, introduce};
 use super::start_state::Places;
 use super::view::{PageArgs, serve};
-use crate::coordinator::{GivenOptions, Launch, PlanError, RunOptions, RunPlaces, RunPlan, Scope};
+use crate::coordinator::{GivenOptions, Launch, PlanError, RunOptions, RunPlaces, RunPlan, Scope, TimeOptions};
 use crate::os::console::note;
 use crate::os::signals;
 use crate::output::{Existing, RunDirectory, RunManifest};
-use crate::scene::{read, read_str};
+use crate::scene::{read, read_str, read_time_table};
 use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
@@ -131,7 +131,8 @@ fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
             let sentence = "its name is not UTF-8, which run.toml needs: rename the file, or give a link to it";
             return Err(CliError::bad_input(format!("{}: {sentence}", scene.display())));
         }
-        let (places, options) = (RunPlaces { scene, out, existing }, args.options.options.clone());
+        let options = over_scene(&args.options, &scene)?;
+        let places = RunPlaces { scene, out, existing };
         return Ok(Resolved { places, options, recorded_scene: None });
     }
     let out = match (&args.out, &args.scene) {
@@ -162,4 +163,16 @@ fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
     let options = args.options.over(&recorded).map_err(CliError::bad_input)?;
     let places = RunPlaces { scene, out, existing };
     Ok(Resolved { places, options, recorded_scene })
+}
+
+/// The options of the command line over those of the scene's `[time]`.
+fn over_scene(given: &GivenOptions, scene: &Path) -> Result<RunOptions, CliError> {
+    // What cannot be read is refused by whoever reads the scene, and a pipe can be read only once.
+    if !scene.is_file() {
+        return Ok(given.options.clone());
+    }
+    let Ok(text) = std::fs::read_to_string(scene) else { return Ok(given.options.clone()) };
+    let table = read_time_table(&text, scene).map_err(CliError::bad_input)?;
+    let base = RunOptions { time: TimeOptions::of_scene(&table), ..RunOptions::default() };
+    given.over(&base).map_err(CliError::bad_input)
 }

@@ -55,7 +55,7 @@ pub(super) fn run(
 fn bound(plan: &TimePlan) -> String {
     let (steps, ratio) = (u64::from(plan.steps()), plan.expected_ratio());
     let handover = if plan.options.hands_over() { u64::from(plan.handover_most()) } else { 0 };
-    let extra = u64::from(plan.recovery_of(u32::MAX)) + handover;
+    let extra = u64::from(plan.recovery_most()) + handover;
     let of = |segments: u32| {
         let balanced = partition::speedup_balanced(ratio, segments as usize);
         partition::speedup_with_extra_steps(steps, extra, balanced)

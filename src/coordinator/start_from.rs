@@ -151,13 +151,12 @@ impl StartFrom {
         triangles: &[[u32; 3]],
         found: Found,
     ) -> Result<(GivenStart, String), String> {
-        let sheets = parsed.nested_at(overrides).map_err(|error| error.to_string())?;
         for level in 1..=LEVELS {
-            let Ok(coarse) = parsed.unchecked_coarser_at(overrides, level) else { break };
+            let Ok((coarse, refinements)) = parsed.unchecked_coarser_at(overrides, level) else { break };
             if coarse.mesh.triangles != triangles || coarse.mesh.positions.len() != found.given.positions.len() {
                 continue;
             }
-            let way = Upsampling::new(&coarse, fine, &sheets, level);
+            let way = Upsampling::new(&coarse, fine, &refinements);
             let GivenStart { positions, velocities, origin_m } = found.given;
             let (positions, velocities) = (way.vectors(&positions), way.vectors(&velocities));
             let line = format!("{}, on sheets with {} times its triangles", found.line, 1 << (2 * level));

@@ -6,6 +6,9 @@ use clap::Args;
 use clap::builder::RangedU64ValueParser;
 use serde::{Deserialize, Serialize};
 
+use crate::scene::TimeTable;
+pub use crate::scene::{PartitionRule, Recovery, SeamRule};
+
 /// How a shot is split in time [Liang and Lin 2018]. Doc comments are the texts of `--help`.
 #[derive(Clone, Debug, PartialEq, Args, Serialize, Deserialize)]
 #[serde(default)]
@@ -58,6 +61,23 @@ pub struct TimeOptions {
 }
 
 impl TimeOptions {
+    /// Those of a scene, with defaults for what it does not say.
+    pub fn of_scene(table: &TimeTable) -> TimeOptions {
+        let default = TimeOptions::default();
+        TimeOptions {
+            segments: table.segments.unwrap_or(default.segments),
+            coarse: table.coarse.unwrap_or(default.coarse),
+            coarse_steps: table.coarse_steps,
+            partition: table.partition.unwrap_or(default.partition),
+            recovery: table.recovery.unwrap_or(default.recovery),
+            recovery_steps: table.recovery_steps.unwrap_or(default.recovery_steps),
+            seam: table.seam.unwrap_or(default.seam),
+            handover_steps: table.handover_steps,
+            sweeps: table.sweeps.unwrap_or(default.sweeps),
+            ..default
+        }
+    }
+
     /// Whether segments are handed over to each other.
     pub fn hands_over(&self) -> bool {
         self.seam == SeamRule::HandOver && self.sweeps == 0
@@ -66,41 +86,6 @@ impl TimeOptions {
 
 fn is_zero(count: &u32) -> bool {
     *count == 0
-}
-
-/// Where a shot is cut.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum PartitionRule {
-    /// So that all segments take as long, by the counted work of the finished coarse run
-    #[default]
-    Counted,
-    /// Segments of equal length [Liang and Lin 2018, Eq. 3]
-    Uniform,
-    /// For a constant ratio of the costs of both runs [Liang and Lin 2018, Eq. 5]
-    Static,
-}
-
-/// How a segment finds detail that the coarse run lacks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Recovery {
-    /// It starts earlier and follows the coarse run to the cut
-    #[default]
-    WarmUp,
-    /// It starts from the coarse state as it is
-    None,
-}
-
-/// How a segment joins the one before.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum SeamRule {
-    /// Its first steps are made again from the end of the one before, drawn toward it until both are one
-    #[default]
-    HandOver,
-    /// It does not: the motion jumps at the cut
-    Cut,
 }
 
 impl Default for TimeOptions {

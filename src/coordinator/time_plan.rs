@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::options::RunOptions;
 use super::plan::{PlanError, RunPlan};
 use super::time_options::{PartitionRule, Recovery, TimeOptions};
-use crate::mesh::{Group, GroupKind, crossings};
+use crate::mesh::{Group, GroupKind, Refinement, crossings};
 use crate::model::State;
 use crate::output::StepRecord;
 use crate::scene::{Obstacles, Overrides, Scene, read_str};
@@ -69,17 +69,18 @@ impl TimePlan {
         let wanted = Overrides { resolution: options.resolution, frames: options.frames };
         let fine = RunPlan::of_scene(parsed.at(&wanted).map_err(PlanError::from)?, options)?;
         let coarsenings = time.coarse.ilog2() as usize;
-        let sheets = parsed.nested_at(&wanted).map_err(PlanError::from)?;
-        if sheets.iter().all(Option::is_none) {
-            return Err(TimeError::Unfit(
-                "--segments needs a coarse level, which only sheets of irregular triangles have so far".into(),
-            ));
+        let (mut scene, refinements) = parsed.coarser_at(&wanted, coarsenings).map_err(PlanError::from)?;
+        if refinements.iter().all(Refinement::is_none) {
+            return Err(TimeError::Unfit(format!(
+                "--segments needs a coarse level: sheets of irregular triangles have one, and meshes that divide the \
+                 triangles of a coarser one into {} (docs/scene.md, `subdivide`)",
+                time.coarse * time.coarse
+            )));
         }
-        let mut scene = parsed.coarser_at(&wanted, coarsenings).map_err(PlanError::from)?;
         let step_ratio = step_ratio(&fine.scene, time)?;
         scene.settings.step_s *= f64::from(step_ratio);
         scene.settings.steps_per_frame /= step_ratio;
-        let up = Upsampling::new(&scene, &fine.scene, &sheets, coarsenings);
+        let up = Upsampling::new(&scene, &fine.scene, &refinements);
         let coarse = RunPlan::of_scene(scene, options)?;
         Ok(TimePlan { fine, coarse, up, step_ratio, options: time.clone() })
     }
@@ -104,9 +105,19 @@ impl TimePlan {
     pub fn recovery_of(&self, start: u32) -> u32 {
         match self.options.recovery {
             _ if self.options.start_states.is_some() => 0,
-            Recovery::None => 0,
+            Recovery::None | Recovery::Paper => 0,
             Recovery::WarmUp => (self.options.recovery_steps.div_ceil(self.step_ratio) * self.step_ratio).min(start),
         }
+    }
+
+    /// Whether detail is recovered at the cut `start` itself.
+    pub fn iterates(&self, start: u32) -> bool {
+        start > 0 && self.options.recovery == Recovery::Paper && self.options.start_states.is_none()
+    }
+
+    /// Steps that the recovery before a late cut costs at most.
+    pub fn recovery_most(&self) -> u32 {
+        if self.iterates(u32::MAX) { self.options.recovery_steps } else { self.recovery_of(u32::MAX) }
     }
 
     /// Fine over coarse work that is expected before anything is measured: rows times steps times iterations, which
@@ -136,7 +147,7 @@ impl TimePlan {
                 let costs = Costs { fine, coarse: vec![coarse], stride: u64::from(stride) };
                 let method = Method {
                     partition: Partition::Profile,
-                    recovery_steps: u64::from(self.recovery_of(u32::MAX)),
+                    recovery_steps: u64::from(self.recovery_most()),
                     handover_steps: 0,
                     coarse_state_s: 0.0,
                     fine_state_s: 0.0,
@@ -162,7 +173,9 @@ impl TimePlan {
         }
     }
 
-    fn first_crossing(&self, state: &State, step: u32) -> Option<[u32; 2]> {
+    /// The first two triangles of a state of the shot after `step` that meet, if the scene has collisions and nothing is
+    /// let go.
+    pub(super) fn first_crossing(&self, state: &State, step: u32) -> Option<[u32; 2]> {
         let scene = &self.fine.scene;
         if !scene.settings.collisions || !state.let_go.is_empty() {
             return None;

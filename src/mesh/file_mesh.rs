@@ -5,8 +5,8 @@ use std::path::Path;
 use crate::math::{DVec3, Vec3};
 
 use super::{
-    MeshFault, Part, Surface, TextureFit, TriangleMesh, VertexProperty, flatten_triangles, material, validate, weld,
-    winding,
+    MeshFault, Part, Refinement, Surface, TextureFit, TriangleMesh, VertexProperty, coarser, flatten_triangles,
+    material, validate, weld, winding,
 };
 
 /// Source of the material (rest) coordinates of a mesh file.
@@ -119,6 +119,7 @@ impl Surface {
             parts,
             properties,
             mesh_vertices,
+            added: Vec::new(),
             dropped,
             welded,
             turned,
@@ -142,6 +143,8 @@ pub struct FileMesh {
     pub properties: Vec<VertexProperty>,
     /// The mesh vertex of every vertex of the file; none if they are equal.
     mesh_vertices: Option<Vec<u32>>,
+    /// The ends of the edge that each vertex halves which was added after those of the file ([`FileMesh::divide`]).
+    added: Vec<[u32; 2]>,
     /// Vertices of the file in no triangle. They are dropped, because they have no mass.
     pub dropped: usize,
     /// Vertices that were joined with an earlier vertex.
@@ -162,6 +165,7 @@ impl From<TriangleMesh> for FileMesh {
             parts: Vec::new(),
             properties: Vec::new(),
             mesh_vertices: None,
+            added: Vec::new(),
             dropped: 0,
             welded: 0,
             turned: 0,
@@ -176,18 +180,49 @@ impl FileMesh {
     /// The mesh vertex with this number (from 0) in the file; none if it was dropped or does not exist.
     pub fn vertex(&self, file_vertex: u32) -> Option<u32> {
         match &self.mesh_vertices {
-            None => ((file_vertex as usize) < self.mesh.positions.len()).then_some(file_vertex),
+            None => ((file_vertex as usize) < self.mesh.positions.len() - self.added.len()).then_some(file_vertex),
             Some(numbers) => numbers.get(file_vertex as usize).copied().filter(|&vertex| vertex != NONE),
         }
     }
 
+    /// Divides every triangle into four flat ones, this many times. The vertices of the file stay the first ones.
+    pub(crate) fn divide(&mut self, times: u32) {
+        for _ in 0..times {
+            self.added.extend(self.mesh.halved_edges());
+            self.mesh = self.mesh.divided();
+            for part in &mut self.parts {
+                part.triangles = 4 * part.triangles.start..4 * part.triangles.end;
+            }
+        }
+    }
+
+    /// The mesh whose triangles are divided into four in this one, if there is one.
+    pub fn coarser(&self) -> Option<(FileMesh, Refinement)> {
+        let (mesh, refinement) = coarser(&self.mesh, !self.from_texture)?;
+        // Coarse triangles have the order of those in their middles, so those of a part stay together.
+        let centers: Vec<u32> = refinement.triangles.iter().skip(3).step_by(4).copied().collect();
+        let coarse = |fine: u32| centers.partition_point(|&center| center < fine) as u32;
+        let own =
+            |part: &Part| Part { triangles: coarse(part.triangles.start)..coarse(part.triangles.end), ..part.clone() };
+        let parts = self.parts.iter().map(own).collect();
+        Some((FileMesh { parts, from_texture: self.from_texture, ..FileMesh::from(mesh) }, refinement))
+    }
+
     /// The vertices at which a property of the file is 0.5 or more, ascending; none if the file has no such property.
+    /// An added vertex has it if both ends of its edge do.
     pub fn vertices_with(&self, name: &str) -> Option<Vec<u32>> {
         let property = self.properties.iter().find(|property| property.name == name)?;
         let chosen = (0u32..).zip(&property.values).filter(|(_, value)| **value >= 0.5);
         let mut vertices: Vec<u32> = chosen.filter_map(|(vertex, _)| self.vertex(vertex)).collect();
         vertices.sort_unstable();
         vertices.dedup();
+        let first = self.mesh.positions.len() - self.added.len();
+        let mut has = vec![false; first];
+        vertices.iter().for_each(|&vertex| has[vertex as usize] = true);
+        for &[a, b] in &self.added {
+            has.push(has[a as usize] && has[b as usize]);
+        }
+        vertices.extend((first..has.len()).filter(|&vertex| has[vertex]).map(|vertex| vertex as u32));
         Some(vertices)
     }
 

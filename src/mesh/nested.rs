@@ -3,6 +3,7 @@
 use crate::math::{DVec2, Vec2};
 
 use super::irregular::{Irregular, irregular_disc, irregular_rectangle};
+use super::refinement::{Divided, Refinement, divide};
 
 /// Most times that the coarsest triangles of a sheet are divided.
 pub const LEVELS_MAX: u32 = 3;
@@ -104,77 +105,35 @@ impl NestedSheet {
         side
     }
 
+    /// From a level to the finest one.
+    pub fn refinement(&self, level: usize) -> Refinement {
+        let first = self.vertices[level] as u32;
+        let parts = 1 << (2 * (self.finest() - level));
+        Refinement {
+            copies: (0..first).collect(),
+            middles: (first..self.points.len() as u32)
+                .filter_map(|v| self.parents(v).map(|[a, b]| [v, a, b]))
+                .collect(),
+            triangles: (0..(self.triangles[level].len() * parts) as u32).collect(),
+            parts,
+        }
+    }
+
     /// Adds a level.
     fn divide(&mut self) {
-        let coarse = &self.triangles[self.finest()];
-        let mut middles = Middles::new(self.points.len(), coarse);
-        let mut fine = Vec::with_capacity(4 * coarse.len());
-        for &[a, b, c] in coarse {
-            let [ab, bc, ca] = [[a, b], [b, c], [c, a]].map(|[p, q]| {
-                let ends = [p.min(q), p.max(q)];
-                let next = self.points.len() as u32;
-                let middle = middles.of(ends, next);
-                if middle == next {
-                    let [p, q] = ends.map(|v| self.points[v as usize]);
-                    self.points.push((p + q) / 2.0);
-                    self.parents.push(ends);
-                }
-                middle
-            });
-            fine.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        let Divided { triangles, parents, on_boundary } = divide(self.points.len(), &self.triangles[self.finest()]);
+        for &[p, q] in &parents {
+            self.points.push((self.points[p as usize] + self.points[q as usize]) / 2.0);
         }
+        self.parents.extend(parents);
         if let Outline::Disc(radius_m) = self.outline {
-            for middle in middles.of_boundary() {
+            for middle in on_boundary {
                 let point = &mut self.points[middle as usize];
                 *point *= radius_m / point.length();
             }
         }
         self.vertices.push(self.points.len());
-        self.triangles.push(fine);
-    }
-}
-
-/// Middle vertex of every edge, found by the ends of the edge.
-struct Middles {
-    /// First slot of every vertex; its slots are for the edges of which it is the smaller end.
-    first: Vec<u32>,
-    /// An inner edge has two triangles, so some slots stay empty.
-    slots: Vec<Option<Middle>>,
-}
-
-#[derive(Clone, Copy)]
-struct Middle {
-    larger_end: u32,
-    vertex: u32,
-    triangles: u32,
-}
-
-impl Middles {
-    fn new(vertices: usize, triangles: &[[u32; 3]]) -> Middles {
-        let mut first = vec![0u32; vertices + 1];
-        for &[a, b, c] in triangles {
-            [a.min(b), b.min(c), c.min(a)].into_iter().for_each(|v| first[v as usize + 1] += 1);
-        }
-        (0..vertices).for_each(|v| first[v + 1] += first[v]);
-        Middles { slots: vec![None; first[vertices] as usize], first }
-    }
-
-    /// The middle of the edge with these ends, smaller one first; `next` from now on if it has none yet.
-    fn of(&mut self, [low, high]: [u32; 2], next: u32) -> u32 {
-        let range = self.first[low as usize] as usize..self.first[low as usize + 1] as usize;
-        for slot in &mut self.slots[range] {
-            let middle = slot.get_or_insert(Middle { larger_end: high, vertex: next, triangles: 0 });
-            if middle.larger_end == high {
-                middle.triangles += 1;
-                return middle.vertex;
-            }
-        }
-        unreachable!("an edge has a slot for each of its triangles")
-    }
-
-    /// The middles of edges with one triangle.
-    fn of_boundary(&self) -> impl Iterator<Item = u32> {
-        self.slots.iter().flatten().filter(|middle| middle.triangles == 1).map(|middle| middle.vertex)
+        self.triangles.push(triangles);
     }
 }
 

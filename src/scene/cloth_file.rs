@@ -95,13 +95,14 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 19] = [
+pub(super) const CLOTH_FIELDS: [&str; 20] = [
     "name",
     "sheet",
     "garment",
     "mesh",
     "material",
     "weld_m",
+    "subdivide",
     "plane",
     "origin_m",
     "rotate_deg",
@@ -116,6 +117,9 @@ pub(super) const CLOTH_FIELDS: [&str; 19] = [
     "velocity_m_s",
     "friction",
 ];
+
+/// Most times that the triangles of a mesh are divided into four.
+const SUBDIVIDE_MOST: u64 = 6;
 
 const SHEET_FIELDS: [&str; 4] = ["size_m", "radius_m", "triangles", "mesh"];
 
@@ -226,7 +230,12 @@ fn mesh(
     let source = fields.or("material", MaterialSource::Auto, |value| value.choice(&sources))?;
     let weld_m = fields.optional("weld_m", Value::not_negative)?;
     let found = find(path, file.text()?).map_err(|what| file.error(what))?;
-    let mesh = unplaced_mesh(&found, source, weld_m, &placement)?;
+    let times = fields.or("subdivide", 0, |value| value.whole(0..=SUBDIVIDE_MOST))? as u32;
+    let mut mesh = unplaced_mesh(&found, source, weld_m, &placement)?;
+    if (mesh.mesh.triangles.len() as u64) << (2 * times) > i32::MAX as u64 {
+        return Err(fields.error_at("subdivide", format!("makes more than {} triangles of the mesh", i32::MAX)));
+    }
+    mesh.divide(times);
     remarks.left_out.extend(mesh.left_out(&found));
     remarks.warnings.extend(mesh.warnings(&found, placement.scale));
     if source == MaterialSource::TextureOrShape && mesh.fit.is_none() {
@@ -238,7 +247,7 @@ fn mesh(
 }
 
 fn sheet(fields: &Fields, triangles: f64, placement: Placement) -> Result<SheetSource, SceneError> {
-    if let Some(key) = ["material", "scale", "weld_m"].into_iter().find(|key| fields.get(key).is_some()) {
+    if let Some(key) = ["material", "scale", "weld_m", "subdivide"].into_iter().find(|key| fields.get(key).is_some()) {
         return Err(fields.error_at(key, "belongs to a cloth with a `mesh`; this one has a `sheet`"));
     }
     let sheet = fields.table("sheet", &SHEET_FIELDS)?;

@@ -12,10 +12,24 @@ use super::obstacle_file::{OBSTACLE_FIELDS, is_from_file, obstacle};
 use super::parsed::ParsedScene;
 use super::pin_file::{PIN_FIELDS, Paths, pin};
 use super::settings_file::settings;
-use super::{Fabric, SceneError};
+use super::time_table::time_table;
+use super::{Fabric, SceneError, TimeTable};
 
 /// Triangles of all sheets together if neither the scene nor the command line gives a resolution.
 const DEFAULT_RESOLUTION: u64 = 10_000;
+
+const ROOT_FIELDS: [&str; 9] =
+    ["name", "resolution", "simulation", "time", "air", "fabric", "cloth", "pin", "obstacle"];
+
+/// Reads `[time]` alone.
+pub(super) fn read_time_table(text: &str, path: &Path) -> Result<TimeTable, SceneError> {
+    let source = Source::new(path, text);
+    let Ok(document) = DeTable::parse(text) else { return Ok(TimeTable::default()) };
+    match Fields::root(&source, document.get_ref(), &ROOT_FIELDS) {
+        Ok(root) => time_table(&root),
+        Err(_) => Ok(TimeTable::default()),
+    }
+}
 
 /// Reads a TOML scene. Relative file names start at the folder of `path`, and messages name `path`.
 pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> {
@@ -25,8 +39,8 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
             error.span().map(|span| 1 + text.as_bytes().iter().take(span.start).filter(|&&c| c == b'\n').count());
         SceneError::Syntax { path: path.into(), line, what: error.message().replace('\n', ", ") }
     })?;
-    let known = ["name", "resolution", "simulation", "air", "fabric", "cloth", "pin", "obstacle"];
-    let root = Fields::root(&source, document.get_ref(), &known)?;
+    let root = Fields::root(&source, document.get_ref(), &ROOT_FIELDS)?;
+    time_table(&root)?;
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let name = root.or("name", stem, |value| value.text().map(str::to_owned))?;
 

@@ -36,6 +36,7 @@ mod settings_file;
 mod sheet;
 mod start;
 mod substeps;
+mod time_table;
 
 use std::path::Path;
 
@@ -56,6 +57,7 @@ pub use rig::Rig;
 pub use sheet::{Sheet, sheet_cells};
 pub use start::GivenStart;
 pub use substeps::Substeps;
+pub use time_table::{PartitionRule, Recovery, SeamRule, TimeTable};
 
 /// Reads and checks a scene file: `.toml` in the format of `docs/scene.md` or `.json` in ARCSim's format.
 /// [`ParsedScene::at`] then builds scenes from it.
@@ -83,6 +85,16 @@ pub fn load_untangled(path: &Path, overrides: &Overrides) -> Result<(Scene, Opti
 /// Like [`load`], with the text given.
 pub fn parse(text: &str, path: &Path, overrides: &Overrides) -> Result<Scene, SceneError> {
     read_str(text, path)?.at(overrides)
+}
+
+/// What a scene of this text says of splitting its shot in time. Nothing, if the text cannot be read: [`read_str`] says
+/// why.
+///
+/// # Errors
+/// A field of `[time]` is wrong.
+pub fn read_time_table(text: &str, path: &Path) -> Result<TimeTable, SceneError> {
+    let is_toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
+    if is_toml { file::read_time_table(text, path) } else { Ok(TimeTable::default()) }
 }
 
 type Parser = fn(&str, &Path) -> Result<ParsedScene, SceneError>;

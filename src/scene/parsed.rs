@@ -6,13 +6,12 @@
 use std::path::PathBuf;
 
 use crate::math::DVec3;
-use crate::mesh::{NestedSheet, extent};
+use crate::mesh::{Refinement, extent};
 
 use super::cloth_source::{ClothSource, Shape};
 use super::error::Place;
 use super::pieces::{Piece, merge, obstacle_warning, size_warning};
 use super::pins::{self, PinSource};
-use super::sheet::SheetMesh;
 use super::start::{GivenStart, Start, StartState};
 use super::{Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling};
 
@@ -46,33 +45,22 @@ impl ParsedScene {
     /// # Errors
     /// The resolution is invalid, a pin selects no vertex at it, or the start state crosses itself.
     pub fn at(&self, overrides: &Overrides) -> Result<Scene, SceneError> {
-        self.build(overrides, 0, &mut StartState::default())
+        self.build_finest(overrides, &mut StartState::default())
     }
 
-    /// Like [`ParsedScene::at`], but every sheet is `coarsenings` levels coarser: it has a fourth of the triangles
-    /// per level, and its vertices are the first ones of the same sheet in the finer scene.
-    /// [`ParsedScene::nested_at`] tells how the others follow from them. Meshes from files stay as they are.
+    /// Like [`ParsedScene::at`], but every piece is `coarsenings` levels coarser, with a fourth of the triangles per
+    /// level. The second value says for every piece how [`ParsedScene::at`] makes it from the coarse one; a mesh from a
+    /// file that does not divide a coarser one so many times stays as it is. Coarse meshes that cross where the fine
+    /// ones do not are moved apart.
     ///
     /// # Errors
     /// Those of [`ParsedScene::at`], and a sheet that has no such level: a grid, or one of less than 128 triangles.
-    pub fn coarser_at(&self, overrides: &Overrides, coarsenings: usize) -> Result<Scene, SceneError> {
-        self.build(overrides, coarsenings, &mut StartState::default())
-    }
-
-    /// The levels of every piece that [`ParsedScene::at`] makes, in the order of `Scene::cloths`; none for grids and
-    /// for meshes from files.
-    ///
-    /// # Errors
-    /// The resolution or a sheet is invalid.
-    pub fn nested_at(&self, overrides: &Overrides) -> Result<Vec<Option<NestedSheet>>, SceneError> {
-        let factor = self.resolution_factor(overrides.resolution)?;
-        let levels = |cloth| {
-            Ok(match Piece::new(cloth, factor, 0)?.sheet {
-                Some(SheetMesh::Nested { sheet, .. }) => Some(sheet),
-                _ => None,
-            })
-        };
-        self.cloths.iter().map(levels).collect()
+    pub fn coarser_at(
+        &self,
+        overrides: &Overrides,
+        coarsenings: usize,
+    ) -> Result<(Scene, Vec<Refinement>), SceneError> {
+        self.coarser(overrides, coarsenings, &mut StartState { untangle: true, ..StartState::default() })
     }
 
     /// Like [`ParsedScene::at`], but a start state that crosses is untangled if possible. The scene then starts at
@@ -82,7 +70,7 @@ impl ParsedScene {
     /// Those of [`ParsedScene::at`]; [`SceneError::Crossing`] then holds the best state that was reached.
     pub fn untangled_at(&self, overrides: &Overrides) -> Result<(Scene, Option<Untangling>), SceneError> {
         let mut start = StartState { untangle: true, ..StartState::default() };
-        let scene = self.build(overrides, 0, &mut start)?;
+        let scene = self.build_finest(overrides, &mut start)?;
         Ok((scene, start.untangled))
     }
 
@@ -99,7 +87,7 @@ impl ParsedScene {
         untangle: bool,
     ) -> Result<(Scene, Option<Untangling>), SceneError> {
         let mut start = StartState { given: Some(given), untangle, ..StartState::default() };
-        let scene = self.build(overrides, 0, &mut start)?;
+        let scene = self.build_finest(overrides, &mut start)?;
         Ok((scene, start.untangled))
     }
 
@@ -109,23 +97,44 @@ impl ParsedScene {
     /// # Errors
     /// The resolution is invalid, or a pin selects no vertex at it.
     pub fn unchecked_at(&self, overrides: &Overrides) -> Result<Scene, SceneError> {
-        self.build(overrides, 0, &mut StartState { trusted: true, ..StartState::default() })
+        self.build_finest(overrides, &mut StartState { trusted: true, ..StartState::default() })
     }
 
     /// [`ParsedScene::coarser_at`] without that check.
     ///
     /// # Errors
     /// Those of [`ParsedScene::coarser_at`] but that.
-    pub fn unchecked_coarser_at(&self, overrides: &Overrides, coarsenings: usize) -> Result<Scene, SceneError> {
-        self.build(overrides, coarsenings, &mut StartState { trusted: true, ..StartState::default() })
+    pub fn unchecked_coarser_at(
+        &self,
+        overrides: &Overrides,
+        coarsenings: usize,
+    ) -> Result<(Scene, Vec<Refinement>), SceneError> {
+        self.coarser(overrides, coarsenings, &mut StartState { trusted: true, ..StartState::default() })
     }
 
-    fn build(&self, overrides: &Overrides, coarsenings: usize, start: &mut StartState) -> Result<Scene, SceneError> {
+    fn coarser(
+        &self,
+        overrides: &Overrides,
+        coarsenings: usize,
+        start: &mut StartState,
+    ) -> Result<(Scene, Vec<Refinement>), SceneError> {
+        let pieces = self.pieces(overrides, coarsenings)?;
+        let scene = self.build(overrides, &pieces, start)?;
+        Ok((scene, pieces.into_iter().map(|piece| piece.refinement).collect()))
+    }
+
+    fn pieces(&self, overrides: &Overrides, coarsenings: usize) -> Result<Vec<Piece<'_>>, SceneError> {
         let factor = self.resolution_factor(overrides.resolution)?;
-        let piece = |cloth| Piece::new(cloth, factor, coarsenings);
-        let pieces = self.cloths.iter().map(piece).collect::<Result<Vec<Piece>, _>>()?;
+        self.cloths.iter().map(|cloth| Piece::new(cloth, factor, coarsenings)).collect()
+    }
+
+    fn build_finest(&self, overrides: &Overrides, start: &mut StartState) -> Result<Scene, SceneError> {
+        self.build(overrides, &self.pieces(overrides, 0)?, start)
+    }
+
+    fn build(&self, overrides: &Overrides, pieces: &[Piece], start: &mut StartState) -> Result<Scene, SceneError> {
         let settings = Settings { frames: overrides.frames.unwrap_or(self.settings.frames), ..self.settings.clone() };
-        let mut merged = merge(&pieces, settings.friction).map_err(|what| self.cloths_at.error(what))?;
+        let mut merged = merge(pieces, settings.friction).map_err(|what| self.cloths_at.error(what))?;
         let mut held: Vec<Pin> = Vec::new();
         for pin in &self.pins {
             let first_vertex = merged.cloths[pin.cloth].vertices.start;

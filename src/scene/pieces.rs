@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use crate::math::{DVec2, DVec3, Vec3};
-use crate::mesh::{FileMesh, NestedSheet, Outline, Part, TriangleMesh, validate};
+use crate::mesh::{FileMesh, NestedSheet, Outline, Part, Refinement, TriangleMesh, validate};
 
 use super::cloth_source::{ClothSource, GarmentSource, Shape, SheetKind, SheetSource, StartVelocity};
 use super::sheet::SheetMesh;
@@ -16,16 +16,27 @@ pub(super) struct Piece<'a> {
     pub cloth: Cow<'a, FileMesh>,
     /// Present if the piece is a generated sheet.
     pub sheet: Option<SheetMesh>,
+    /// From this piece to the one that no coarsening was asked for.
+    pub refinement: Refinement,
 }
 
 impl<'a> Piece<'a> {
-    /// Makes the piece. A sheet has `factor` times the triangles that its scene states, then it is taken `coarsenings`
-    /// levels coarser.
+    /// Makes the piece. A sheet has `factor` times the triangles that its scene states. Then the piece is taken
+    /// `coarsenings` levels coarser; a mesh that does not divide a coarser one so many times stays as it is.
     pub(super) fn new(source: &'a ClothSource, factor: f64, coarsenings: usize) -> Result<Piece<'a>, SceneError> {
-        let (cloth, sheet) = match &source.shape {
-            Shape::Mesh(mesh) => (Cow::Borrowed(mesh), None),
-            // Like a mesh from a file it has no coarser levels.
-            Shape::Garment(source) => (Cow::Owned(garment_mesh(source, factor)?), None),
+        let (cloth, sheet, refinement) = match &source.shape {
+            Shape::Mesh(mesh) => {
+                let same = Refinement::none(mesh.mesh.positions.len(), mesh.mesh.triangles.len());
+                let (cloth, refinement) = coarser_mesh(mesh, coarsenings)
+                    .map_or((Cow::Borrowed(mesh), same), |(mesh, refinement)| (Cow::Owned(mesh), refinement));
+                (cloth, None, refinement)
+            }
+            // Its triangles are nested in no coarser ones.
+            Shape::Garment(source) => {
+                let mesh = garment_mesh(source, factor)?;
+                let same = Refinement::none(mesh.mesh.positions.len(), mesh.mesh.triangles.len());
+                (Cow::Owned(mesh), None, same)
+            }
             Shape::Sheet(sheet) => {
                 let cells = sheet_mesh(sheet, factor, coarsenings)?;
                 let uv = cells.coordinates();
@@ -38,11 +49,32 @@ impl<'a> Piece<'a> {
                 };
                 sheet.placement.place(&mut mesh, DVec3::ZERO);
                 validate(&mesh).map_err(|fault| sheet.at.error(fault.to_string()))?;
-                (Cow::Owned(FileMesh::from(mesh)), Some(cells))
+                let refinement = cells.refinement();
+                (Cow::Owned(FileMesh::from(mesh)), Some(cells), refinement)
             }
         };
-        Ok(Piece { source, cloth, sheet })
+        Ok(Piece { source, cloth, sheet, refinement })
     }
+
+    /// The mesh that pins select vertices of: a mesh from a file as the file has it, however coarse the piece is.
+    pub(super) fn selected_from(&self) -> &FileMesh {
+        match &self.source.shape {
+            Shape::Mesh(mesh) => mesh,
+            Shape::Sheet(_) | Shape::Garment(_) => &self.cloth,
+        }
+    }
+}
+
+/// The mesh that `fine` divides into four, `coarsenings` times; none if there is none.
+fn coarser_mesh(fine: &FileMesh, coarsenings: usize) -> Option<(FileMesh, Refinement)> {
+    let mut found: Option<(FileMesh, Refinement)> = None;
+    for _ in 0..coarsenings {
+        let (mesh, lower) = found.as_ref().map_or(fine, |(mesh, _)| mesh).coarser()?;
+        validate(&mesh.mesh).ok()?;
+        let refinement = found.as_ref().map_or(lower.clone(), |(_, upper)| lower.then(upper));
+        found = Some((mesh, refinement));
+    }
+    found
 }
 
 /// Meshes a garment with `factor` times its triangles.
@@ -152,7 +184,9 @@ pub(super) fn merge(pieces: &[Piece], friction: f64) -> Result<Merged, String> {
         merged.mesh.triangles.extend(mesh.triangles.iter().map(|t| t.map(|v| v + first as u32)));
         match &source.velocity {
             StartVelocity::Same(velocity) => merged.velocities.resize(merged.mesh.positions.len(), *velocity),
-            StartVelocity::PerVertex(velocities) => merged.velocities.extend(velocities),
+            StartVelocity::PerVertex(velocities) => {
+                merged.velocities.extend(piece.refinement.copies.iter().map(|&vertex| velocities[vertex as usize]));
+            }
         }
         merged.parts.extend(piece.cloth.parts.iter().map(|part| Part {
             triangles: first_triangle + part.triangles.start..first_triangle + part.triangles.end,

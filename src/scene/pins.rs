@@ -63,7 +63,8 @@ impl PinSource {
             Some(_) => Err(self.at.error(format!("`{name}` is round and has no corners and edges"))),
             None => Err(self.at.error(format!("`{name}` is a mesh; only a sheet has corners and edges"))),
         };
-        let vertices = match &self.select {
+        let cloth = piece.selected_from();
+        let vertices: Vec<u32> = match &self.select {
             Selection::Corners(corners) => {
                 let sheet = sheet()?;
                 corners.iter().map(|&(right, top)| sheet.corner(right, top)).collect()
@@ -77,7 +78,7 @@ impl PinSource {
             }
             Selection::Vertices(numbers) => {
                 let vertex = |(i, &number): (usize, &u32)| {
-                    piece.cloth.vertex(number).ok_or_else(|| {
+                    cloth.vertex(number).ok_or_else(|| {
                         // The field name follows the reader of each format: JSON entries carry an index even if there
                         // is only one.
                         let indexed = numbers.len() > 1 || self.at.line.is_none();
@@ -89,22 +90,27 @@ impl PinSource {
                 numbers.iter().enumerate().map(vertex).collect::<Result<_, _>>()?
             }
             Selection::MeshVertices(vertices) => vertices.clone(),
-            Selection::Property(property) => piece.cloth.vertices_with(property).ok_or_else(|| {
-                let known: Vec<&str> = piece.cloth.properties.iter().map(|property| &property.name[..]).collect();
+            Selection::Property(property) => cloth.vertices_with(property).ok_or_else(|| {
+                let known: Vec<&str> = cloth.properties.iter().map(|property| &property.name[..]).collect();
                 let known = if known.is_empty() { "its file has none".to_owned() } else { known.join(", ") };
                 self.at.error(format!("`{name}` has no vertex property named `{property}` ({known})"))
             })?,
-            Selection::Box { low, high } => region(&piece.cloth.mesh, |p| p.cmpge(*low).all() && p.cmple(*high).all()),
-            Selection::Sphere { center, radius_m } => region(&piece.cloth.mesh, |p| p.distance(*center) <= *radius_m),
+            Selection::Box { low, high } => region(&cloth.mesh, |p| p.cmpge(*low).all() && p.cmple(*high).all()),
+            Selection::Sphere { center, radius_m } => region(&cloth.mesh, |p| p.distance(*center) <= *radius_m),
             Selection::Nearest(count) => {
                 let followed = self.follow.map(|(_, obstacle)| &obstacles[obstacle as usize]);
-                followed.map_or(Vec::new(), |obstacle| nearest(&piece.cloth.mesh, obstacle, *count))
+                followed.map_or(Vec::new(), |obstacle| nearest(&cloth.mesh, obstacle, *count))
             }
         };
         if vertices.is_empty() {
             return Err(self.at.error(format!("selects no vertex of `{name}`")));
         }
-        Ok(vertices)
+        // The sides of a sheet are those of its own level, meshes from files are selected from at their finest one.
+        Ok(if piece.sheet.is_none() && !piece.refinement.is_none() {
+            piece.refinement.coarse_of(&vertices)
+        } else {
+            vertices
+        })
     }
 
     /// The pin of one vertex of the scene's mesh.

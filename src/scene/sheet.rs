@@ -1,7 +1,7 @@
 //! Rectangular sheets of any resolution: irregular with nested levels, or a grid.
 
 use crate::math::Vec2;
-use crate::mesh::NestedSheet;
+use crate::mesh::{NestedSheet, Refinement};
 
 /// Mesh of a sheet.
 #[derive(Clone, Debug)]
@@ -26,6 +26,17 @@ impl SheetMesh {
         match self {
             SheetMesh::Nested { sheet, level } => sheet.triangles(*level).to_vec(),
             SheetMesh::Grid { grid, .. } => grid.triangle_corners(),
+        }
+    }
+
+    /// To the finest level.
+    pub(super) fn refinement(&self) -> Refinement {
+        match self {
+            SheetMesh::Nested { sheet, level } => sheet.refinement(*level),
+            SheetMesh::Grid { grid, .. } => {
+                let vertices = (grid.columns as usize + 1) * (grid.rows as usize + 1);
+                Refinement::none(vertices, grid.triangles() as usize)
+            }
         }
     }
 

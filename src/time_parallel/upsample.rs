@@ -1,14 +1,14 @@
 //! u(X), from the state of a coarse level to one of a finer level of the same scene [Liang and Lin 2018, Sec. 3.1].
 //!
-//! Sheets have nested levels: every triangle of the coarse level is four flat triangles of the next one. The surface
-//! stays the same, so a state without penetrations becomes one without penetrations, but for the rounding of the middle
+//! Levels are nested: every triangle of the coarse level is four flat triangles of the next one. The surface stays the
+//! same, so a state without penetrations becomes one without penetrations, but for the rounding of the middle
 //! of an edge to single precision, which whoever hands the state on has to check. Meshes that are the same at both
 //! levels are copied.
 
 use std::collections::HashMap;
 
 use crate::math::Vec3;
-use crate::mesh::{NestedSheet, hinges};
+use crate::mesh::{Refinement, hinges};
 use crate::model::{Crease, LetGo, State};
 use crate::scene::Scene;
 
@@ -24,48 +24,28 @@ pub struct Upsampling {
     /// Edges of the hinges of both meshes in the order of their creases; empty if no fabric is plastic.
     coarse_hinges: Vec<[u32; 2]>,
     fine_hinges: Vec<[u32; 2]>,
-    /// Triangles of both meshes, and the pieces' first triangles with their number of fine ones per coarse one.
+    /// Triangles of both meshes, and the fine ones of every coarse one.
     coarse_triangles: Vec<[u32; 3]>,
     fine_triangles: Vec<[u32; 3]>,
-    divided: Vec<Divided>,
-}
-
-/// Triangles of a piece of cloth at both levels.
-#[derive(Clone, Copy, Debug)]
-struct Divided {
-    coarse_first: usize,
-    coarse_triangles: usize,
-    fine_first: usize,
-    /// Fine triangles per coarse one.
-    parts: usize,
+    parts: Vec<Vec<u32>>,
 }
 
 impl Upsampling {
-    /// For the levels `coarse` and `fine` of one scene. `sheets`: the nested levels of each piece of `fine`, none for a
-    /// piece that is the same at both ([`crate::scene::ParsedScene::nested_at`]). `coarsenings`: number of levels
-    /// between them.
-    pub fn new(coarse: &Scene, fine: &Scene, sheets: &[Option<NestedSheet>], coarsenings: usize) -> Upsampling {
-        assert_eq!((coarse.cloths.len(), sheets.len()), (fine.cloths.len(), fine.cloths.len()), "levels of one scene");
-        let mut copies = Vec::new();
-        let mut middles = Vec::new();
-        let mut divided = Vec::new();
-        for ((small, large), sheet) in coarse.cloths.iter().zip(&fine.cloths).zip(sheets) {
+    /// For the levels `coarse` and `fine` of one scene. `refinements`: from each piece of `coarse` to that of `fine`
+    /// ([`crate::scene::ParsedScene::coarser_at`]).
+    pub fn new(coarse: &Scene, fine: &Scene, refinements: &[Refinement]) -> Upsampling {
+        assert_eq!(
+            (coarse.cloths.len(), refinements.len()),
+            (fine.cloths.len(), fine.cloths.len()),
+            "levels of a scene"
+        );
+        let (mut copies, mut middles, mut parts) = (Vec::new(), Vec::new(), Vec::new());
+        for ((small, large), refinement) in coarse.cloths.iter().zip(&fine.cloths).zip(refinements) {
             let first = large.vertices.start;
-            copies.extend((0..small.vertices.len() as u32).map(|v| [first + v, small.vertices.start + v]));
-            let levels = if sheet.is_some() { coarsenings } else { 0 };
-            if let Some(sheet) = sheet {
-                let added = small.vertices.len() as u32..large.vertices.len() as u32;
-                middles.extend(added.map(|v| {
-                    let [a, b] = sheet.parents(v).unwrap_or([v, v]);
-                    [first + v, first + a, first + b]
-                }));
-            }
-            divided.push(Divided {
-                coarse_first: small.triangles.start as usize,
-                coarse_triangles: small.triangles.len(),
-                fine_first: large.triangles.start as usize,
-                parts: 1 << (2 * levels),
-            });
+            copies.extend(refinement.copies.iter().zip(small.vertices.clone()).map(|(&to, from)| [first + to, from]));
+            middles.extend(refinement.middles.iter().map(|middle| middle.map(|vertex| first + vertex)));
+            let of_piece = refinement.triangles.chunks_exact(refinement.parts);
+            parts.extend(of_piece.map(|parts| parts.iter().map(|t| large.triangles.start + t).collect()));
         }
         let plastic = fine.fabrics.iter().any(|fabric| fabric.plasticity.is_some());
         let edges = |scene: &Scene| {
@@ -81,7 +61,7 @@ impl Upsampling {
             fine_hinges: edges(fine),
             coarse_triangles: coarse.mesh.triangles.clone(),
             fine_triangles: fine.mesh.triangles.clone(),
-            divided,
+            parts,
         }
     }
 
@@ -133,14 +113,10 @@ impl Upsampling {
         if coarse.is_empty() {
             return fine;
         }
-        for piece in &self.divided {
-            for t in 0..piece.coarse_triangles {
-                let corners = self.coarse_triangles[piece.coarse_first + t];
-                let parts = piece.fine_first + t * piece.parts..piece.fine_first + (t + 1) * piece.parts;
-                for pair in coarse.iter().filter(|pair| corners.contains(&pair.vertex)) {
-                    let vertices = self.fine_triangles[parts.clone()].as_flattened();
-                    fine.extend(vertices.iter().map(|&vertex| LetGo { vertex, ..*pair }));
-                }
+        for (corners, parts) in self.coarse_triangles.iter().zip(&self.parts) {
+            for pair in coarse.iter().filter(|pair| corners.contains(&pair.vertex)) {
+                let vertices = parts.iter().flat_map(|&t| self.fine_triangles[t as usize]);
+                fine.extend(vertices.map(|vertex| LetGo { vertex, ..*pair }));
             }
         }
         fine.sort_unstable();
@@ -173,9 +149,9 @@ mod tests {
 
     fn levels(coarsenings: usize) -> (Scene, Scene, Upsampling) {
         let (parsed, wanted) = (parsed(), Overrides::default());
-        let (coarse, fine) = (parsed.coarser_at(&wanted, coarsenings).unwrap(), parsed.at(&wanted).unwrap());
-        let sheets = parsed.nested_at(&wanted).unwrap();
-        let up = Upsampling::new(&coarse, &fine, &sheets, coarsenings);
+        let ((coarse, refinements), fine) =
+            (parsed.coarser_at(&wanted, coarsenings).unwrap(), parsed.at(&wanted).unwrap());
+        let up = Upsampling::new(&coarse, &fine, &refinements);
         (coarse, fine, up)
     }
 

@@ -82,21 +82,19 @@ fn coarser_scenes_hold_the_first_vertices_of_the_finer_one() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/sphere.toml");
     let parsed = loomtree::scene::read(&path).unwrap();
     let overrides = Overrides { resolution: Some(9_000), frames: None };
-    let (fine, coarse) = (parsed.at(&overrides).unwrap(), parsed.coarser_at(&overrides, 2).unwrap());
+    let (fine, (coarse, refinements)) = (parsed.at(&overrides).unwrap(), parsed.coarser_at(&overrides, 2).unwrap());
     assert_eq!(fine.mesh.triangles.len(), 16 * coarse.mesh.triangles.len());
-    for ((fine_cloth, coarse_cloth), sheet) in
-        fine.cloths.iter().zip(&coarse.cloths).zip(parsed.nested_at(&overrides).unwrap())
-    {
+    for ((fine_cloth, coarse_cloth), refinement) in fine.cloths.iter().zip(&coarse.cloths).zip(&refinements) {
         let positions = |scene: &Scene, cloth: &loomtree::scene::Cloth| {
             scene.mesh.positions[cloth.vertices.start as usize..cloth.vertices.end as usize].to_vec()
         };
         let (fine, coarse) = (positions(&fine, fine_cloth), positions(&coarse, coarse_cloth));
         assert_eq!(fine[..coarse.len()], coarse);
-        let sheet = sheet.unwrap();
-        assert_eq!((sheet.vertices(1), sheet.vertices(3)), (coarse.len(), fine.len()));
-        for v in coarse.len()..fine.len() {
-            let [a, b] = sheet.parents(v as u32).unwrap().map(|end| fine[end as usize]);
-            assert!(fine[v].distance((a + b) / 2.0) < 1e-6);
+        assert_eq!((refinement.parts, refinement.copies.len()), (16, coarse.len()));
+        assert_eq!(refinement.middles.len(), fine.len() - coarse.len());
+        for &[v, a, b] in &refinement.middles {
+            let [v, a, b] = [v, a, b].map(|vertex| fine[vertex as usize]);
+            assert!(v.distance((a + b) / 2.0) < 1e-6);
         }
     }
     let error = parsed.coarser_at(&overrides, 4).unwrap_err().to_string();
