@@ -11,6 +11,7 @@ use clap::Args;
 use super::{CliError, print};
 use crate::gpu::{Executor, GpuError};
 use crate::math::DVec3;
+use crate::os::console::note;
 use crate::output::picture::{Coloring, PictureError, PictureOptions, UpAxis, draw_frames};
 use crate::output::{FrameSource, FramesError, Report, RunDirectory};
 use crate::protocol::ExecutorChoice;
@@ -99,7 +100,7 @@ impl FromStr for FrameRange {
 /// Runs the command.
 pub fn run(args: RenderArgs) -> Result<(), CliError> {
     let directory = RunDirectory::open(&args.run_dir).map_err(|e| CliError::bad_input(e.to_string()))?;
-    let source = FrameSource::open(&directory).map_err(|e| CliError::bad_input(e.to_string()))?;
+    let source = FrameSource::open_with_coarse(&directory).map_err(|e| CliError::bad_input(e.to_string()))?;
     let source = source.about(recorded_origin(&directory));
     let all = source.numbers();
     let wanted = all.iter().copied().filter(|n| (args.frames.first..=args.frames.last).contains(n));
@@ -134,6 +135,12 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
         let _ = writeln!(io::stderr());
     }
     let sheet = sheet.map_err(cli_error)?;
+    let coarse = numbers.iter().filter(|&&frame| source.is_coarse(frame)).count();
+    if coarse > 0 {
+        note(format_args!(
+            "{coarse} of the frames are those of the coarse run so far; their pictures have an orange edge"
+        ));
+    }
     let (count, pictures, device) = (numbers.len(), directory.pictures(), executor.device_name());
     print(&format!("{count} pictures in {}, overview in {} (drawn by {device})\n", pictures.display(), sheet.display()))
 }

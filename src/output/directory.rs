@@ -164,6 +164,12 @@ impl RunDirectory {
     pub fn states(&self) -> PathBuf {
         self.path.join("states")
     }
+
+    /// The run directory of the coarse run of a shot that is split in time.
+    pub fn preview(&self) -> PathBuf {
+        self.path.join("preview")
+    }
+
     /// `pictures/`.
     pub fn pictures(&self) -> PathBuf {
         self.path.join("pictures")

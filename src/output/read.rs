@@ -66,6 +66,8 @@ pub struct FrameSource {
     obstacles: BTreeMap<u32, FrameFormat>,
     /// Point cache and its mesh.
     point_cache: Option<(PathBuf, FrameMesh)>,
+    /// Frames of the coarse run of a shot that is split in time, for those that are not there yet.
+    coarse: Option<Box<FrameSource>>,
     /// Positions are read relative to it.
     origin_m: DVec3,
 }
@@ -86,22 +88,61 @@ impl FrameSource {
         if files.is_empty() {
             return Err(FramesError::None(directory.path().to_path_buf()));
         }
-        Ok(FrameSource { folder, files, obstacles, point_cache, origin_m: DVec3::ZERO })
+        Ok(FrameSource { folder, files, obstacles, point_cache, coarse: None, origin_m: DVec3::ZERO })
+    }
+
+    /// Like [`FrameSource::open`]; frames that a shot split in time does not have yet are those of its coarse run.
+    pub fn open_with_coarse(directory: &RunDirectory) -> Result<FrameSource, FramesError> {
+        let coarse = RunDirectory::open(&directory.preview()).ok().and_then(|preview| FrameSource::open(&preview).ok());
+        let own = FrameSource::open(directory);
+        let Some(mut coarse) = coarse else { return own };
+        let own = own.or_else(|error| match error {
+            FramesError::None(_) => Ok(FrameSource {
+                folder: directory.frames(),
+                files: BTreeMap::new(),
+                obstacles: BTreeMap::new(),
+                point_cache: None,
+                coarse: None,
+                origin_m: DVec3::ZERO,
+            }),
+            other => Err(other),
+        })?;
+        coarse.files.retain(|frame, _| !own.files.contains_key(frame));
+        let coarse = (!coarse.files.is_empty()).then(|| Box::new(coarse));
+        Ok(FrameSource { coarse, ..own })
+    }
+
+    /// Whether a frame is one of the coarse run ([`FrameSource::open_with_coarse`]).
+    pub fn is_coarse(&self, frame: u32) -> bool {
+        self.coarse_of(frame).is_some()
+    }
+
+    fn coarse_of(&self, frame: u32) -> Option<&FrameSource> {
+        self.coarse.as_deref().filter(|coarse| coarse.files.contains_key(&frame))
     }
 
     /// The same frames with positions relative to `origin_m`, so that what computes in f32 with them does not lose more
     /// digits than the files have.
     pub fn about(self, origin_m: DVec3) -> FrameSource {
-        FrameSource { origin_m, ..self }
+        let coarse = self.coarse.map(|coarse| Box::new(coarse.about(origin_m)));
+        FrameSource { origin_m, coarse, ..self }
     }
 
     /// Numbers of the frames, ascending.
     pub fn numbers(&self) -> Vec<u32> {
-        self.files.keys().copied().collect()
+        let mut numbers: Vec<u32> = self.files.keys().copied().collect();
+        if let Some(coarse) = &self.coarse {
+            numbers.extend(coarse.files.keys());
+            numbers.sort_unstable();
+        }
+        numbers
     }
 
     /// Reads the cloth of a frame, which must be one of [`FrameSource::numbers`].
     pub fn read(&self, frame: u32) -> Result<FrameMesh, FramesError> {
+        if let Some(coarse) = self.coarse_of(frame) {
+            return coarse.read(frame);
+        }
         match &self.point_cache {
             Some((path, rest)) => {
                 let positions = relative(pc2::read(path, frame)?, self.origin_m);
@@ -120,6 +161,9 @@ impl FrameSource {
 
     /// Reads the obstacles of a frame, if it has any.
     pub fn read_obstacle(&self, frame: u32) -> Result<Option<FrameMesh>, FramesError> {
+        if let Some(coarse) = self.coarse_of(frame) {
+            return coarse.read_obstacle(frame);
+        }
         let Some(format) = self.obstacles.get(&frame) else { return Ok(None) };
         read_mesh(&frame_path(&self.folder, "obstacle", frame, *format), *format, self.origin_m).map(Some)
     }

@@ -49,6 +49,18 @@ impl Image {
         self.rgb[at..at + 3].copy_from_slice(&color);
     }
 
+    /// Draws an edge around the picture, a hundredth of its width wide.
+    pub fn frame(&mut self, color: [u8; 3]) {
+        let wide = (self.width / 100).max(2);
+        for y in 0..self.height {
+            for x in 0..self.width {
+                if x < wide || y < wide || x + wide >= self.width || y + wide >= self.height {
+                    self.set(x, y, color);
+                }
+            }
+        }
+    }
+
     /// Makes all pixels one color.
     pub fn fill(&mut self, color: [u8; 3]) {
         self.rgb.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&color));

@@ -61,7 +61,11 @@ pub enum PictureError {
     },
 }
 
+/// Color of the edge around pictures of a coarse run, sRGB.
+const COARSE: [u8; 3] = [235, 140, 30];
+
 /// Draws the frames `numbers` to `pictures/frame_%06d.png` and `pictures/contact_sheet.png`; returns the sheet's path.
+/// Pictures of a coarse run have an orange edge.
 /// The device of `executor` draws, if it has one. `drawn` is called after every picture, from any thread.
 pub fn draw_frames(
     directory: &RunDirectory,
@@ -80,7 +84,10 @@ pub fn draw_frames(
     let thumbnails = Mutex::new(vec![None; chosen.len()]);
     for_each_frame(numbers, options.threads, |frame| {
         let content = Content::new(source.read(frame)?, source.read_obstacle(frame)?);
-        let image = painter.draw(&content)?;
+        let mut image = painter.draw(&content)?;
+        if source.is_coarse(frame) {
+            image.frame(COARSE);
+        }
         image.save(&folder.join(format!("frame_{frame:06}.png")))?;
         if let Some(slot) = chosen.iter().position(|number| *number == frame) {
             let small = contact_sheet::thumbnail(&image);
