@@ -16,6 +16,8 @@ mod step;
 mod strain;
 mod table;
 mod time;
+mod time_hybrid;
+mod time_levels;
 
 use clap::Subcommand;
 

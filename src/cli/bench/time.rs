@@ -2,17 +2,18 @@
 //! the seconds of every step of a fine and a coarse run, which were measured. The played times are modeled: the
 //! processes of the model do not share a machine.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 use serde_json::json;
 
 use super::common::{machine, positive};
 use super::table::FigureTable;
+use super::time_hybrid;
+use super::time_levels::{Level, Recorded};
 use crate::cli::{CliError, count, print};
 use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
-use crate::interconnect::Topology;
-use crate::output::{Existing, Report, RunDirectory};
+use crate::output::Existing;
 use crate::time_parallel::partition::{speedup_balanced, speedup_with_extra_steps};
 use crate::time_parallel::{Costs, Method, Partition, Played};
 
@@ -62,6 +63,10 @@ pub(super) struct TimeBench {
     /// Machine whose links move the states [default: a balanced tree of PCIe 3 x16 links]
     #[arg(long, value_name = "FILE")]
     topology: Option<PathBuf>,
+    /// Recorded runs of the shot on several workers (--trace-steps): adds the table of how many segments of how many
+    /// workers each are fastest on the machine of --topology
+    #[arg(long, value_name = "RUN", value_delimiter = ',', requires = "topology")]
+    ranks: Vec<PathBuf>,
     /// Let a figure vary in place of the number of processes, for the largest number of them
     #[arg(long, value_enum)]
     sweep: Option<Sweep>,
@@ -121,110 +126,6 @@ fn processes(text: &str) -> Result<usize, String> {
     }
 }
 
-/// The recorded steps of a level.
-struct Level {
-    report: Report,
-    place: String,
-}
-
-impl Level {
-    fn read(run: &Path) -> Result<Level, CliError> {
-        let directory = RunDirectory::open(run).map_err(CliError::bad_input)?;
-        let report = Report::load(&directory.report()).map_err(CliError::bad_input)?;
-        let level = Level { report, place: run.display().to_string() };
-        if level.report.steps.is_empty() || level.report.steps.iter().any(|step| !(step.stage_seconds.total > 0.0)) {
-            return Err(CliError::bad_input(format!("{}/report.json holds no steps with times", level.place)));
-        }
-        Ok(level)
-    }
-
-    /// Seconds of every step.
-    fn seconds(&self) -> impl Iterator<Item = f64> {
-        self.report.steps.iter().map(|step| step.stage_seconds.total)
-    }
-
-    /// Fine steps in a step of this level.
-    fn stride(&self, fine: &Level) -> Result<usize, CliError> {
-        let (ours, theirs) = (self.report.header.step_s, fine.report.header.step_s);
-        let ratio = ours / theirs;
-        if !(ratio >= 0.999 && (ratio - ratio.round()).abs() < 1e-6 * ratio) {
-            let text =
-                format!("{}: a step of {ours} s is no whole multiple of the {theirs} s of {}", self.place, fine.place);
-            return Err(CliError::bad_input(text));
-        }
-        let (have, need) = (self.report.steps.len() * ratio.round() as usize, fine.report.steps.len());
-        if have != need {
-            let text = format!("{} ends after {have} fine steps and {} after {need}", self.place, fine.place);
-            return Err(CliError::bad_input(text));
-        }
-        Ok(ratio.round() as usize)
-    }
-
-    fn state_bytes(&self) -> f64 {
-        24.0 * self.report.header.vertices as f64
-    }
-}
-
-/// Costs as recorded, and the seconds for moving a coarse and a fine state.
-struct Recorded {
-    costs: Costs,
-    coarse_state_s: f64,
-    fine_state_s: f64,
-    title: String,
-}
-
-impl Recorded {
-    fn of(levels: &[Level], machine: &Topology) -> Result<Recorded, CliError> {
-        let (fine, coarser) = levels.split_first().expect("a fine run");
-        let mut costs = Costs { fine: fine.seconds().collect(), ..Costs::default() };
-        for level in coarser {
-            let stride = level.stride(fine)?;
-            costs.stride = costs.stride.max(stride as u64);
-            let spread = level.seconds().flat_map(|seconds| vec![seconds / stride as f64; stride]);
-            costs.coarse.push(spread.collect());
-        }
-        let sizes: Vec<String> = levels.iter().map(|level| level.report.header.triangles.to_string()).collect();
-        let title = format!(
-            "{}: {} triangles, {} recorded steps on {}",
-            fine.report.header.scene,
-            sizes.join(" / "),
-            costs.fine.len(),
-            fine.report.header.machine.cpu,
-        );
-        let [fine_state_s, coarse_state_s] =
-            [fine.state_bytes(), coarser[0].state_bytes()].map(|bytes| farthest_s(machine, bytes));
-        Ok(Recorded { costs, coarse_state_s, fine_state_s, title })
-    }
-
-    /// The costs repeated to `steps` fine steps; a coarse step is as long as `stretch` recorded ones, at the cost of
-    /// one.
-    fn shot(&self, steps: u64, stretch: f64) -> Costs {
-        let repeated = |costs: &[f64], scale: f64| -> Vec<f64> {
-            costs.iter().cycle().take(steps as usize).map(|cost| cost * scale).collect()
-        };
-        Costs {
-            fine: repeated(&self.costs.fine, 1.0),
-            coarse: self.costs.coarse.iter().map(|costs| repeated(costs, 1.0 / stretch)).collect(),
-            stride: ((self.costs.stride as f64 * stretch) as u64).max(1),
-        }
-    }
-}
-
-/// Seconds for the way between the two ranks of `machine` that are farthest apart.
-fn farthest_s(machine: &Topology, bytes: f64) -> f64 {
-    let ranks = machine.gpus();
-    let way = |from: usize, to: usize| -> f64 {
-        let links = machine.path(from, to).iter().map(|hop| &machine.links()[hop.link]);
-        let (latency_us, narrowest) = links.fold((0.0, f64::INFINITY), |(latency, narrowest), link| {
-            (latency + link.latency_us, f64::min(narrowest, link.bandwidth_gb_s))
-        });
-        latency_us * 1e-6 + bytes / (narrowest * 1e9)
-    };
-    (0..ranks)
-        .flat_map(|from| (0..ranks).map(move |to| (from, to)))
-        .fold(0.0, |most, (from, to)| if from == to { most } else { f64::max(most, way(from, to)) })
-}
-
 pub(super) fn run(bench: &TimeBench) -> Result<(), CliError> {
     let machine = machine(bench.topology.as_deref(), 8)?;
     let levels = match (&bench.fine, &bench.coarse) {
@@ -243,6 +144,14 @@ pub(super) fn run(bench: &TimeBench) -> Result<(), CliError> {
         Some(sweep) => swept(bench, &recorded, sweep),
     };
     table.finish_curves(bench.out.as_deref(), Some((table.first_column(), &CURVES)))?;
+    if !bench.ranks.is_empty() {
+        let shot = time_hybrid::Shot {
+            costs: recorded.shot(u64::from(bench.steps), 1.0),
+            method: bench.method(&recorded),
+            ranks: &bench.processes,
+        };
+        time_hybrid::table(&shot, &recorded.title, &machine, &bench.ranks)?.finish(bench.out.as_deref(), None)?;
+    }
     if let Some(ratio) = bench.paper {
         let steps = u64::from(bench.steps);
         let constant = Recorded {
@@ -273,7 +182,11 @@ const COLUMNS: [&str; 10] = [
 ];
 
 impl TimeBench {
-    fn method(&self, recorded: &Recorded, rule: Rule) -> Method {
+    fn method(&self, recorded: &Recorded) -> Method {
+        self.method_with(recorded, self.partition)
+    }
+
+    fn method_with(&self, recorded: &Recorded, rule: Rule) -> Method {
         Method {
             partition: rule.partition(),
             recovery_steps: u64::from(self.recovery_steps),
@@ -308,7 +221,7 @@ impl TimeBench {
 
 fn by_processes(bench: &TimeBench, recorded: &Recorded) -> FigureTable {
     let costs = recorded.shot(u64::from(bench.steps), 1.0);
-    let method = bench.method(recorded, bench.partition);
+    let method = bench.method(recorded);
     let mut table = FigureTable::modeled("time", title(bench, recorded, &costs), COLUMNS.to_vec());
     for &processes in &bench.processes {
         for levels in 1..=costs.coarse.len() {
@@ -348,7 +261,7 @@ fn swept(bench: &TimeBench, recorded: &Recorded, sweep: Sweep) -> FigureTable {
     };
     let mut table = FigureTable::modeled(name, title(bench, recorded, &costs) + &note, columns);
     let mut push = |value: f64, costs: &Costs, rule: Rule| {
-        let (_, row) = bench.row(costs, processes, &bench.method(recorded, rule));
+        let (_, row) = bench.row(costs, processes, &bench.method_with(recorded, rule));
         table.push([vec![value], row].concat());
     };
     match sweep {
@@ -371,7 +284,7 @@ fn swept(bench: &TimeBench, recorded: &Recorded, sweep: Sweep) -> FigureTable {
 
 fn print_json(bench: &TimeBench, recorded: &Recorded) -> Result<(), CliError> {
     let costs = recorded.shot(u64::from(bench.steps), 1.0);
-    let method = bench.method(recorded, bench.partition);
+    let method = bench.method(recorded);
     let mut rows = Vec::new();
     for &processes in &bench.processes {
         for levels in 1..=costs.coarse.len() {
