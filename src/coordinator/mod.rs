@@ -15,6 +15,7 @@ pub mod options;
 pub mod plan;
 mod progress;
 mod recorder;
+mod recovery;
 mod seams;
 pub mod session;
 pub mod shot;
@@ -26,6 +27,7 @@ pub mod time_plan;
 mod time_report;
 mod time_schedule;
 mod time_split;
+mod time_trace;
 mod watch;
 
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! How the steps around a cut are led: the recovery of detail before it, the hand-over after it.
+//! The hand-over after a cut, and the figures of seams.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,8 +13,6 @@ use crate::model::State;
 use crate::output::Checkpoint;
 use crate::step::Guidance;
 
-/// Strength of a warm-up: the cloth goes where the coarse run goes, and is free to find its folds on the way.
-const WARM_UP: Guidance = Guidance { weight: 0.5, distance_left: 0.8 };
 /// alpha = w / (1 - w) at the start of a hand-over and at its end, between which it grows exponentially: internal
 /// forces let go only where it is far above what stops a mass in a step.
 const PULL: [f64; 2] = [0.1, 999.0];
@@ -54,72 +52,34 @@ pub(super) fn second_differences_m(a: &[Vec3], b: &[Vec3], c: &[Vec3]) -> [f64; 
     [most.sqrt(), (sum / a.len().max(1) as f64).sqrt()]
 }
 
-/// Medians of [`second_differences_m`] over the steps of a segment after the two of its start, from the states that it
-/// has kept; none without such states.
-pub(super) fn inner_jumps_m(folder: &Path, cut: u32, samples: u32) -> Option<[f64; 2]> {
-    let mut all: [Vec<f64>; 2] = [Vec::new(), Vec::new()];
+/// [`second_differences_m`] of up to `samples` steps of a segment from the third one on, from the states that it has
+/// kept. Its first two steps come from the start, where the coarse run was bent into it.
+pub(super) fn inner_jumps_m(folder: &Path, cut: u32, samples: u32) -> Vec<[f64; 2]> {
+    let mut all = Vec::new();
     let mut window: Vec<Vec<Vec3>> = Vec::new();
     for step in cut + 2..cut + 4 + samples {
         let Ok(state) = kept_state(folder, step) else { break };
         window.push(state.positions);
         if let [a, b, c] = &window[..] {
-            let of_step = second_differences_m(a, b, c);
-            all.iter_mut().zip(of_step).for_each(|(all, value)| all.push(value));
+            all.push(second_differences_m(a, b, c));
             window.remove(0);
         }
     }
-    let median = |mut values: Vec<f64>| {
+    all
+}
+
+/// The median of each of both figures; none without any.
+pub(super) fn medians(figures: &[[f64; 2]]) -> Option<[f64; 2]> {
+    let median = |which: usize| {
+        let mut values: Vec<f64> = figures.iter().map(|pair| pair[which]).collect();
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied()
     };
-    let [max, rms] = all.map(median);
-    Some([max?, rms?])
+    Some([median(0)?, median(1)?])
 }
 
-type Known = Option<(u32, Arc<Vec<Vec3>>)>;
-
-/// Leads the steps before a cut along the motion of the coarse run. A frozen pose, as in [Liang and Lin 2018, Alg. 2],
-/// would leave the cloth with the velocities and the friction of a cloth at rest.
-pub(super) struct WarmUp<'a> {
-    plan: &'a TimePlan,
-    coarse: PathBuf,
-    start: u32,
-    known: Mutex<Known>,
-}
-
-impl<'a> WarmUp<'a> {
-    pub(super) fn new(plan: &'a TimePlan, run: &Path, start: u32) -> WarmUp<'a> {
-        WarmUp { plan, coarse: Job::Coarse.folder(run), start, known: Mutex::new(None) }
-    }
-
-    /// The coarse run at a fine step, refined.
-    fn at(&self, step: u32) -> Result<Arc<Vec<Vec3>>, String> {
-        if let Some((of, positions)) = &*self.known.lock().unwrap_or_else(PoisonError::into_inner)
-            && *of == step
-        {
-            return Ok(Arc::clone(positions));
-        }
-        let (before, part) = (step / self.plan.step_ratio, step % self.plan.step_ratio);
-        let mut coarse = kept_state(&self.coarse, before)?.positions;
-        if part > 0 {
-            let after = kept_state(&self.coarse, before + 1)?.positions;
-            let share = part as f32 / self.plan.step_ratio as f32;
-            coarse.iter_mut().zip(&after).for_each(|(x, after)| *x = x.lerp(*after, share));
-        }
-        let positions = Arc::new(self.plan.up.vectors(&coarse));
-        *self.known.lock().unwrap_or_else(PoisonError::into_inner) = Some((step, Arc::clone(&positions)));
-        Ok(positions)
-    }
-}
-
-impl FindWay for WarmUp<'_> {
-    fn way(&self, step: u32, _blocked: bool, _before: Option<&State>) -> Result<Way, String> {
-        if step > self.start {
-            return Ok(Way::Free);
-        }
-        Ok(Way::Guided { start: self.at(step - 1)?, end: self.at(step)?, guidance: WARM_UP })
-    }
-}
+/// Positions at a step.
+pub(super) type Known = Option<(u32, Arc<Vec<Vec3>>)>;
 
 /// Leads the first steps of a segment, made again from the true end of the one before, to the states of the segment.
 /// The distance is closed along a smooth curve, so slowly that its second differences stay below [`JUMP_MOST`]; then a
@@ -150,7 +110,7 @@ impl HandOver {
     ) -> Result<HandOver, String> {
         let folder = Job::Segment(j).folder(run);
         let distances_m = distances_m(&end.positions, &kept_state(&folder, cut)?.positions);
-        let inner_m = inner_jumps_m(&folder, cut, SAMPLES).unwrap_or([f64::MIN_POSITIVE; 2]);
+        let inner_m = medians(&inner_jumps_m(&folder, cut, SAMPLES)).unwrap_or([f64::MIN_POSITIVE; 2]);
         let last_kept = (cut + plan.handover_kept()).min(last_step);
         let planned = handover_steps(distances_m, inner_m).clamp(2, plan.handover_most());
         // Room for steps beyond the planned ones must be within the segment, too.

@@ -39,6 +39,19 @@ pub struct Segment<'a> {
     pub wants_state: Arc<dyn Fn(u32) -> bool + Send + Sync + 'a>,
     /// How the steps get to their ends; none: as the forces have it.
     pub way: Option<Arc<dyn FindWay + 'a>>,
+    /// What is done to the start state first.
+    pub preparation: Option<Arc<dyn Prepare + 'a>>,
+}
+
+/// Prepares the start state of a segment: its last step before is made again and again.
+pub trait Prepare: Send + Sync {
+    /// The state to make that step from, and how it is led; none if the state that was reached is the one to start
+    /// from. `reached`: the state after the step; at first the start state of the segment. `made`: the number of
+    /// times that the step was made.
+    ///
+    /// # Errors
+    /// A sentence that ends the shot.
+    fn next(&self, reached: &State, made: u32) -> Result<Option<(State, Way)>, String>;
 }
 
 /// Leads the steps of a segment, as [`Watch::way`].
@@ -62,6 +75,7 @@ impl<'a> Segment<'a> {
             tells_start: false,
             wants_state: Arc::new(|_| false),
             way: None,
+            preparation: None,
         }
     }
 }
@@ -244,12 +258,26 @@ impl<'a> Player<'_, 'a> {
         if self.sender.send(whose(News::Ready(ready))).is_err() {
             return Ok(Ended::Done);
         }
-        match &segment.start {
+        let mut start = segment.start.clone();
+        if let (Some(state), Some(preparation)) = (&mut start, &segment.preparation) {
+            let mut made = 0;
+            while let Some((before, way)) = preparation.next(state, made).map_err(SessionError::Way)? {
+                if self.halt.load(Ordering::Relaxed) || signals::stop_requested().is_some() {
+                    return Ok(Ended::Stopped);
+                }
+                session.set_state(&before, segment.first_step - 1)?;
+                let mut once = Once { way: Some(way), state: None };
+                session.advance(segment.first_step, &mut once)?;
+                let Some(reached) = once.state else { break };
+                (*state, made) = (Arc::new(reached), made + 1);
+            }
+        }
+        match &start {
             Some(state) => session.set_state(state, segment.first_step)?,
             None if is_loaded => session.set_state(&State::start_of(&segment.level.scene), 0)?,
             None => {}
         }
-        if let Some(state) = segment.start.as_deref().filter(|_| segment.tells_start)
+        if let Some(state) = start.as_deref().filter(|_| segment.tells_start)
             && (segment.wants_state)(segment.first_step)
         {
             let news = News::State { step: segment.first_step, state: state.clone() };
@@ -257,9 +285,8 @@ impl<'a> Player<'_, 'a> {
                 return Ok(Ended::Done);
             }
         }
-        let last = segment.start.clone();
         let mut watcher =
-            Watcher { segment, halt: self.halt, sender: &self.sender, whose: &whose, last, stopped: false };
+            Watcher { segment, halt: self.halt, sender: &self.sender, whose: &whose, last: start, stopped: false };
         session.advance(segment.last_step, &mut watcher)?;
         if watcher.stopped || self.halt.load(Ordering::Relaxed) {
             return Ok(if watcher.stopped { Ended::Stopped } else { Ended::Done });
@@ -274,6 +301,31 @@ impl<'a> Player<'_, 'a> {
         if let Some(session) = self.session {
             session.dismiss();
         }
+    }
+}
+
+/// Makes one step and takes the state after it.
+struct Once {
+    way: Option<Way>,
+    state: Option<State>,
+}
+
+impl Watch for Once {
+    fn way(&mut self, _step: u32, _blocked: bool) -> Result<Way, String> {
+        Ok(self.way.take().unwrap_or_default())
+    }
+
+    fn wants_events(&self, _step: u32) -> bool {
+        false
+    }
+
+    fn step(&mut self, _done: StepDone) -> Next {
+        Next::State
+    }
+
+    fn state(&mut self, _step: u32, state: State) -> ControlFlow<()> {
+        self.state = Some(state);
+        ControlFlow::Continue(())
     }
 }
 

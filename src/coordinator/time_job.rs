@@ -107,8 +107,10 @@ pub(super) struct Table {
     pub stages: BTreeMap<Job, Stage>,
     /// The fine step up to which the coarse run has come.
     pub coarse_step: u32,
-    /// Whether a hand-over has met its segment before the end of that.
+    /// Whether a hand-over has met its segment before the end of that; otherwise it has replaced the segment.
     pub met: BTreeMap<usize, bool>,
+    /// Hand-overs under way whose segment before has been replaced since they began.
+    outdated: BTreeSet<usize>,
     /// Number of sweeps.
     sweeps: usize,
     /// Sweeps of segments that were not made, because the segment would start as before.
@@ -123,6 +125,7 @@ impl Table {
             stages: BTreeMap::from([(Job::Coarse, Stage::Waiting)]),
             coarse_step: 0,
             met: BTreeMap::new(),
+            outdated: BTreeSet::new(),
             sweeps,
             unchanged: BTreeSet::new(),
         }
@@ -141,6 +144,37 @@ impl Table {
             }
         }
         self.cuts = cuts;
+    }
+
+    /// The hand-over to segment `j` has ended. All hand-overs are made at once, from the ends that the segments have.
+    /// One that has replaced its segment, which is rare, changes that end, so that the next one is made again.
+    pub(super) fn end_seam(&mut self, j: usize, has_met: bool) {
+        if self.outdated.remove(&j) {
+            self.stages.insert(Job::Seam(j), Stage::Waiting);
+            return;
+        }
+        self.stages.insert(Job::Seam(j), Stage::Done);
+        let had_replaced = self.met.insert(j, has_met) == Some(false);
+        if has_met && !had_replaced {
+            return;
+        }
+        match self.stages.get_mut(&Job::Seam(j + 1)) {
+            Some(stage @ Stage::Done) => *stage = Stage::Waiting,
+            Some(Stage::UnderWay) => {
+                self.outdated.insert(j + 1);
+            }
+            _ => {}
+        }
+    }
+
+    /// The job that made the last state of segment `j`: its hand-over if that has replaced it.
+    pub(super) fn end_of(&self, j: usize) -> Job {
+        if self.met.get(&j) == Some(&false) { Job::Seam(j) } else { Job::Segment(j) }
+    }
+
+    /// Whether the hand-overs to the segments 1 to `j` are done, so that none of them can change any more.
+    pub(super) fn is_handed_over(&self, j: usize) -> bool {
+        (1..=j).all(|j| self.is_done(Job::Seam(j)))
     }
 
     /// The job that made segment `j` as it is after a sweep; 0: before all of them.
@@ -184,8 +218,9 @@ impl Table {
         let has_start = |&j: &usize| self.is_done(Job::Coarse) || self.coarse_step >= self.cuts[j];
         let segments = (0..self.cuts.len()).filter(has_start).map(Job::Segment);
         let seams = (1..self.cuts.len()).filter(|&j| {
-            let earlier = j == 1 || self.is_done(Job::Seam(j - 1));
-            self.is_done(Job::Segment(j - 1)) && self.is_done(Job::Segment(j)) && earlier
+            // One that is made again may replace its segment as before, or not any more.
+            let stands = self.is_done(Job::Seam(j - 1)) || !self.met.contains_key(&(j - 1));
+            self.is_done(Job::Segment(j - 1)) && self.is_done(Job::Segment(j)) && stands
         });
         let done_before = |j: usize, sweep: usize| match sweep.min(j) {
             0 => self.is_done(Job::Segment(j)),
@@ -246,13 +281,32 @@ mod tests {
         table.stages.insert(Job::Segment(2), Stage::Done);
         assert_eq!(take(&mut table), []);
         table.stages.insert(Job::Segment(1), Stage::Done);
-        // The second seam waits for the first, which may go on to where it starts.
-        assert_eq!(take(&mut table), [Job::Seam(1)]);
-        table.stages.insert(Job::Seam(1), Stage::Done);
-        assert_eq!(take(&mut table), [Job::Seam(2)]);
+        assert_eq!(take(&mut table), [Job::Seam(1), Job::Seam(2)]);
+        table.end_seam(1, true);
         assert!(!Scope::All.is_complete(&table) && Scope::Coarse.is_complete(&table));
-        table.stages.insert(Job::Seam(2), Stage::Done);
+        table.end_seam(2, true);
         assert!(Scope::All.is_complete(&table));
+    }
+
+    #[test]
+    fn a_hand_over_is_made_again_if_its_start_was_replaced() {
+        let mut table = table(&[0, 10, 20, 30]);
+        for job in [Job::Coarse, Job::Segment(0), Job::Segment(1), Job::Segment(2), Job::Segment(3)] {
+            table.stages.insert(job, Stage::Done);
+        }
+        assert_eq!(take(&mut table), [Job::Seam(1), Job::Seam(2), Job::Seam(3)]);
+        table.end_seam(3, true);
+        // The third is under way from an end that is replaced now; the last one's start stands so far.
+        table.end_seam(1, false);
+        assert_eq!(take(&mut table), []);
+        table.end_seam(2, true);
+        assert!(table.is_handed_over(1) && !table.is_handed_over(2));
+        assert_eq!(take(&mut table), [Job::Seam(2)]);
+        // The segment is replaced, so the last hand-over, which was done, starts elsewhere.
+        table.end_seam(2, false);
+        assert_eq!(take(&mut table), [Job::Seam(3)]);
+        table.end_seam(3, true);
+        assert!(table.is_handed_over(3) && Scope::All.is_complete(&table));
     }
 
     #[test]

@@ -173,8 +173,8 @@ impl TimePlan {
         }
     }
 
-    /// The first two triangles of a state of the shot after `step` that meet, if the scene has collisions and nothing is
-    /// let go.
+    /// The first two triangles of a state of the shot after `step` that meet, if the scene has collisions and nothing
+    /// is let go.
     pub(super) fn first_crossing(&self, state: &State, step: u32) -> Option<[u32; 2]> {
         let scene = &self.fine.scene;
         if !scene.settings.collisions || !state.let_go.is_empty() {

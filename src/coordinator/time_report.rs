@@ -7,9 +7,10 @@ use std::time::Instant;
 
 use super::options::{KeepStates, RunOptions};
 use super::recorder::{RecordError, report_header};
-use super::seams::{distances_m, inner_jumps_m, kept_state, second_differences_m};
+use super::seams::{distances_m, inner_jumps_m, kept_state, medians, second_differences_m};
 use super::time_job::Job;
 use super::time_plan::TimePlan;
+use super::time_trace::{self, Span};
 use crate::math::Vec3;
 use crate::model::State;
 use crate::output::{
@@ -33,6 +34,7 @@ pub(super) struct SplitReport {
     path: PathBuf,
     report: Report,
     made: BTreeMap<Job, Made>,
+    spans: Vec<Span>,
     settled: BTreeSet<usize>,
     seams: BTreeMap<usize, SeamRecord>,
     begun: Instant,
@@ -58,7 +60,7 @@ impl SplitReport {
         }
         report.save(&path).map_err(write_error)?;
         let (made, settled, seams) = (BTreeMap::new(), BTreeSet::new(), BTreeMap::new());
-        Ok(SplitReport { path, report, made, settled, seams, begun: Instant::now() })
+        Ok(SplitReport { path, report, made, spans: Vec::new(), settled, seams, begun: Instant::now() })
     }
 
     /// The workers of a job.
@@ -72,9 +74,12 @@ impl SplitReport {
         header.preconditioner = ready.first().map_or_else(String::new, |worker| worker.preconditioner.name().into());
     }
 
-    /// A job has ended.
-    pub(super) fn job(&mut self, job: Job, session: usize, busy_s: f64) {
-        self.made.insert(job, Made { session, busy_s });
+    /// A job that began at `begun` has ended.
+    pub(super) fn job(&mut self, job: Job, session: usize, busy_s: f64, begun: Instant, steps: u32) {
+        let made = self.made.entry(job).or_default();
+        *made = Made { session, busy_s: made.busy_s + busy_s };
+        let [begun_s, ended_s] = [begun.duration_since(self.begun), self.begun.elapsed()].map(|t| t.as_secs_f64());
+        self.spans.push(Span { job, session, begun_s, ended_s, steps });
     }
 
     /// Whether the hand-over in `folder` has met its segment.
@@ -177,8 +182,12 @@ impl SplitReport {
                 (jump_max_m, jump_rms_m) = (jump_max_m.max(max_m), jump_rms_m.max(rms_m));
             }
         }
-        let [inner_median_max_m, inner_median_rms_m] =
-            inner_jumps_m(&own, cut, plan.handover_kept()).unwrap_or_default();
+        let inner = inner_jumps_m(&own, cut, plan.handover_kept());
+        let [inner_median_max_m, inner_median_rms_m] = medians(&inner).unwrap_or_default();
+        // Those of the segment itself, over the same stretch of time.
+        let same = &inner[..inner.len().min((last - cut) as usize + 1)];
+        let [inner_largest_max_m, inner_largest_rms_m] =
+            [0, 1].map(|which| same.iter().map(|pair| pair[which]).fold(0.0, f64::max));
         let [distance_max_m, distance_rms_m] = distances_m(&end.positions, &start.positions);
         Ok(SeamRecord {
             step: cut,
@@ -189,6 +198,8 @@ impl SplitReport {
             jump_rms_m,
             inner_median_max_m,
             inner_median_rms_m,
+            inner_largest_max_m,
+            inner_largest_rms_m,
         })
     }
 
@@ -233,7 +244,7 @@ impl SplitReport {
                 first_step,
                 last_step,
                 session: own.session,
-                recovery_steps: if j > 0 { plan.recovery_of(first_step) } else { 0 },
+                recovery_steps: if j > 0 { plan.recovery_most().min(first_step) } else { 0 },
                 handover_steps: handover.map_or(0, |report| report.steps.len() as u32),
                 busy_s,
                 idle_s: if is_last_of_session { (wall_s - busy_of(own.session)).max(0.0) } else { 0.0 },
@@ -245,6 +256,9 @@ impl SplitReport {
         let frames = self.report.frames.len() as u32;
         if done && options.formats.0.contains(&FrameFormat::Pc2) {
             point_cache(plan, directory, options)?;
+        }
+        if options.trace_steps > 0 {
+            time_trace::write(&directory.trace(), &self.spans).map_err(write_error)?;
         }
         self.report.header.status = status;
         self.report.header.ended();

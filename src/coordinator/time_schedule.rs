@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use super::options::KeepStates;
 use super::plan::RunPlan;
-use super::seams::{HandOver, WarmUp, kept_state};
+use super::recovery::{Iterated, WarmUp};
+use super::seams::{HandOver, kept_state};
 use super::shot::{Segment, Source};
 use super::time_job::{Job, Scope, Stage, Table};
 use super::time_plan::TimePlan;
-use crate::model::State;
 use crate::os::signals;
 use crate::output::Checkpoint;
 
@@ -78,6 +78,9 @@ impl<'a> Schedule<'a> {
                     }));
                     segment.first_step = first;
                 }
+                if tells_start && plan.iterates(start) {
+                    segment.preparation = Some(Arc::new(Iterated::new(plan, run, start)?));
+                }
                 if j > 0 && recovery > 0 {
                     segment.way = Some(Arc::new(WarmUp::new(plan, run, start)));
                 }
@@ -96,7 +99,8 @@ impl<'a> Schedule<'a> {
                 segment.wants_state = self.wanted_of_segment(start, last_step);
             }
             Job::Seam(j) => {
-                let end = self.end_of(j - 1, cuts[j])?;
+                let earlier = self.table().end_of(j - 1);
+                let end = kept_state(&earlier.folder(run), cuts[j])?;
                 let over = HandOver::new(plan, run, j, cuts[j], last_step, &end)?;
                 segment.first_step = cuts[j];
                 segment.start = Some(Arc::new(end));
@@ -116,13 +120,6 @@ impl<'a> Schedule<'a> {
             let asked = keep.is_some_and(|keep| keep.wants(step, per_frame));
             step >= start && (near_a_seam || asked || step.is_multiple_of(per_frame))
         })
-    }
-
-    /// The last state of a segment: that of its hand-over if it went on to the end.
-    fn end_of(&self, j: usize, step: u32) -> Result<State, String> {
-        let replaced = j > 0 && self.table().met.get(&j) == Some(&false);
-        let job = if replaced { Job::Seam(j) } else { Job::Segment(j) };
-        kept_state(&job.folder(self.run), step)
     }
 }
 

@@ -14,6 +14,7 @@ use std::time::Instant;
 
 use super::options::{KeepStates, RunOptions};
 use super::recorder::{RecordError, Recorder, RunPlaces};
+use super::seams::kept_state;
 use super::session::{SessionError, StepDone};
 use super::shot::{self, Ended, News, ShotError, Told};
 use super::time_job::{Job, Scope, Stage, Table};
@@ -156,23 +157,21 @@ impl<'a> Listener<'a, '_> {
         let (took_s, busy_s) = (under.begun.elapsed().as_secs_f64(), under.busy_s);
         under.recorder.finish(Status::Done)?;
         if let Some(whole) = &mut self.whole {
-            whole.report.job(job, under.session, busy_s);
+            whole.report.job(job, under.session, busy_s, under.begun, under.steps);
         }
         note(format_args!("{} done: {} steps in {took_s:.1} s", job.name(), under.steps));
         let plan = self.schedule.plan;
         let mut table = self.schedule.table();
-        table.stages.insert(job, Stage::Done);
         match job {
-            Job::Coarse if table.cuts.is_empty() => {
-                drop(table);
-                let cuts = plan.cuts(&self.work_of_coarse_run()?);
-                self.cut(cuts)?;
+            Job::Seam(j) => table.end_seam(j, arrived),
+            _ => {
+                table.stages.insert(job, Stage::Done);
             }
-            Job::Seam(j) => {
-                table.met.insert(j, arrived);
-                drop(table);
-            }
-            _ => drop(table),
+        }
+        let is_uncut = job == Job::Coarse && table.cuts.is_empty();
+        drop(table);
+        if is_uncut {
+            self.cut(plan.cuts(&self.work_of_coarse_run()?))?;
         }
         self.settle()?;
         self.schedule.changed.notify_all();
@@ -206,7 +205,7 @@ impl<'a> Listener<'a, '_> {
             let table = self.schedule.table();
             let handed_over = self.schedule.plan.options.hands_over();
             // The figures of a seam need both of its sides.
-            let is_joined = |j: usize| table.is_swept(j - 1) && (!handed_over || table.is_done(Job::Seam(j)));
+            let is_joined = |j: usize| table.is_swept(j - 1) && (!handed_over || table.is_handed_over(j));
             let is_final = |&j: &usize| table.is_swept(j) && (j == 0 || is_joined(j));
             let all = (0..table.cuts.len()).map(|j| table.last(j)).collect::<Vec<_>>();
             ((0..table.cuts.len()).filter(is_final).collect::<Vec<_>>(), table.cuts.clone(), all)
@@ -337,16 +336,27 @@ fn known_jobs(plan: &TimePlan, options: &RunOptions, run: &Path) -> Table {
     if !cuts.is_empty() {
         table.take_cuts(cuts, plan.options.hands_over());
     }
-    for (job, stage) in &mut table.stages {
+    let jobs: Vec<Job> = table.stages.keys().copied().collect();
+    for job in jobs {
         let folder = job.folder(run);
-        if is_done(&folder) {
-            *stage = Stage::Done;
-            if let Job::Seam(j) = job {
-                table.met.insert(*j, SplitReport::has_met(&folder));
+        match job {
+            _ if !is_done(&folder) => {}
+            // Jobs are in the order of their segments, so what is known of the seam before holds.
+            Job::Seam(j) if !starts_there(&table, j, run) => {}
+            Job::Seam(j) => table.end_seam(j, SplitReport::has_met(&folder)),
+            _ => {
+                table.stages.insert(job, Stage::Done);
             }
         }
     }
     table
+}
+
+/// Whether the hand-over to segment `j` on disk started from the end that the segment before has now.
+fn starts_there(table: &Table, j: usize, run: &Path) -> bool {
+    let start = kept_state(&Job::Seam(j).folder(run), table.cuts[j]);
+    let end = kept_state(&table.end_of(j - 1).folder(run), table.cuts[j]);
+    matches!((start, end), (Ok(start), Ok(end)) if start == end)
 }
 
 /// Why a split run cannot go on as asked: what is made already would have been made otherwise.

@@ -347,6 +347,11 @@ pub struct SeamRecord {
     pub inner_median_max_m: f64,
     /// Median of the same within the segments, root mean square.
     pub inner_median_rms_m: f64,
+    /// What `jump_max_m` is over the same stretch of time in the later segment as it was before the hand-over, from its
+    /// third step on.
+    pub inner_largest_max_m: f64,
+    /// What `jump_rms_m` is there.
+    pub inner_largest_rms_m: f64,
 }
 
 /// The whole report.

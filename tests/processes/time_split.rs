@@ -33,6 +33,45 @@ const SWING: &str = r#"
     sphere = { center_m = [0.1, 0.1, -0.25], radius_m = 0.1, triangles = 300 }
 "#;
 
+/// The same with a mesh from a file in place of the sheet.
+const SWING_OF_FILE: &str = r#"
+    name = "swing"
+    [simulation]
+    step_s = 0.004
+    steps_per_frame = 5
+    frames = 12
+    [[cloth]]
+    name = "sheet"
+    mesh = "sheet.obj"
+    origin_m = [0.0, 0.5, 0.0]
+    fabric = "cotton"
+    [[pin]]
+    cloth = "sheet"
+    vertices = [0, 1, 2, 3, 4, 5]
+    [[obstacle]]
+    name = "ball"
+    sphere = { center_m = [0.1, 0.1, -0.25], radius_m = 0.1, triangles = 300 }
+"#;
+
+/// A level sheet of 0.5 m with n x n vertices, the first n of them at one edge.
+fn level_sheet(n: u32) -> String {
+    let at = |i: u32| 0.5 * f64::from(i) / f64::from(n - 1);
+    let mut text = String::new();
+    for row in 0..n {
+        for column in 0..n {
+            text += &format!("v {} 0 {}\n", at(row), -at(column));
+        }
+    }
+    for row in 1..n {
+        for column in 1..n {
+            let corner = row * n + column + 1;
+            let [back, left] = [corner - n, corner - 1];
+            text += &format!("f {} {left} {corner}\nf {} {corner} {back}\n", back - 1, back - 1);
+        }
+    }
+    text
+}
+
 const RUN: &str = "run swing.toml --executor cpu --threads 1";
 
 fn place() -> Place {
@@ -190,8 +229,13 @@ fn what_cannot_be_split_is_refused() {
     let place = place();
     place.write("grid.toml", SWING.replace("size_m = [0.5, 0.5] }", "size_m = [0.5, 0.5], mesh = \"grid\" }"));
     place.write("flag.toml", flag(20, 3, 4));
+    place.write("sheet.obj", level_sheet(6));
+    place.write("file.toml", SWING_OF_FILE);
+    place.write("table.toml", format!("{SWING}\n[time]\nsegments = 2\ncoarse = 3\n"));
     let cases = [
-        ("run grid.toml --segments 2", "only sheets of irregular triangles"),
+        ("run grid.toml --segments 2", "the sheet has no level that is 2 times coarser"),
+        ("run file.toml --segments 2", "meshes that divide the triangles of a coarser one into 16"),
+        ("run table.toml", "field `time.coarse`: must be 2, 4 or 8, not 3"),
         ("run swing.toml --segments 0", "0 is not in 1..=4096"),
         ("run swing.toml --segments 2 --coarse 3", "expected 2, 4 or 8"),
         ("run swing.toml --segments 2 --coarse-steps 2", "a frame has 5 steps, which is no multiple of it"),
@@ -258,6 +302,21 @@ fn without_recovery_a_seam_is_closed_as_well() {
 }
 
 #[test]
+fn detail_recovered_at_the_cut_has_the_same_bits_however_it_is_run() {
+    let place = place();
+    let split = "--segments 2 --partition uniform --recovery paper --recovery-steps 4";
+    place.run(&format!("{RUN} {split} --seam cut --out out")).expect(0);
+    assert_eq!(place.report("out")["segments"][1]["recovery_steps"], 4);
+    place.run(&format!("{RUN} {split} --seam cut --workers 2 --out again")).expect(0);
+    assert_eq!(place.hashes("again"), place.hashes("out"));
+    // It starts elsewhere than at the refined coarse state.
+    place.run(&format!("{RUN} --segments 2 --partition uniform --recovery none --seam cut --out none")).expect(0);
+    assert_ne!(place.hashes("none")[13..], place.hashes("out")[13..]);
+    place.run(&format!("{RUN} {split} --sessions 2 --out over")).expect(0);
+    assert_eq!(place.report("over")["seams"][0]["met"], true);
+}
+
+#[test]
 fn after_k_sweeps_the_first_segments_are_those_of_the_plain_run() {
     let place = place();
     place.run(&format!("{RUN} --keep-states 1 --out plain")).expect(0);
@@ -272,4 +331,63 @@ fn after_k_sweeps_the_first_segments_are_those_of_the_plain_run() {
     // What has not changed is not made again.
     let told = place.run(&format!("{RUN} {split} --sweeps 2 --start-states plain --out same")).expect(0).stderr;
     assert!(!told.contains("sweep") && place.hashes("same") == plain, "{told}");
+}
+
+#[test]
+fn a_scene_says_how_its_mesh_is_split() {
+    let place = Place::new();
+    place.write("sheet.obj", level_sheet(6));
+    let scene = SWING_OF_FILE.replace("mesh = \"sheet.obj\"", "mesh = \"sheet.obj\"\nsubdivide = 2");
+    place.write("plain.toml", &scene);
+    let table = "[time]\nsegments = 2\ncoarse = 2\npartition = \"uniform\"\nhandover_steps = 12\n";
+    place.write("swing.toml", format!("{scene}\n{table}"));
+    place.run(&format!("{RUN} --out out")).expect(0).says(&["2 segments from a coarse run of 200 triangles"]);
+    assert_eq!(place.report("out")["triangles"], 800);
+    let flags = "--segments 2 --coarse 2 --partition uniform --handover-steps 12";
+    place.run(&format!("run plain.toml --executor cpu --threads 1 {flags} --out flags")).expect(0);
+    assert_eq!(place.hashes("flags"), place.hashes("out"));
+    // The command line counts more than the scene.
+    place.run(&format!("{RUN} --segments 1 --out one")).expect(0);
+    place.run("run plain.toml --executor cpu --threads 1 --out plain").expect(0);
+    assert_eq!(place.hashes("one"), place.hashes("plain"));
+    assert_eq!(place.hashes("out")[..=6], place.hashes("plain")[..=6]);
+    // A file that holds the divided mesh already has the same coarse level.
+    let fine = std::fs::read(place.path("out/frames/frame_000000.ply")).expect("a frame");
+    let fine = loomtree::output::ply::read(&fine).expect("a mesh");
+    let (coarse, up) = loomtree::mesh::coarser(
+        &TriangleMesh {
+            material_uv: loomtree::mesh::flatten_triangles(&fine.positions, &fine.triangles),
+            positions: fine.positions,
+            triangles: fine.triangles,
+        },
+        true,
+    )
+    .expect("a coarser mesh");
+    assert_eq!((coarse.triangles.len(), up.parts), (200, 4));
+}
+
+#[test]
+fn what_is_still_coarse_is_marked() {
+    let place = place();
+    let split = "--segments 2 --partition uniform --coarse 2 --frames 8";
+    place.run(&format!("{RUN} {split} --coarse-only --out out")).expect(0);
+    place.run("run --out out --only-segment 0").expect(0);
+    place.run("join out").expect(2);
+    let drawn = place.run("render out --size 64x48 --executor cpu").expect(0);
+    assert!(drawn.stderr.contains("9 of the frames are those of the coarse run"), "{}", drawn.stderr);
+    let mut running = place.start(&format!("{RUN} {split} --out again"));
+    running.wait_for("a segment", |running| running.stderr().contains("segment 0 done").then_some(()));
+    signal(running.pid(), Signal::INT);
+    running.wait();
+    // It may have been done before it heard of the stop.
+    if !place.path("again/frames/frame_000008.ply").exists() {
+        let drawn = place.run("render again --size 64x48 --executor cpu").expect(0);
+        assert!(drawn.stderr.contains("of the frames are those of the coarse run"), "{}", drawn.stderr);
+        place.run("run --resume --out again").expect(0);
+    }
+    let drawn = place.run("render again --size 64x48 --executor cpu").expect(0);
+    assert!(!drawn.stderr.contains("coarse run"), "{}", drawn.stderr);
+    let trace = std::fs::read_to_string(place.path("again/trace.json")).expect("a trace");
+    let events: Vec<serde_json::Value> = serde_json::from_str(&trace).expect("JSON");
+    assert!(events.iter().any(|event| event["ph"] == "X" && event["name"].as_str().unwrap().starts_with("seam 1")));
 }

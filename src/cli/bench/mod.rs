@@ -35,8 +35,9 @@ pub struct BenchArgs {
 enum Bench {
     /// Memory bandwidth of the executor: copy and read, to hold the others against
     Device(device::DeviceBench),
-    /// Matrix-vector product of scenes' matrices in contact on 1 to 16 ranks: gather first, pipelined with every schedule, halo
-    /// rows; modeled on a topology file's machine and measured on this one, apart; bandwidth and bytes exchanged
+    /// Matrix-vector product of scenes' matrices in contact on 1 to 16 ranks: gather first, pipelined with every
+    /// schedule, halo rows; modeled on a topology file's machine and measured on this one, apart; bandwidth and bytes
+    /// exchanged
     Spmv(spmv::SpmvBench),
     /// Collision detection and impact zones of scenes on several numbers of worker processes: time, tests, their split
     Collision(runs::ScenesBench),

@@ -79,8 +79,8 @@ pub(super) fn table(
     let costs = &shot.costs;
     let limit_bytes = machine.device().memory_gb * 1e9;
     let title = format!(
-        "modelled, not measured: segments x workers for a shot of {} steps from measured steps of {measured}; steps on several \
-         workers are recorded ones played on {} ({}, {} GB)",
+        "modelled, not measured: segments x workers for a shot of {} steps from measured steps of {measured}; steps on \
+         several workers are recorded ones played on {} ({}, {} GB)",
         costs.fine.len(),
         machine.name(),
         machine.device().name,

@@ -21,7 +21,8 @@ impl Image {
         Image { width, height, rgb: vec![0; width * height * 3] }
     }
 
-    /// The picture with these pixels, 4 bytes each, row by row; the fourth byte is left out. Panics if they are too few.
+    /// The picture with these pixels, 4 bytes each, row by row; the fourth byte is left out. Panics if they are too
+    /// few.
     pub fn from_rgba(width: usize, height: usize, rgba: &[u8]) -> Image {
         let rgb = rgba[..width * height * 4].chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
         Image { width, height, rgb }

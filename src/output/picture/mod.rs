@@ -1,8 +1,8 @@
 //! Shaded pictures of a run's frames: good enough to judge folds; light and material are not physical.
 //!
-//! One camera for the whole sequence, so that pictures of different frames can be compared. Frames are drawn in parallel;
-//! a picture depends on its frame and the camera only. A device draws through `gpu::Offscreen`, the native executor with
-//! `raster` and `shade`: the same samples and shading, but not the same bits.
+//! One camera for the whole sequence, so that pictures of different frames can be compared. Frames are drawn in
+//! parallel; a picture depends on its frame and the camera only. A device draws through `gpu::Offscreen`, the native
+//! executor with `raster` and `shade`: the same samples and shading, but not the same bits.
 
 mod camera;
 mod contact_sheet;
