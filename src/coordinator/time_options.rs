@@ -24,6 +24,11 @@ pub struct TimeOptions {
     /// Length of the edges of the coarse run over those of the shot: 2, 4 or 8
     #[arg(long, value_name = "RATIO", default_value_t = 4, value_parser = edge_ratio)]
     pub coarse: u32,
+    /// Levels of the shot: 2, or more to split the coarse run in time as well, by a coarser one with edges --coarse
+    /// times as long, and so on
+    #[arg(long, value_name = "L", default_value_t = 2, value_parser = clap::value_parser!(u32).range(2..=4))]
+    #[serde(skip_serializing_if = "is_two")]
+    pub levels: u32,
     /// Steps of the shot in a step of the coarse run [default: as many as divide a frame and last 5 ms or less]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -67,6 +72,7 @@ impl TimeOptions {
         TimeOptions {
             segments: table.segments.unwrap_or(default.segments),
             coarse: table.coarse.unwrap_or(default.coarse),
+            levels: table.levels.unwrap_or(default.levels),
             coarse_steps: table.coarse_steps,
             partition: table.partition.unwrap_or(default.partition),
             recovery: table.recovery.unwrap_or(default.recovery),
@@ -84,6 +90,10 @@ impl TimeOptions {
     }
 }
 
+fn is_two(levels: &u32) -> bool {
+    *levels == 2
+}
+
 fn is_zero(count: &u32) -> bool {
     *count == 0
 }
@@ -94,6 +104,7 @@ impl Default for TimeOptions {
             segments: 1,
             sessions: None,
             coarse: 4,
+            levels: 2,
             coarse_steps: None,
             partition: PartitionRule::default(),
             recovery: Recovery::default(),

@@ -1,16 +1,17 @@
 //! The inputs of a shot that is split in time: the level of the shot, its coarse level, and the way between both.
 
+use std::num::NonZeroU32;
 use std::path::Path;
 
 use thiserror::Error;
 
-use super::options::RunOptions;
+use super::options::{KeepStates, RunOptions};
 use super::plan::{PlanError, RunPlan};
 use super::time_options::{PartitionRule, Recovery, TimeOptions};
 use crate::mesh::{Group, GroupKind, Refinement, crossings};
 use crate::model::State;
 use crate::output::StepRecord;
-use crate::scene::{Obstacles, Overrides, Scene, read_str};
+use crate::scene::{Obstacles, Overrides, ParsedScene, Scene, read_str};
 use crate::time_parallel::{Costs, Method, Partition, Upsampling, partition};
 
 /// Longest step that the program chooses for a coarse run, seconds: contacts hold at it in all shipped scenes.
@@ -39,8 +40,23 @@ pub struct TimePlan {
     pub up: Upsampling,
     /// Fine steps in a coarse one.
     pub step_ratio: u32,
+    /// How the coarse run is split in time itself, if it is: its level of the shot is the coarse one here.
+    pub upper: Option<Box<TimePlan>>,
     /// The options.
     pub options: TimeOptions,
+}
+
+/// The options of a coarse run that is split in time itself: the next level needs the states of all its steps.
+pub(super) fn options_of_coarse(options: &RunOptions) -> RunOptions {
+    let time = TimeOptions {
+        levels: options.time.levels - 1,
+        coarse_steps: None,
+        sweeps: 0,
+        start_states: None,
+        cuts: Vec::new(),
+        ..options.time.clone()
+    };
+    RunOptions { keep_states: Some(KeepStates::Every(NonZeroU32::MIN)), time, ..options.clone() }
 }
 
 impl TimePlan {
@@ -49,7 +65,6 @@ impl TimePlan {
     /// # Errors
     /// One of the levels, or a scene without a coarse level.
     pub fn new(text: &str, scene_path: &Path, options: &RunOptions) -> Result<TimePlan, TimeError> {
-        let time = &options.time;
         if options.untangle {
             return Err(TimeError::Unfit(
                 "--untangle and --segments do not go together: the coarse level would start crossed".into(),
@@ -67,22 +82,47 @@ impl TimePlan {
         }
         let parsed = read_str(text, scene_path).map_err(PlanError::from)?;
         let wanted = Overrides { resolution: options.resolution, frames: options.frames };
-        let fine = RunPlan::of_scene(parsed.at(&wanted).map_err(PlanError::from)?, options)?;
-        let coarsenings = time.coarse.ilog2() as usize;
-        let (mut scene, refinements) = parsed.coarser_at(&wanted, coarsenings).map_err(PlanError::from)?;
-        if refinements.iter().all(Refinement::is_none) {
+        let fine = parsed.at(&wanted).map_err(PlanError::from)?;
+        TimePlan::under(&parsed, &wanted, (fine, Vec::new()), 0, options)
+    }
+
+    /// The plan whose level of the shot is `level`: a scene that is `coarsenings` levels coarser than the finest, with
+    /// the way from it to the finest; none for the finest itself.
+    fn under(
+        parsed: &ParsedScene,
+        wanted: &Overrides,
+        level: (Scene, Vec<Refinement>),
+        coarsenings: usize,
+        options: &RunOptions,
+    ) -> Result<TimePlan, TimeError> {
+        let time = &options.time;
+        let (scene, to_finest) = level;
+        let fine = RunPlan::of_scene(scene, options)?;
+        let coarser = coarsenings + time.coarse.ilog2() as usize;
+        let (mut scene, refinements) = parsed.coarser_at(wanted, coarser).map_err(PlanError::from)?;
+        let between: Vec<Refinement> = match to_finest.is_empty() {
+            true => refinements.clone(),
+            false => refinements.iter().zip(&to_finest).map(|(all, lower)| all.down_to(lower)).collect(),
+        };
+        if between.iter().all(Refinement::is_none) {
             return Err(TimeError::Unfit(format!(
                 "--segments needs a coarse level: sheets of irregular triangles have one, and meshes that divide the \
                  triangles of a coarser one into {} (docs/scene.md, `subdivide`)",
-                time.coarse * time.coarse
+                1 << (2 * coarser)
             )));
         }
         let step_ratio = step_ratio(&fine.scene, time)?;
-        scene.settings.step_s *= f64::from(step_ratio);
-        scene.settings.steps_per_frame /= step_ratio;
-        let up = Upsampling::new(&scene, &fine.scene, &refinements);
+        scene.settings.step_s = fine.scene.settings.step_s * f64::from(step_ratio);
+        scene.settings.steps_per_frame = fine.scene.settings.steps_per_frame / step_ratio;
+        let up = Upsampling::new(&scene, &fine.scene, &between);
+        let upper = if time.levels > 2 {
+            let level = (scene.clone(), refinements);
+            Some(Box::new(TimePlan::under(parsed, wanted, level, coarser, &options_of_coarse(options))?))
+        } else {
+            None
+        };
         let coarse = RunPlan::of_scene(scene, options)?;
-        Ok(TimePlan { fine, coarse, up, step_ratio, options: time.clone() })
+        Ok(TimePlan { fine, coarse, up, step_ratio, upper, options: time.clone() })
     }
 
     /// Steps of the shot.

@@ -266,7 +266,9 @@ impl SplitReport {
         if done && options.keep_states.is_none() {
             // Everything in them is in frames/ now, or was an intermediate state.
             let _ = fs::remove_dir_all(run.join("segments"));
-            let _ = fs::remove_dir_all(Job::Coarse.folder(run).join("states"));
+            for folder in ["states", "segments"] {
+                let _ = fs::remove_dir_all(Job::Coarse.folder(run).join(folder));
+            }
         }
         Ok(frames)
     }

@@ -19,7 +19,7 @@ use super::session::{SessionError, StepDone};
 use super::shot::{self, Ended, News, ShotError, Told};
 use super::time_job::{Job, Scope, Stage, Table};
 use super::time_options::{PartitionRule, TimeOptions};
-use super::time_plan::{Counts, TimePlan};
+use super::time_plan::{Counts, TimePlan, options_of_coarse};
 use super::time_report::SplitReport;
 use super::time_schedule::{Schedule, newest};
 use super::{CrewError, Launch, RunError, RunSummary};
@@ -30,6 +30,16 @@ use crate::output::{Existing, FormatList, FrameFormat, Report, RunDirectory, Run
 fn is_done(folder: &Path) -> bool {
     let report = RunDirectory::open(folder).ok().and_then(|directory| Report::load(&directory.report()).ok());
     report.is_some_and(|report| report.header.status == Status::Done)
+}
+
+/// Formats of the frames of a job. Frames of a point cache follow each other, so it is written when they are all there.
+fn job_formats(options: &RunOptions) -> Vec<FrameFormat> {
+    let mut formats = options.formats.0.clone();
+    formats.retain(|format| *format != FrameFormat::Pc2);
+    if formats.is_empty() {
+        formats.push(FrameFormat::Ply);
+    }
+    formats
 }
 
 /// The work under way on a job.
@@ -126,12 +136,7 @@ impl<'a> Listener<'a, '_> {
             Some(_) => Existing::Resume,
             None => Existing::Overwrite,
         };
-        // Frames of a point cache follow each other, so it is written when they are all there.
-        let mut formats = self.options.formats.0.clone();
-        formats.retain(|format| *format != FrameFormat::Pc2);
-        if formats.is_empty() {
-            formats.push(FrameFormat::Ply);
-        }
+        let formats = job_formats(&self.options);
         let options = RunOptions {
             keep_states: Some(KeepStates::Every(std::num::NonZeroU32::MIN)),
             formats: FormatList(formats),
@@ -265,7 +270,7 @@ pub fn run_split(
         note(format_args!("nothing is left to do: the run has all its {frames} frames"));
         return Ok(RunSummary { frames, steps: 0, substeps: 0, seconds_per_step: 0.0, stopped: false });
     }
-    let table = known_jobs(plan, options, directory.path());
+    let mut table = known_jobs(plan, options, directory.path());
     let unknown = |j: usize| table.cuts.get(j).is_none() || !table.is_done(Job::Coarse);
     if let Scope::Segment(j) = scope
         && unknown(j)
@@ -294,6 +299,29 @@ pub fn run_split(
         }
     };
     let scene = directory.path().join(&manifest.scene_file);
+    if let (Some(upper), Scope::All | Scope::Coarse) = (&plan.upper, scope)
+        && !table.is_done(Job::Coarse)
+    {
+        let out = directory.preview();
+        let existing = if RunDirectory::open(&out).is_ok() { Existing::Resume } else { Existing::Overwrite };
+        let formats = FormatList(job_formats(options));
+        let own = RunOptions { formats, trace_steps: 0, ..options_of_coarse(options) };
+        let recorded = RunDirectory::open(&out).ok().and_then(|there| RunManifest::load(&there).ok());
+        let cuts = recorded.and_then(|there| there.flags::<RunOptions>().ok()).map(|there| there.time.cuts);
+        let time = TimeOptions { cuts: cuts.unwrap_or_default(), ..own.time.clone() };
+        note(format_args!("the coarse run is split in time, too"));
+        let made = run_split(
+            upper,
+            &RunOptions { time, ..own },
+            &RunPlaces { scene: scene.clone(), out, existing },
+            Scope::All,
+            launch,
+        )?;
+        if made.stopped {
+            return Ok(made);
+        }
+        table = known_jobs(plan, options, directory.path());
+    }
     let (cuts, coarse_done) = (table.cuts.clone(), table.is_done(Job::Coarse));
     let schedule = Schedule {
         plan,

@@ -46,6 +46,28 @@ impl Refinement {
         }
     }
 
+    /// From the coarse mesh of `self` to that of `lower`, which leads to the same fine mesh and is the finer of both.
+    pub fn down_to(&self, lower: &Refinement) -> Refinement {
+        let known = |vertex: u32| lower.copies.binary_search(&vertex).ok().map(|at| at as u32);
+        let middle = |&[vertex, a, b]: &[u32; 3]| Some([known(vertex)?, known(a)?, known(b)?]);
+        let mut coarse_of = vec![0; lower.triangles.len()];
+        for (parts, t) in lower.triangles.chunks_exact(lower.parts).zip(0u32..) {
+            parts.iter().for_each(|&part| coarse_of[part as usize] = t);
+        }
+        let within = |parts: &[u32]| {
+            let mut within: Vec<u32> = parts.iter().map(|&part| coarse_of[part as usize]).collect();
+            within.sort_unstable();
+            within.dedup();
+            within
+        };
+        Refinement {
+            copies: self.copies.iter().filter_map(|&vertex| known(vertex)).collect(),
+            middles: self.middles.iter().filter_map(middle).collect(),
+            triangles: self.triangles.chunks_exact(self.parts).flat_map(within).collect(),
+            parts: self.parts / lower.parts,
+        }
+    }
+
     /// The coarse vertices of a selection of fine ones, ascending. Of a selection without any, they are the ends of the
     /// coarse edges that its vertices lie on.
     pub fn coarse_of(&self, fine: &[u32]) -> Vec<u32> {
@@ -376,6 +398,13 @@ mod tests {
             known.push(middle);
             let [m, a, b] = [middle, a, b].map(|v| fine.positions[v as usize]);
             assert!(m.distance(a.midpoint(b)) < 1e-6);
+        }
+        let back = all.down_to(&upper);
+        assert_eq!((&back.copies, &back.middles, back.parts), (&lower.copies, &lower.middles, 4));
+        for (ours, theirs) in back.triangles.chunks_exact(4).zip(lower.triangles.chunks_exact(4)) {
+            let mut theirs = theirs.to_vec();
+            theirs.sort_unstable();
+            assert_eq!(ours, theirs);
         }
         // The parts of a coarse triangle lie in it, and are as large as it is.
         let area = |mesh: &TriangleMesh, t: u32| {

@@ -49,6 +49,7 @@ pub enum SeamRule {
 pub struct TimeTable {
     pub segments: Option<u32>,
     pub coarse: Option<u32>,
+    pub levels: Option<u32>,
     pub coarse_steps: Option<u32>,
     pub partition: Option<PartitionRule>,
     pub recovery: Option<Recovery>,
@@ -63,6 +64,7 @@ pub(super) fn time_table(root: &Fields) -> Result<TimeTable, SceneError> {
     let known = [
         "segments",
         "coarse",
+        "levels",
         "coarse_steps",
         "partition",
         "recovery",
@@ -86,6 +88,7 @@ pub(super) fn time_table(root: &Fields) -> Result<TimeTable, SceneError> {
     Ok(TimeTable {
         segments: whole("segments", 1..=4096)?,
         coarse: time.optional("coarse", ratio)?,
+        levels: whole("levels", 2..=4)?,
         coarse_steps: whole("coarse_steps", 1..=1000)?,
         partition: time.optional("partition", |value| value.choice(&partitions))?,
         recovery: time.optional("recovery", |value| value.choice(&recoveries))?,

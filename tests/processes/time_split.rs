@@ -317,6 +317,33 @@ fn detail_recovered_at_the_cut_has_the_same_bits_however_it_is_run() {
 }
 
 #[test]
+fn a_coarse_run_is_split_in_time_itself() {
+    let place = place();
+    let split = "--segments 2 --partition uniform --coarse 2 --handover-steps 12";
+    place
+        .run(&format!("{RUN} {split} --levels 3 --out out"))
+        .expect(0)
+        .says(&["the coarse run is split in time, too", "seam 1 done"]);
+    let hashes = place.hashes("out");
+    assert_eq!(hashes.len(), 25);
+    let preview = place.report("out/preview");
+    assert_eq!(preview["segments"].as_array().expect("segments").len(), 2);
+    let triangles = |out: &str| place.report(out)["triangles"].as_u64().expect("a number");
+    assert_eq!(triangles("out"), 4 * triangles("out/preview"));
+    assert_eq!(triangles("out"), 16 * triangles("out/preview/preview"));
+    assert!(!place.path("out/preview/states").exists() && !place.path("out/preview/segments").exists());
+    // Stopped within the coarse run, then made on other workers.
+    let mut running = place.start(&format!("{RUN} {split} --levels 3 --out again"));
+    running.wait_for("a segment", |running| running.stderr().contains("segment 0: frame").then_some(()));
+    signal(running.pid(), Signal::INT);
+    if running.wait().code != Some(0) {
+        place.run("run --resume --out again --workers 2").expect(0);
+    }
+    assert_eq!(place.hashes("again"), hashes);
+    place.run(&format!("{RUN} --segments 2 --coarse 4 --levels 3 --out bad")).expect(2);
+}
+
+#[test]
 fn after_k_sweeps_the_first_segments_are_those_of_the_plain_run() {
     let place = place();
     place.run(&format!("{RUN} --keep-states 1 --out plain")).expect(0);
