@@ -12,6 +12,8 @@ mod guide;
 mod inspect;
 mod let_go;
 mod let_go_pairs;
+mod limited;
+mod limits;
 mod normal_forces;
 mod own_state;
 mod products;
@@ -42,9 +44,10 @@ use elements::Elements;
 pub use error::{Failure, Imposed, SetupError};
 use guidance::Guided;
 pub use guidance::{Guidance, Guide};
+use limited::LimitedTriangles;
 use own_state::StateVectors;
 use span::Span;
-pub use stats::{LetGoCounts, QueryStats, StageSeconds, StepStats};
+pub use stats::{LetGoCounts, LimitCounts, QueryStats, StageSeconds, StepStats};
 use stats::{StageClock, peak_resident_bytes};
 pub use substeps::parts_of_step;
 pub use system::ExchangePlan;
@@ -112,6 +115,8 @@ struct RankCloth {
     pin_paths: PinPaths,
     state: StateVectors,
     elements: Elements,
+    /// Present if a fabric of the scene has strain limits.
+    limited: Option<LimitedTriangles>,
     system: System,
     columns: ColumnOrder,
     matrix: Box<dyn StepMatrix>,
@@ -216,6 +221,7 @@ impl RankCloth {
             pin_paths: PinPaths { motions, followed },
             state: StateVectors::new(executor, &arrays, plan.own.clone()),
             elements,
+            limited: LimitedTriangles::of(&arrays),
             system: System::new(executor, &arrays.masses),
             columns,
             matrix: Box::new(matrix),
@@ -312,12 +318,14 @@ impl RankCloth {
             return Ok(Attempt::Again(Again::Unsolved));
         }
 
-        let before = (self.stiff || self.collisions.is_some()).then(|| self.state.recorded(rank));
+        let before =
+            (self.stiff || self.limited.is_some() || self.collisions.is_some()).then(|| self.state.recorded(rank));
         // 6. v(t1) = v(t0) + dv, x(t1) = x(t0) + dt v(t1); pins exactly.
         self.state.advance(rank, span, &self.solver.vectors.x, &targets);
         clock.lap_kernels(rank.executor, &mut stats.seconds.advance);
         if let Some(before) = before {
             self.solve_again(rank, span, &before, &targets, stats)?;
+            self.keep_limits(rank, span, &before, &targets, stats)?;
         }
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.

@@ -223,6 +223,7 @@ impl Recorder {
             smallest_gap_m: first.smallest_gap_m.map(f64::from),
             zones: ZoneCounts { iterations: ranks.iter().map(|rank| rank.zones.iterations).sum(), ..first.zones },
             let_go: first.let_go,
+            limits: first.limits,
             proximity: QueryRecord::of(ranks.iter().map(|rank| (&rank.proximity, rank.query_bytes[0]))),
             continuous: QueryRecord::of(ranks.iter().map(|rank| (&rank.continuous, rank.query_bytes[1]))),
             collision_mesh_bytes_per_rank: ranks.iter().map(|rank| rank.collision_mesh_bytes).collect(),

@@ -126,7 +126,7 @@ fn limit_of_every_direction(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2
 
 /// Direction of the largest stretch; any if all are alike. `half`: half the difference of the squares of x_u and x_v,
 /// `uv` their product, `radius` that of Mohr's circle.
-fn wide_direction(half: f32, uv: f32, radius: f32) -> Vec2 {
+pub(super) fn wide_direction(half: f32, uv: f32, radius: f32) -> Vec2 {
     let wide = if half >= 0.0 { Vec2::new(half + radius, uv) } else { Vec2::new(uv, radius - half) };
     let length = wide.length();
     if length > 0.0 { wide / length } else { Vec2::X }
@@ -167,7 +167,7 @@ pub(super) fn fiber(
 }
 
 /// [`TriangleElement`]'s x_u and x_v of positions or velocities of its corners.
-fn deformation(element: &TriangleElement, x: [Vec3; 3]) -> [Vec3; 2] {
+pub(super) fn deformation(element: &TriangleElement, x: [Vec3; 3]) -> [Vec3; 2] {
     let (d1, d2) = (x[1] - x[0], x[2] - x[0]);
     let ([u1, u2], [v1, v2]) = (element.weights_u, element.weights_v);
     [d1 * u1 + d2 * u2, d1 * v1 + d2 * v2]

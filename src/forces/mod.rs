@@ -15,6 +15,7 @@ mod crease_cpu;
 mod element;
 pub mod fiber;
 mod fiber_cpu;
+mod overstretch;
 pub mod stretch;
 mod stretch_cpu;
 
@@ -28,4 +29,5 @@ pub use element::{
     CONTACT_RECORD_FLOATS, CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,
     TRIANGLE_RECORD_FLOATS, TriangleElement, hinge_element, triangle_element,
 };
+pub use overstretch::{Overstretch, overstretch};
 pub use stretch_cpu::{stretch_energy, stretch_stiffness};

@@ -18,7 +18,7 @@ use super::stretch::BeyondLimits;
 use crate::impact_zone::ZoneCounts;
 use crate::model::LetGo;
 use crate::scene::Untangling;
-use crate::step::{Guidance, LetGoCounts, QueryStats, StageSeconds};
+use crate::step::{Guidance, LetGoCounts, LimitCounts, QueryStats, StageSeconds};
 
 /// State of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -266,6 +266,9 @@ pub struct StepRecord {
     /// Pairs of vertices and obstacles that are let go; omitted if there are none and were none. The frames list them.
     #[serde(skip_serializing_if = "are_none")]
     pub let_go: LetGoCounts,
+    /// What strain limits asked for; omitted if nothing. The frames name the triangle that is farthest beyond.
+    #[serde(skip_serializing_if = "LimitCounts::are_none")]
+    pub limits: LimitCounts,
     /// Proximity query.
     pub proximity: QueryRecord,
     /// Continuous queries.

@@ -114,6 +114,27 @@ impl StateVectors {
         Ok(())
     }
 
+    /// Receives the halo rows of the positions alone.
+    pub(super) fn exchange_positions(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        halo: &mut HaloExchange,
+    ) -> Result<(), TransportError> {
+        halo.start(rank.executor, rank.transport, &[&self.positions], rank.recorder)?;
+        halo.finish(rank.executor, rank.transport, &mut [&mut self.positions], rank.recorder, &mut self.traffic)
+    }
+
+    /// Receives the halo rows of `values`, three per local row.
+    pub(super) fn exchange_values(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        halo: &mut HaloExchange,
+        values: &mut DeviceVec<f32>,
+    ) -> Result<(), TransportError> {
+        halo.start(rank.executor, rank.transport, &[&*values], rank.recorder)?;
+        halo.finish(rank.executor, rank.transport, &mut [values], rank.recorder, &mut self.traffic)
+    }
+
     /// As [`StateVectors::exchange`] between two solves, with the velocities of `start` beside those found.
     pub(super) fn exchange_again(
         &mut self,

@@ -11,6 +11,7 @@ use super::span::Span;
 use super::stats::{StageClock, StepStats};
 use super::{Failure, RankCloth};
 use crate::context::RankContext;
+use crate::gpu::DeviceVec;
 use crate::integrator::pins::PinTargets;
 use crate::model::RankState;
 
@@ -29,8 +30,8 @@ impl RankCloth {
         if followed { (TOLERANCE_FIRST * tolerance).min(TOLERANCE_AGAIN_MOST) } else { tolerance }
     }
 
-    /// Stages 2 to 6 once more from `start`, linearized at the end that the state holds. A solve that breaks off leaves
-    /// that state.
+    /// Stages 2 to 6 once more from `start`, linearized at the end that the state holds, if contacts or stiff cloth
+    /// need it.
     pub(super) fn solve_again(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -46,7 +47,23 @@ impl RankCloth {
                 return Ok(());
             }
             self.take_contacts(rank, found, stats)?;
+        } else if !self.stiff {
+            return Ok(());
         }
+        self.solve_from_end(rank, span, start, targets, None, stats)
+    }
+
+    /// Stages 3 to 6 once more, with the contacts as they are. `changes`: the velocity changes of the own rows that all
+    /// solves so far have found together, if there were more than one. A solve that breaks off leaves the state.
+    pub(super) fn solve_from_end(
+        &mut self,
+        rank: &mut RankContext<'_>,
+        span: Span,
+        start: &RankState,
+        targets: &PinTargets,
+        changes: Option<&DeviceVec<f32>>,
+        stats: &mut StepStats,
+    ) -> Result<(), Failure> {
         let clock = StageClock::start();
         self.state.exchange_again(rank, self.solver.spmv.halo(), start)?;
         clock.lap_kernels(rank.executor, &mut stats.seconds.exchange);
@@ -57,7 +74,8 @@ impl RankCloth {
 
         self.fill_matrix(rank, span);
         let masses = self.guided.as_ref().map_or(&self.system.masses, |guided| &guided.masses);
-        self.inertia.apply(rank.executor, masses, &self.solver.vectors.x, &mut self.system.rhs);
+        let changes = changes.unwrap_or(&self.solver.vectors.x);
+        self.inertia.apply(rank.executor, masses, changes, &mut self.system.rhs);
         clock.lap_kernels(rank.executor, &mut stats.seconds.value_fill);
         rank.transport.alive()?;
 

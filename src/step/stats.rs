@@ -121,6 +121,20 @@ pub struct LetGoCounts {
     pub taken_up: u64,
 }
 
+/// Triangles beyond the strain limits of their fabrics.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LimitCounts {
+    /// Solves that were added because triangles ended more than 2 % of strain beyond a limit.
+    pub solved_again: u32,
+    /// Triangles that the solves of all sub-steps have left more than 0.35 % beyond a limit; they are pulled back.
+    pub pulled: u64,
+    /// Rounds of pulling back, over all sub-steps.
+    pub rounds: u32,
+    /// Triangles more than 0.5 % beyond a limit all the same at the end, before collisions.
+    pub beyond: u64,
+}
+
 /// Report of a rank on a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepStats {
@@ -164,6 +178,8 @@ pub struct StepStats {
     pub zones: ZoneCounts,
     /// Pairs of vertices and obstacles that are let go.
     pub let_go: LetGoCounts,
+    /// Triangles beyond their strain limits, over all ranks.
+    pub limits: LimitCounts,
     /// Bytes held for collisions: mesh, positions of all vertices.
     pub collision_mesh_bytes: u64,
     /// Stage times.

@@ -109,6 +109,64 @@ fn limits_give_the_same_bits_on_every_number_of_ranks() {
     }
 }
 
+/// A strip that spins about the edge it is held by turns by 0.4 rad in a step. A tangent of that length is longer than
+/// the strip by 1 / cos 0.4, 8.6 %. What its own mass asks of the limit is density w^2 L^2 / 2 = 25 N/m, a little over
+/// what the fabric holds at 3 %.
+#[test]
+fn cloth_that_turns_far_within_a_step_is_not_longer_for_it() {
+    let fabric = limited(uniform_fabric([600.0, 0.0, 600.0, 200.0], 1e-6, 0.5), [0.9, 1.03]);
+    let held: Vec<u32> = (0..ACROSS as u32).collect();
+    let mut scene = scene(strip(8, 0.0125, -Vec3::Z), fabric, &held, 0.004, Vec3::ZERO);
+    scene.velocities = scene.mesh.positions.iter().map(|p| Vec3::X * (-100.0 * p.z)).collect();
+    let mut cloth = OneRank::new(&scene);
+    let (mut most, mut solved_again) = (0.0f64, 0);
+    for _ in 0..10 {
+        solved_again += cloth.step().limits.solved_again;
+        most = most.max(stretches(&scene, &cloth.positions())[0]);
+    }
+    println!("{:.2} % beyond, {solved_again} steps solved again, {} m/s", 100.0 * (most - 1.03), cloth.fastest_m_s());
+    assert!(most < 1.035, "{most}");
+    assert!(solved_again > 0, "no step ended far beyond the limit");
+}
+
+/// A sheet that hangs by two corners in a wind of 10 m/s: it is thrown taut in a quarter of a second, and all its load
+/// hangs by two points. This is ARCSim's flag without what happens to it later.
+fn thrown_taut() -> Scene {
+    let fabric = limited(isotropic_fabric(200.0, 0.3, 3e-5, 0.57, 0.0), [0.95, 1.05]);
+    let mesh = sheet(31, 21, [3.0, 2.0], Vec3::ZERO, Vec3::X, Vec3::Z);
+    let mut scene = scene(mesh, fabric, &[0, 31 * 20], 0.005, DOWN);
+    scene.settings.wind_m_s = Vec3::new(7.0, 7.0, 0.0);
+    scene.settings.air_density_kg_m3 = 1.0;
+    scene
+}
+
+#[test]
+fn a_sheet_that_the_wind_throws_taut_stays_near_its_limits() {
+    let scene = thrown_taut();
+    let mut cloth = OneRank::new(&scene);
+    let (mut most, mut least, mut solved_again, mut pulled) = (0.0f64, 1.0f64, 0, 0);
+    for _ in 0..80 {
+        let limits = cloth.step().limits;
+        (solved_again, pulled) = (solved_again + limits.solved_again, pulled + limits.pulled);
+        let [largest, smallest] = stretches(&scene, &cloth.positions());
+        (most, least) = (most.max(largest), least.min(smallest));
+    }
+    println!("{least} to {most}, {solved_again} steps solved again, {pulled} triangles pulled back");
+    assert!(cloth.fastest_m_s() > 1.0);
+    assert!(most < 1.09 && least > 0.93, "{least} to {most}");
+    assert!(solved_again > 0 && pulled > 0);
+}
+
+#[test]
+fn what_is_pulled_back_has_the_same_bits_on_every_number_of_ranks() {
+    let scene = thrown_taut();
+    let one = simulate(&scene, 1, ExchangeMode::Halo, 45, cpu);
+    for ranks in [2, 5, 8] {
+        let many = simulate(&scene, ranks, ExchangeMode::Halo, 45, cpu);
+        assert!(many.positions == one.positions && many.velocities == one.velocities, "{ranks} ranks");
+    }
+}
+
 /// Warp, weft and shear by themselves.
 fn along(warp: Option<[f64; 2]>, weft: Option<[f64; 2]>, shear_deg: Option<f64>) -> Option<StrainLimit> {
     Some(StrainLimit::Along { warp, weft, shear_deg })
