@@ -2,14 +2,20 @@
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
-use loomtree::cli::{self, CliError};
+use clap::{CommandFactory, Parser, Subcommand};
+use loomtree::cli::{self, CliError, Verbosity};
 use loomtree::coordinator::Launch;
 
 /// Distributed simulator for very large cloth: one worker process per (simulated) GPU.
 #[derive(Parser)]
-#[command(version, arg_required_else_help = true)]
+#[command(version, arg_required_else_help = true, max_term_width = 100)]
 struct Arguments {
+    /// Say nothing but results and errors
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    /// Say more: a line per step and what else the log knows (as LOOMTREE_LOG=loomtree=debug)
+    #[arg(short, long, global = true)]
+    verbose: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -46,6 +52,12 @@ enum Command {
     Bench(cli::bench::BenchArgs),
     /// Test collision queries with rational coordinates against their truth
     Ccd(cli::ccd::CcdArgs),
+    /// Write a commented scene to start from
+    Init(cli::init::InitArgs),
+    /// Print a JSON Schema of scene files, for editors
+    Schema(cli::init::SchemaArgs),
+    /// Print a script that completes the command line for a shell
+    Completions(cli::completions::CompletionsArgs),
     /// The coordinator alone: prints the run's identifier and waits for its workers
     #[command(hide = true)]
     Coordinator(cli::run::RunArgs),
@@ -55,8 +67,13 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    cli::start_log();
-    let result = match Arguments::parse().command {
+    let arguments = Arguments::parse();
+    cli::start_log(match (arguments.quiet, arguments.verbose) {
+        (true, _) => Verbosity::Quiet,
+        (_, true) => Verbosity::Verbose,
+        _ => Verbosity::Usual,
+    });
+    let result = match arguments.command {
         Command::Run(args) => cli::run::run(args, Launch::Spawn),
         Command::Schedule(args) => cli::schedule::run(args),
         Command::Predict(args) => cli::predict::run(args),
@@ -72,6 +89,9 @@ fn main() -> ExitCode {
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
         Command::Bench(args) => cli::bench::run(args),
         Command::Ccd(args) => cli::ccd::run(args),
+        Command::Init(args) => cli::init::init(args),
+        Command::Schema(args) => cli::init::schema(args),
+        Command::Completions(args) => cli::completions::run(args, Arguments::command()),
         Command::Coordinator(args) => cli::run::run(args, Launch::Await),
         Command::Worker(args) => cli::worker::run(args),
     };

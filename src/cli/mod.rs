@@ -5,10 +5,12 @@ pub mod check;
 pub mod compare;
 pub mod convert;
 pub mod ccd;
+pub mod completions;
 mod ccd_csv;
 mod ccd_frames;
 pub mod doctor;
 mod far;
+pub mod init;
 pub mod join;
 pub mod predict;
 pub mod render;
@@ -26,7 +28,7 @@ pub mod view;
 pub mod worker;
 
 pub(crate) use crate::coordinator::options::count;
-use crate::os::console::{self, note};
+use crate::os::console;
 use crate::os::{limits, signals};
 use crate::transport::MachineError;
 
@@ -91,24 +93,45 @@ pub fn exit_code(result: Result<(), CliError>) -> std::process::ExitCode {
         Ok(()) => std::process::ExitCode::SUCCESS,
         Err(error) => {
             if !error.message.is_empty() {
-                note(format_args!("error: {error}"));
+                console::complain(format_args!("error: {error}"));
             }
             std::process::ExitCode::from(error.exit_code)
         }
     }
 }
 
+/// How much a command says besides its results and errors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Verbosity {
+    /// Nothing.
+    Quiet,
+    /// Progress, advice and warnings.
+    #[default]
+    Usual,
+    /// Also what the log knows in detail, of workers, too.
+    Verbose,
+}
+
 /// Initializes the log; programs call it first. Log lines go to stderr, and `LOOMTREE_LOG` sets their level (default:
-/// warnings). It also sets a missing `XDG_RUNTIME_DIR`, because Vulkan loaders complain about it on stderr.
-pub fn start_log() {
+/// warnings; errors where `verbosity` is quiet, everything where it is verbose). It also sets a missing
+/// `XDG_RUNTIME_DIR`, because Vulkan loaders complain about it on stderr.
+pub fn start_log(verbosity: Verbosity) {
+    match verbosity {
+        Verbosity::Quiet => console::be_quiet(),
+        Verbosity::Usual => {}
+        // Workers inherit it.
+        // SAFETY: called first in `main`, before any other thread exists.
+        Verbosity::Verbose => unsafe { std::env::set_var("LOOMTREE_LOG", "loomtree=debug") },
+    }
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: called first in `main`, before any other thread exists.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
     signals::survive_file_size_limit();
     limits::raise_descriptor_limit();
+    let usual = if verbosity == Verbosity::Quiet { "loomtree=error" } else { "loomtree=warn" };
     let filter = tracing_subscriber::EnvFilter::try_from_env("LOOMTREE_LOG")
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("loomtree=warn"));
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(usual));
     // Errors of the log itself would go to the stream that has just failed, through a macro that then panics.
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
     // A second call (in tests) keeps the first log.

@@ -6,6 +6,7 @@ use super::CliError;
 use super::run_lines::{conclude, introduce};
 use super::start_state::Places;
 use super::view::{PageArgs, serve};
+use crate::coordinator::plan::scene_text;
 use crate::coordinator::{GivenOptions, Launch, PlanError, RunOptions, RunPlaces, RunPlan, Scope, TimeOptions};
 use crate::os::console::note;
 use crate::os::signals;
@@ -90,7 +91,8 @@ fn make(
     }
     let parsed = match recorded_scene {
         Some(text) => read_str(text, &places.scene),
-        None => read(&places.scene),
+        None if options.set.is_empty() => read(&places.scene),
+        None => scene_text(&places.scene, &options.set).and_then(|text| read_str(&text, &places.scene)),
     };
     // A resumed run has kept what it took from the run that it started from.
     let kept = (places.existing == Existing::Resume).then(|| places.out.join("start.ltc"));
@@ -160,6 +162,9 @@ fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
             (manifest.scene_path, Some(text))
         }
     };
+    if !args.options.options.set.is_empty() {
+        return Err(CliError::bad_input("--set changes the scene, so it cannot go with --resume or --only-segment"));
+    }
     let options = args.options.over(&recorded).map_err(CliError::bad_input)?;
     let places = RunPlaces { scene, out, existing };
     Ok(Resolved { places, options, recorded_scene })

@@ -3,6 +3,7 @@
 use super::CliError;
 use super::run_lines::{conclude, introduce};
 use super::start_state::Places;
+use crate::coordinator::plan::scene_text;
 use crate::coordinator::{Launch, PlanError, RunOptions, RunPlaces, Scope, TimeError, TimePlan, run_split};
 use crate::os::console::note;
 use crate::os::signals;
@@ -19,8 +20,7 @@ pub(super) fn run(
 ) -> Result<(), CliError> {
     let text = match recorded {
         Some(text) => text.to_string(),
-        None => std::fs::read_to_string(&places.scene)
-            .map_err(|error| CliError::bad_input(format!("cannot read {}: {error}", places.scene.display())))?,
+        None => scene_text(&places.scene, &options.set).map_err(CliError::bad_input)?,
     };
     let plan = TimePlan::new(&text, &places.scene, options).map_err(|error| match error {
         TimeError::Plan(PlanError::Scene(mut error)) => {

@@ -58,6 +58,10 @@ pub struct RunOptions {
     #[arg(long, value_name = "TRIANGLES", value_parser = count)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<u64>,
+    /// Set a field of the scene, as often as needed: simulation.friction=0.5, cloth.0.fabric=silk
+    #[arg(long, value_name = "FIELD=VALUE")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub set: Vec<String>,
     /// Start with the positions and velocities that the cloth of another run has at a frame, or at its newest state;
     /// the scene may have other physics, pins and obstacles, or a finer level of the sheets
     #[arg(long, value_name = "RUN[:FRAME]")]

@@ -11,7 +11,7 @@ use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology
 use crate::math::DIM;
 use crate::model::{GlobalModel, RankModel};
 use crate::partition::RowPartition;
-use crate::scene::{Overrides, ParsedScene, Scene, SceneError, Untangling, read, read_str};
+use crate::scene::{Overrides, ParsedScene, Scene, SceneError, Untangling, read, read_str, set_fields};
 use crate::solver::ExchangeMode;
 use crate::transport::{RANKS_MAX, STAMP_VALUES};
 
@@ -71,6 +71,9 @@ pub struct RunPlan {
 impl RunPlan {
     /// Reads and checks everything.
     pub fn new(scene_path: &Path, options: &RunOptions) -> Result<RunPlan, PlanError> {
+        if !options.set.is_empty() {
+            return RunPlan::of_text(&scene_text(scene_path, &options.set)?, scene_path, options);
+        }
         RunPlan::of_parsed(&read(scene_path)?, options, None)
     }
 
@@ -163,6 +166,19 @@ impl RunPlan {
         let sub_vector_bytes = self.partition.sub_vector_rows() as f64 * ROW_BYTES;
         Some(RankLinks::of(topology, &self.transfers, sub_vector_bytes, &halo_traffic(model, &self.partition)))
     }
+}
+
+/// The text of a scene file with the fields of `--set`.
+///
+/// # Errors
+/// The file cannot be read, is no TOML, or has no place for a field.
+pub fn scene_text(path: &Path, set: &[String]) -> Result<String, SceneError> {
+    let fault = |what: String| SceneError::File { path: path.into(), what };
+    let text = std::fs::read_to_string(path).map_err(|error| fault(format!("cannot be read: {error}")))?;
+    if !set.is_empty() && path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("toml")) {
+        return Err(fault("--set is for scenes in TOML".into()));
+    }
+    set_fields(&text, set).map_err(fault)
 }
 
 /// Refuses a number of workers that is out of range or exceeds the number of rows. `few` is the text before the

@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::os::console::note;
+use crate::os::console::{is_quiet, note};
 use crate::step::StepStats;
 
 /// Progress of a run.
@@ -16,7 +16,7 @@ pub(super) struct Progress {
 impl Progress {
     /// Progress of `frames` frames, of which `done` exist already.
     pub(super) fn new(frames: u32, done: u32) -> Progress {
-        let bar = std::io::stderr().is_terminal().then(|| {
+        let bar = (std::io::stderr().is_terminal() && !is_quiet()).then(|| {
             let bar = ProgressBar::new(frames as u64).with_position(done as u64);
             if let Ok(style) = ProgressStyle::with_template("{bar:40} frame {pos}/{len}  {msg}  left {eta}") {
                 bar.set_style(style);

@@ -230,6 +230,18 @@ impl Recorder {
             memory_bytes_per_rank: ranks.iter().map(|rank| rank.memory_bytes).collect(),
             resident_bytes_per_rank: ranks.iter().map(|rank| rank.resident_bytes).collect(),
         };
+        tracing::debug!(
+            "step {}: {} iterations to {:.2e}, {} contacts, {} zones in {} rounds, {:.2} ms (solve {:.2}), {} bytes",
+            record.step,
+            record.iterations,
+            record.residual,
+            record.contacts,
+            record.zones.zones,
+            record.zones.rounds,
+            1e3 * record.stage_seconds.total,
+            1e3 * record.stage_seconds.solve,
+            record.bytes_moved
+        );
         if first.breakdowns > 0 {
             tracing::warn!(
                 "step {}: the solve broke off {} times, the step was made in {} parts",

@@ -3,11 +3,32 @@
 
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Whether [`note`] says nothing.
+static QUIET: AtomicBool = AtomicBool::new(false);
+
+/// From now on [`note`] says nothing; errors are still written.
+pub fn be_quiet() {
+    QUIET.store(true, Ordering::Relaxed);
+}
+
+/// Whether [`be_quiet`] was called.
+pub fn is_quiet() -> bool {
+    QUIET.load(Ordering::Relaxed)
+}
+
+/// Writes one line about a failure to stderr. A stream that is closed or full loses the line.
+pub fn complain(line: impl Display) {
+    // One write per line, so that lines of several processes do not mix.
+    let _ = io::stderr().write_all(format!("{line}\n").as_bytes());
+}
 
 /// Writes one line of progress or advice to stderr. A stream that is closed or full loses the line.
 pub fn note(line: impl Display) {
-    // One write per line, so that lines of several processes do not mix.
-    let _ = io::stderr().write_all(format!("{line}\n").as_bytes());
+    if !is_quiet() {
+        complain(line);
+    }
 }
 
 /// Writes a result to stdout.

@@ -36,7 +36,8 @@ pub struct Account<'a> {
 pub fn account(account: &Account) -> Result<String, PlotError> {
     let report = account.report;
     let header = &report.header;
-    let title = format!("{}: {} triangles on {} workers", header.scene, header.triangles, header.workers);
+    let workers = if header.workers == 1 { "worker" } else { "workers" };
+    let title = format!("{}: {} triangles on {} {workers}", header.scene, header.triangles, header.workers);
     let mut html = format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<title>{}</title>\n\
          <style>{STYLE}</style>\n\

@@ -12,6 +12,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use super::RunDirectory;
 use super::atomic::{WriteError, write_atomically};
+use crate::scene::set_fields;
 
 /// The content of `run.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -129,7 +130,16 @@ impl RunManifest {
     }
 
     /// The scene's text as this version has to read it: sheets of a run from the time of grids say that they are grids.
+    /// Fields that the run was given (`--set`) are set.
     pub fn text_to_read(&self) -> String {
+        let given = self.flags.get("set").and_then(toml::Value::as_array);
+        let given: Vec<String> = given.into_iter().flatten().filter_map(|f| f.as_str().map(str::to_string)).collect();
+        let text = self.grids_to_read();
+        // The run has set them, so they can be set.
+        set_fields(&text, &given).unwrap_or(text)
+    }
+
+    fn grids_to_read(&self) -> String {
         let old = self.sheets.is_none().then(|| self.scene_text.parse::<toml::Table>());
         // What is no TOML has no sheets.
         let Some(Ok(mut scene)) = old else { return self.scene_text.clone() };

@@ -121,9 +121,9 @@ pub(super) const CLOTH_FIELDS: [&str; 20] = [
 /// Most times that the triangles of a mesh are divided into four.
 const SUBDIVIDE_MOST: u64 = 6;
 
-const SHEET_FIELDS: [&str; 4] = ["size_m", "radius_m", "triangles", "mesh"];
+pub(super) const SHEET_FIELDS: [&str; 4] = ["size_m", "radius_m", "triangles", "mesh"];
 
-const GARMENT_FIELDS: [&str; 8] =
+pub(super) const GARMENT_FIELDS: [&str; 8] =
     ["kind", "ease_m", "hem_m", "width_m", "pleats", "pleat_depth_m", "open", "triangles"];
 
 /// Triangles of every cloth's sheet or garment (0 for a mesh). Without a count of its own, it gets a share of the

@@ -6,24 +6,26 @@ use super::fields::{Fields, Value};
 use super::model::{CONTACT_STIFFNESS, DEFAULT_THICKNESS_M};
 use super::{PreconditionerKind, SceneError, Settings, Substeps};
 
+pub(super) const SIMULATION_FIELDS: [&str; 13] = [
+    "step_s",
+    "substeps",
+    "frames",
+    "steps_per_frame",
+    "frame_s",
+    "gravity_m_s2",
+    "relative_tolerance",
+    "max_iterations",
+    "preconditioner",
+    "thickness_m",
+    "friction",
+    "collisions",
+    "contact_stiffness",
+];
+pub(super) const AIR_FIELDS: [&str; 3] = ["wind_m_s", "density_kg_m3", "drag_kg_m2_s"];
+
 /// Reads the settings from the document `root`.
 pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Settings, SceneError> {
-    let known = [
-        "step_s",
-        "substeps",
-        "frames",
-        "steps_per_frame",
-        "frame_s",
-        "gravity_m_s2",
-        "relative_tolerance",
-        "max_iterations",
-        "preconditioner",
-        "thickness_m",
-        "friction",
-        "collisions",
-        "contact_stiffness",
-    ];
-    let simulation = root.table("simulation", &known)?;
+    let simulation = root.table("simulation", &SIMULATION_FIELDS)?;
     let (step_s, steps_per_frame) = step(&simulation, warnings)?;
     let vector = |value: &Value| Ok(value.vector()?.as_vec3());
     let relative_tolerance = simulation.or("relative_tolerance", 0.01, Value::positive)?;
@@ -31,7 +33,7 @@ pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Sett
         return Err(simulation.error_at("relative_tolerance", format!("must be below 1, not {relative_tolerance}")));
     }
     // Without `[air]` there is no air, so that free fall has no drag.
-    let air = root.table("air", &["wind_m_s", "density_kg_m3", "drag_kg_m2_s"])?;
+    let air = root.table("air", &AIR_FIELDS)?;
     let density = if root.get("air").is_some() { 1.2 } else { 0.0 };
     Ok(Settings {
         step_s,

@@ -1,0 +1,111 @@
+//! `--set simulation.friction=0.5`: fields of a TOML scene given on the command line.
+
+use toml::{Table, Value};
+
+/// The text of a scene with fields set, each as `path=value`: names of tables and fields, separated by dots, with
+/// numbers or names for one of several (`cloth.0.fabric=silk`, `obstacle.ball.friction=1`). A value is TOML, or else
+/// text.
+///
+/// # Errors
+/// One sentence: the text is not TOML, or a path leads nowhere.
+pub fn set_fields(text: &str, fields: &[String]) -> Result<String, String> {
+    if fields.is_empty() {
+        return Ok(text.to_string());
+    }
+    let mut scene: Table = text.parse().map_err(|error: toml::de::Error| error.message().replace('\n', ", "))?;
+    for field in fields {
+        let wrong = |what: &str| format!("--set {field}: {what}");
+        let (path, value) =
+            field.split_once('=').ok_or_else(|| wrong("write FIELD=VALUE, as simulation.friction=0.5"))?;
+        let names: Vec<&str> = path.trim().split('.').collect();
+        if names.iter().any(|name| name.is_empty()) {
+            return Err(wrong("a name is empty"));
+        }
+        set(&mut scene, &names, value_of(value.trim())).map_err(|what| wrong(&what))?;
+    }
+    toml::to_string(&scene).map_err(|error| error.to_string())
+}
+
+/// A TOML value; what is none is text.
+fn value_of(text: &str) -> Value {
+    let table: Option<Table> = format!("value = {text}").parse().ok();
+    let value = table.filter(|table| table.len() == 1).and_then(|mut table| table.remove("value"));
+    value.unwrap_or_else(|| Value::String(text.to_string()))
+}
+
+fn set(table: &mut Table, names: &[&str], value: Value) -> Result<(), String> {
+    let (name, rest) = names.split_first().ok_or("a name is missing")?;
+    if rest.is_empty() {
+        table.insert((*name).to_string(), value);
+        return Ok(());
+    }
+    // A table that the scene leaves out has its defaults.
+    let next = table.entry(*name).or_insert_with(|| Value::Table(Table::new()));
+    match next {
+        Value::Table(next) => set(next, rest, value),
+        Value::Array(list) => {
+            let (which, rest) = rest.split_first().ok_or("a name is missing")?;
+            let named = |entry: &Value| entry.get("name").and_then(Value::as_str) == Some(which);
+            let count = list.len();
+            let place = which.parse().ok().filter(|place| *place < count).or_else(|| list.iter().position(named));
+            let place = place.ok_or_else(|| format!("there is no `{which}` among the {count} of `{name}`"))?;
+            match &mut list[place] {
+                Value::Table(next) if !rest.is_empty() => set(next, rest, value),
+                entry if rest.is_empty() => {
+                    *entry = value;
+                    Ok(())
+                }
+                _ => Err(format!("`{name}.{which}` has no fields")),
+            }
+        }
+        _ => Err(format!("`{name}` has no fields")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SCENE: &str =
+        "name = \"a\"\n[[cloth]]\nname = \"flag\"\nsheet = { size_m = [3, 2] }\n[[cloth]]\nmesh = \"b.obj\"\n";
+
+    #[test]
+    fn fields_are_set_wherever_they_are() {
+        let fields = [
+            "simulation.friction=0.5",
+            "simulation.preconditioner = jacobi",
+            "cloth.0.fabric=silk",
+            "cloth.flag.sheet.size_m=[1, 1]",
+            "cloth.1.mesh=\"c.obj\"",
+            "air.wind_m_s.0=3",
+            "resolution=2_000",
+        ];
+        let some: Vec<String> =
+            fields.iter().filter(|field| !field.starts_with("air")).map(|f| f.to_string()).collect();
+        let scene: Table = set_fields(SCENE, &some).unwrap().parse().unwrap();
+        assert_eq!(scene["simulation"]["friction"].as_float(), Some(0.5));
+        assert_eq!(scene["simulation"]["preconditioner"].as_str(), Some("jacobi"));
+        assert_eq!(scene["cloth"][0]["fabric"].as_str(), Some("silk"));
+        assert_eq!(scene["cloth"][0]["sheet"]["size_m"][0].as_integer(), Some(1));
+        assert_eq!((scene["cloth"][1]["mesh"].as_str(), scene["resolution"].as_integer()), (Some("c.obj"), Some(2000)));
+        assert_eq!(set_fields(SCENE, &[]).unwrap(), SCENE);
+        let windy = format!("{SCENE}[air]\nwind_m_s = [1, 2, 3]\n");
+        let scene: Table = set_fields(&windy, &["air.wind_m_s.0=3".to_string()]).unwrap().parse().unwrap();
+        assert_eq!(scene["air"]["wind_m_s"][0].as_integer(), Some(3));
+    }
+
+    #[test]
+    fn a_wrong_field_is_one_sentence() {
+        for (field, what) in [
+            ("friction", "write FIELD=VALUE"),
+            ("simulation..friction=1", "a name is empty"),
+            ("cloth.silk.fabric=x", "there is no `silk` among the 2 of `cloth`"),
+            ("name.first=x", "`name` has no fields"),
+            ("cloth.9.fabric=x", "there is no `9`"),
+        ] {
+            let error = set_fields(SCENE, &[field.to_string()]).unwrap_err();
+            assert!(error.starts_with(&format!("--set {field}: ")) && error.contains(what), "{error}");
+        }
+        assert!(set_fields("[[", &["a=1".to_string()]).is_err());
+    }
+}

@@ -1,0 +1,123 @@
+//! The command line as a whole: help, completions, a scene to start from, how much is said, fields set from outside,
+//! the report of a run as one file.
+
+use support::process::{Place, flag};
+
+#[test]
+fn help_is_at_most_100_columns_wide() {
+    let place = Place::new();
+    let help = place.run("--help").expect(0).stdout;
+    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let commands: Vec<String> = listed
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
+        .filter_map(|line| line.split_whitespace().next().map(str::to_string))
+        .collect();
+    assert!(commands.len() > 12, "{commands:?}");
+    for command in commands.iter().filter(|command| *command != "help") {
+        let help = place.run(&format!("{command} --help")).expect(0).stdout;
+        let widest = help.lines().max_by_key(|line| line.chars().count()).unwrap();
+        assert!(widest.chars().count() <= 100, "{command}: {} columns: {widest}", widest.chars().count());
+    }
+}
+
+#[test]
+fn shells_can_complete_every_command() {
+    let place = Place::new();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = place.run(&format!("completions {shell}")).expect(0).stdout;
+        for word in ["view", "segments", "resolution", "report"] {
+            assert!(script.contains(word), "{shell} knows no {word}");
+        }
+    }
+    let ended = place.run("completions tcsh").expect(2);
+    assert!(ended.stderr.contains("tcsh"), "{}", ended.story);
+}
+
+#[test]
+fn a_scene_to_start_from_is_valid_and_is_not_overwritten() {
+    let place = Place::new();
+    place.run("init a.toml").expect(0);
+    let ended = place.run("check a.toml").expect(0);
+    assert!(!ended.stderr.contains("warning"), "{}", ended.story);
+    let ended = place.run("init a.toml").expect(2);
+    assert!(ended.error().contains("a.toml is there already; --overwrite replaces it"), "{}", ended.story);
+    place.run("init a.toml --overwrite").expect(0);
+    let ended = place.run("init a.txt").expect(2);
+    assert!(ended.error().contains("ends in .toml"), "{}", ended.story);
+    let schema: serde_json::Value = serde_json::from_str(&place.run("schema").expect(0).stdout).unwrap();
+    assert!(schema["properties"]["simulation"]["properties"]["friction"].is_object());
+    place.run("schema --out s.json").expect(0);
+    assert_eq!(
+        serde_json::from_slice::<serde_json::Value>(&std::fs::read(place.path("s.json")).unwrap()).unwrap(),
+        schema
+    );
+}
+
+#[test]
+fn quiet_says_nothing_and_verbose_says_every_step() {
+    let place = Place::new();
+    place.write("flag.toml", flag(256, 3, 2));
+    let run = |more: &str, out: &str| {
+        place.run(&format!("run flag.toml --executor cpu --workers 1 --threads 1 --out {out} {more}")).expect(0).stderr
+    };
+    assert_eq!(run("-q", "a"), "");
+    let usual = run("", "b");
+    assert!(usual.contains("frame 2/2") && !usual.contains("step 4: "), "{usual}");
+    let verbose = run("-v", "c");
+    for step in 1..=6 {
+        assert!(verbose.contains(&format!("step {step}: ")), "{step}: {verbose}");
+    }
+    assert_eq!(place.hashes("a"), place.hashes("c"));
+    let ended = place.run("-q run nowhere.toml").expect(2);
+    assert!(ended.error().contains("nowhere.toml"), "{}", ended.story);
+}
+
+#[test]
+fn fields_of_a_scene_are_set_on_the_command_line() {
+    let place = Place::new();
+    place.write("flag.toml", flag(256, 3, 4));
+    place.write("heavy.toml", flag(256, 3, 4).replace("step_s = 0.004", "step_s = 0.004\ngravity_m_s2 = [0, -3, 0]"));
+    let of = "--executor cpu --workers 1 --threads 1";
+    place.run(&format!("run heavy.toml {of} --out expected")).expect(0);
+    place.run(&format!("run flag.toml {of} --out plain")).expect(0);
+    let set = "--set simulation.gravity_m_s2=[0,-3,0]";
+    place.run(&format!("run flag.toml {of} {set} --frames 2 --out set")).expect(0);
+    // A run that goes on keeps what was set.
+    place.run("run --resume --out set --frames 4").expect(0);
+    assert_eq!(place.hashes("set"), place.hashes("expected"));
+    assert_ne!(place.hashes("set"), place.hashes("plain"));
+    for (words, sentence) in [
+        (format!("run flag.toml {of} --set simulation.frictoin=1 --out x"), "frictoin"),
+        (format!("run flag.toml {of} --set friction --out x"), "write FIELD=VALUE"),
+        (format!("run flag.toml {of} --set cloth.shirt.friction=1 --out x"), "there is no `shirt`"),
+        ("run --resume --out set --set simulation.friction=1".to_string(), "cannot go with --resume"),
+    ] {
+        let ended = place.run(&words).expect(2);
+        assert!(ended.error().contains(sentence), "{}", ended.story);
+    }
+}
+
+#[test]
+fn a_report_is_one_file_with_pictures_curves_and_a_timeline() {
+    let place = Place::new();
+    place.write("flag.toml", flag(256, 3, 4));
+    place.run("run flag.toml --executor cpu --workers 2 --threads 1 --out run").expect(0);
+    place.run("report run --executor cpu --pictures 3").expect(0);
+    let html = std::fs::read_to_string(place.path("run/report.html")).unwrap();
+    assert_eq!(html.matches("data:image/png;base64,iVBOR").count(), 3);
+    for part in
+        ["frame 0", "frame 2", "frame 4", "Iterations of a step", "Time of a step", "rank 1", "What the workers did"]
+    {
+        assert!(html.contains(part), "{part}");
+    }
+    for outside in ["<script", "src=\"http", "<link", "@import"] {
+        assert!(!html.contains(outside), "{outside}");
+    }
+    // Without frames or a trace there is still a report; without a run there is none.
+    std::fs::remove_dir_all(place.path("run/frames")).unwrap();
+    std::fs::remove_file(place.path("run/trace.json")).unwrap();
+    place.run("report run --out other.html").expect(0);
+    assert!(!std::fs::read_to_string(place.path("other.html")).unwrap().contains("data:image"));
+    let ended = place.run("report nowhere").expect(2);
+    assert!(ended.error().contains("nowhere is not a run directory"), "{}", ended.story);
+}
