@@ -76,6 +76,19 @@ fn garments_start_around_the_body_at_any_resolution() {
 }
 
 #[test]
+fn shipped_scenes_start_at_any_resolution_and_hold_the_waist() {
+    for name in ["dress", "kneel", "karate", "princess", "pleats"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes").join(name).with_extension("toml");
+        let parsed = loomtree::scene::read(&path).unwrap();
+        for resolution in [None, Some(5_000)] {
+            let scene = parsed.at(&Overrides { resolution, frames: None }).unwrap();
+            assert_eq!(scene.name, name);
+            assert!(scene.pins.len() > 20 && scene.followed == [0], "{name}: {} pins", scene.pins.len());
+        }
+    }
+}
+
+#[test]
 fn a_garment_keeps_its_ease_from_the_body() {
     let scene = person("", "kind = \"dress\", triangles = 3000, ease_m = 0.02");
     let body = body_at(&scene, 0.0);
