@@ -10,10 +10,10 @@
 //! Forces and their slopes are continuous, and the limit needs no multiplier that a state would have to remember.
 //! `stretch` adds S to the stress of the triangle: forces, and the stiffness that tension gives across it. The
 //! stiffness along d is K (F d)(F d)' d d', positive semidefinite and of rank one, which a triangle record has no place
-//! for. It is the largest slope instead of that at e, an upper bound. Here it is a record like that of a hinge (layout:
+//! for. It is the slope at e, but at least 0.3 of the largest one. Here it is a record like that of a hinge (layout:
 //! `bend`) whose gradients are w_a F d at corner a of the triangle, w_a = u_a d_u + v_a d_v, and zero at the fourth
-//! corner. Where both principal stretches are out of the limits, the stiffness is K in all directions instead, which
-//! the triangle record holds. Limits of warp, weft and shear by themselves need no fiber: d is a direction of the
+//! corner. Where both principal stretches are out of the limits, the larger slope is there in all directions instead,
+//! which the triangle record holds. Limits of warp, weft and shear by themselves need no fiber: d is a direction of the
 //! fabric there, and their stiffness adds to that of warp, weft and shear in the triangle record. The strain of shear
 //! beyond its limit is (|x_u . x_v| - sin(limit) |x_u| |x_v|) / 2.
 

@@ -6,6 +6,8 @@ use crate::math::{Vec2, Vec3};
 
 /// Green strain beyond the limit from which on the slope of a fiber's stress does not grow.
 const LIMIT_BEND: f32 = 0.0025;
+/// The matrix has at least this part of the largest slope of a fiber's stress.
+const LIMIT_SLOPE_LEAST: f32 = 0.3;
 
 /// What the strain limits of a fabric add to a triangle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -32,9 +34,10 @@ pub(super) fn fiber_stress(stiffness: f32, beyond: f32) -> f32 {
     beyond.signum() * stiffness * (bent / LIMIT_BEND) * (size - 0.5 * bent)
 }
 
-/// Largest slope of [`fiber_stress`] on the side of the limit where `beyond` is; 0 within it.
+/// The slope of [`fiber_stress`] that the matrix has: at least 0.3 of the largest one, so that a triangle that has just
+/// gone beyond its limit meets resistance at once; 0 within it.
 pub(super) fn fiber_slope(stiffness: f32, beyond: f32) -> f32 {
-    if beyond == 0.0 { 0.0 } else { stiffness }
+    if beyond == 0.0 { 0.0 } else { stiffness * (beyond.abs() / LIMIT_BEND).clamp(LIMIT_SLOPE_LEAST, 1.0) }
 }
 
 /// The limits of a triangle with this deformation `[x_u, x_v]` and its rate, `ahead_s` after the state.

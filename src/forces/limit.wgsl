@@ -2,6 +2,8 @@
 
 // Green strain beyond the limit from which on the slope of a fiber's stress does not grow.
 const LIMIT_BEND: f32 = 0.0025;
+// The matrix has at least this part of the largest slope of a fiber's stress.
+const LIMIT_SLOPE_LEAST: f32 = 0.3;
 
 struct Limit {
     // Second Piola stress uu, vv, uv, N/m: that of the state, or that of the end of the step.
@@ -35,11 +37,12 @@ fn has_fibers(table: LimitTable) -> bool {
     return table.stiffness > 0.0 && table.every.y < FREE;
 }
 
-// Stress of a fiber at the Green strain `beyond` its limit, and its largest slope.
+// Stress of a fiber at the Green strain `beyond` its limit, and the slope that the matrix has.
 fn fiber_law(stiffness: f32, beyond: f32) -> vec2<f32> {
     let bent = min(abs(beyond), LIMIT_BEND);
     let stress = sign(beyond) * stiffness * (bent / LIMIT_BEND) * (abs(beyond) - 0.5 * bent);
-    return vec2<f32>(stress, select(0.0, stiffness, beyond != 0.0));
+    let slope = stiffness * clamp(abs(beyond) / LIMIT_BEND, LIMIT_SLOPE_LEAST, 1.0);
+    return vec2<f32>(stress, select(0.0, slope, beyond != 0.0));
 }
 
 fn beyond_of(value: f32, least: f32, most: f32) -> f32 {
