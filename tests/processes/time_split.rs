@@ -414,6 +414,8 @@ fn what_is_still_coarse_is_marked() {
     }
     let drawn = place.run("render again --size 64x48 --executor cpu").expect(0);
     assert!(!drawn.stderr.contains("coarse run"), "{}", drawn.stderr);
+    let predicted = place.run("predict again --topology topology/dgx1_8.toml").expect(2).stderr;
+    assert!(predicted.contains("again is split in time"), "{predicted}");
     let trace = std::fs::read_to_string(place.path("again/trace.json")).expect("a trace");
     let events: Vec<serde_json::Value> = serde_json::from_str(&trace).expect("JSON");
     assert!(events.iter().any(|event| event["ph"] == "X" && event["name"].as_str().unwrap().starts_with("seam 1")));

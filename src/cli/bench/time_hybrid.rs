@@ -76,6 +76,11 @@ pub(super) fn table(
             _ => spaces.push(space),
         }
     }
+    if spaces[0].memory_bytes == 0.0 {
+        // One worker holds what several hold together, or less, since they hold some rows twice.
+        let all = spaces.iter().map(|space| space.memory_bytes * space.workers as f64);
+        spaces[0].memory_bytes = all.fold(0.0, f64::max);
+    }
     let costs = &shot.costs;
     let limit_bytes = machine.device().memory_gb * 1e9;
     let title = format!(

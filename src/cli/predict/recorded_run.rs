@@ -30,6 +30,13 @@ impl RecordedRun {
             (Report::load(&run.join("report.json")), events.join())
         });
         let report = report.map_err(CliError::bad_input)?;
+        if !report.segments.is_empty() {
+            return Err(CliError::bad_input(format!(
+                "{} is split in time; this re-times the steps of a plain run (--segments 1), and `loomtree bench time` \
+                 plays splits, with --ranks in space and time",
+                run.display()
+            )));
+        }
         let events = events.map_err(|_| CliError::failed("reading the trace failed"))?.map_err(CliError::bad_input)?;
         let ranks = events.values().map(Vec::len).max().unwrap_or(0);
         Ok(RecordedRun { trace, report, ranks, events })
