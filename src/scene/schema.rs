@@ -60,16 +60,17 @@ mod tests {
             }
             "additionalProperties" => {
                 let known = schema["properties"].as_object().unwrap();
-                value.as_object().unwrap().keys().all(|name| known.contains_key(name))
+                value.as_object().is_none_or(|value| value.keys().all(|name| known.contains_key(name)))
             }
             "required" => wanted.as_array().unwrap().iter().all(|name| value.get(name.as_str().unwrap()).is_some()),
-            "items" => value.as_array().unwrap().iter().all(|value| fits(value, wanted, root)),
-            "minItems" => value.as_array().unwrap().len() as u64 >= wanted.as_u64().unwrap(),
-            "maxItems" => value.as_array().unwrap().len() as u64 <= wanted.as_u64().unwrap(),
-            "minimum" => value.as_f64().unwrap() >= wanted.as_f64().unwrap(),
-            "maximum" => value.as_f64().unwrap() <= wanted.as_f64().unwrap(),
-            "exclusiveMinimum" => value.as_f64().unwrap() > wanted.as_f64().unwrap(),
-            "exclusiveMaximum" => value.as_f64().unwrap() < wanted.as_f64().unwrap(),
+            // Words about other types than that of the value say nothing.
+            "items" => value.as_array().is_none_or(|value| value.iter().all(|value| fits(value, wanted, root))),
+            "minItems" => value.as_array().is_none_or(|value| value.len() as u64 >= wanted.as_u64().unwrap()),
+            "maxItems" => value.as_array().is_none_or(|value| value.len() as u64 <= wanted.as_u64().unwrap()),
+            "minimum" => value.as_f64().is_none_or(|value| value >= wanted.as_f64().unwrap()),
+            "maximum" => value.as_f64().is_none_or(|value| value <= wanted.as_f64().unwrap()),
+            "exclusiveMinimum" => value.as_f64().is_none_or(|value| value > wanted.as_f64().unwrap()),
+            "exclusiveMaximum" => value.as_f64().is_none_or(|value| value < wanted.as_f64().unwrap()),
             "enum" => wanted.as_array().unwrap().contains(value),
             "const" => value == wanted,
             "oneOf" => wanted.as_array().unwrap().iter().filter(|one| fits(value, one, root)).count() == 1,
