@@ -59,13 +59,13 @@ impl Answers {
                 Ok(lanes) => Answer::json(&lanes.links()),
                 Err(why) => Answer::unavailable(why),
             },
-            ["lanes", step] => match (&*run.lanes(), step.parse()) {
-                (Ok(lanes), Ok(step)) => match lanes.step(step) {
+            ["lanes", step] => match (step.parse(), &*run.lanes()) {
+                (Err(_), _) => unknown(),
+                (Ok(_), Err(why)) => Answer::unavailable(why),
+                (Ok(step), Ok(lanes)) => match lanes.step(step) {
                     Some(lanes) => Answer::json(&lanes),
                     None => Answer::unavailable(format!("step {step} was not traced")),
                 },
-                (Err(why), _) => Answer::unavailable(why),
-                _ => unknown(),
             },
             _ => unknown(),
         }

@@ -71,7 +71,8 @@ impl Watched {
         let started_unix_s = inner.report.as_ref().map_or(0, |(_, report)| report.header.started_unix_s);
         let lost = inner.frames.iter().any(|frame| frames.binary_search(frame).is_err());
         // A run that is gone is still shown; it is another one when it comes back.
-        if (lost && !frames.is_empty()) || (started_unix_s != inner.started_unix_s && inner.started_unix_s != 0) {
+        let started_anew = ![0, inner.started_unix_s].contains(&started_unix_s) && inner.started_unix_s != 0;
+        if (lost && !frames.is_empty()) || started_anew {
             inner.generation += 1;
         }
         if !frames.is_empty() || !lost {
