@@ -360,12 +360,12 @@ mod tests {
         let mut mesh = sphere();
         (0..times).for_each(|_| mesh = mesh.divided());
         let (n, m) = (mesh.positions.len(), mesh.triangles.len());
-        let vertex = |v: u32| (v as usize * 7 + 3) % n;
-        assert!(!n.is_multiple_of(7) && !m.is_multiple_of(11));
+        let vertex = |v: u32| (v as usize * 11 + 3) % n;
+        assert!(!n.is_multiple_of(11) && !m.is_multiple_of(13));
         let mut other = mesh.clone();
         (0..n).for_each(|v| other.positions[vertex(v as u32)] = mesh.positions[v]);
         for t in 0..m {
-            let to = (t * 11 + 5) % m;
+            let to = (t * 13 + 5) % m;
             other.triangles[to] = mesh.triangles[t].map(|v| vertex(v) as u32);
             other.material_uv[to] = mesh.material_uv[t];
             other.triangles[to].rotate_left(t % 3);

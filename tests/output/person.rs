@@ -83,7 +83,8 @@ fn shipped_scenes_start_at_any_resolution_and_hold_the_waist() {
         for resolution in [None, Some(5_000)] {
             let scene = parsed.at(&Overrides { resolution, frames: None }).unwrap();
             assert_eq!(scene.name, name);
-            assert!(scene.pins.len() > 20 && scene.followed == [0], "{name}: {} pins", scene.pins.len());
+            // The waist is a ring of vertices, some 20 of them on the coarsest dress.
+            assert!(scene.pins.len() >= 16 && scene.followed == [0], "{name}: {} pins", scene.pins.len());
         }
     }
 }
