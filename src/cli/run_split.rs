@@ -62,8 +62,8 @@ fn bound(plan: &TimePlan) -> String {
     };
     let segments = plan.options.segments;
     let mut line = format!(
-        "{segments} processes side by side could be {:.1} times as fast as one [Liang and Lin 2018, Eq. 16: N = {steps}, \
-         K = {ratio:.0} expected, R + B at most {extra}]",
+        "{segments} processes side by side could be {:.1} times as fast as one [Liang and Lin 2018, Eq. 16: \
+         N = {steps}, K = {ratio:.0} expected, R + B at most {extra}]",
         of(segments)
     );
     // The largest number from which on doubling gains less than a tenth.

@@ -2,7 +2,7 @@
 
 import { category, css } from "./colors.js";
 import { groups } from "./lanes.js";
-import { element } from "./panel.js";
+import { blank, element } from "./panel.js";
 
 const MB = 2 ** 20;
 const number = (v) => (v === null || v === undefined || !isFinite(v) ? "\u2013"
@@ -94,12 +94,7 @@ export class Curves {
 
 function draw(chart, step) {
   const { canvas } = chart;
-  const ratio = window.devicePixelRatio || 1;
-  const [w, h] = [canvas.clientWidth, canvas.clientHeight];
-  canvas.width = w * ratio;
-  canvas.height = h * ratio;
-  const pen = canvas.getContext("2d");
-  pen.scale(ratio, ratio);
+  const { pen, w, h } = blank(canvas);
   pen.fillStyle = "#1a1f26";
   pen.fillRect(0, 0, w, h);
   let layers = chart.series;

@@ -2,7 +2,7 @@
 
 import { Curves } from "./curves.js";
 import { Lanes } from "./lanes.js";
-import { element } from "./panel.js";
+import { blank, element } from "./panel.js";
 
 const MB = 2 ** 20;
 const mm = (m) => (m === null || m === undefined ? "\u2013" : `${(1e3 * m).toPrecision(3)}`);
@@ -131,12 +131,7 @@ class Distances {
     this.line.textContent = found.length
       ? `rms distance of B from A, largest ${mm(Math.max(...found.map(([, d]) => d.rms_m)))} mm; aligned dashed (${found.length} frames)`
       : "no distance yet";
-    const ratio = window.devicePixelRatio || 1;
-    const [w, h] = [canvas.clientWidth, canvas.clientHeight];
-    canvas.width = w * ratio;
-    canvas.height = h * ratio;
-    const pen = canvas.getContext("2d");
-    pen.scale(ratio, ratio);
+    const { pen, w, h } = blank(canvas);
     const most = Math.max(1e-12, ...found.map(([, d]) => d.rms_m));
     const line = (value, color, dash) => {
       pen.strokeStyle = color;

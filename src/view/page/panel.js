@@ -2,6 +2,17 @@
 
 import { MAPS, category, css, gradient } from "./colors.js";
 
+/** Empties a canvas at the size that the page shows it at. `pen` draws on it in CSS pixels, `w` x `h` of them. */
+export function blank(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  const [w, h] = [canvas.clientWidth, canvas.clientHeight];
+  canvas.width = w * ratio;
+  canvas.height = h * ratio;
+  const pen = canvas.getContext("2d");
+  pen.scale(ratio, ratio);
+  return { pen, w, h };
+}
+
 /** An element with attributes and children. */
 export function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);

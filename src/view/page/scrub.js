@@ -1,6 +1,7 @@
 // The bar of frames: what is there, what is still coarse, what is missing; cuts of a split shot; click and drag.
 
 import { category, css } from "./colors.js";
+import { blank } from "./panel.js";
 
 export class Scrub {
   constructor(canvas, seek) {
@@ -23,12 +24,7 @@ export class Scrub {
 
   draw(runs, frame) {
     const { canvas } = this;
-    const ratio = window.devicePixelRatio || 1;
-    const [w, h] = [canvas.clientWidth, canvas.clientHeight];
-    canvas.width = w * ratio;
-    canvas.height = h * ratio;
-    const pen = canvas.getContext("2d");
-    pen.scale(ratio, ratio);
+    const { pen, w, h } = blank(canvas);
     this.last = Math.max(1, ...runs.map((run) => Math.max(run.wanted, run.lastFrame)));
     const x = (n) => 8 + ((w - 16) * n) / this.last;
     const half = (w - 16) / this.last / 2;
