@@ -146,7 +146,7 @@ impl Simulation {
         self.cloth.solver.spmv.traffic = TrafficCounter::default();
         let mut rank = RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
         self.cloth.advance_in_parts(&mut rank, span, &mut stats)?;
-        self.cloth.crease(&mut rank, &mut stats)?;
+        self.cloth.yield_beyond(&mut rank, &mut stats)?;
         if let Some(collisions) = &mut self.cloth.collisions {
             collisions.take_up(&mut rank, &mut stats)?;
         }
@@ -168,7 +168,8 @@ impl Simulation {
         let (executor, cloth) = (&self.executor, &mut self.cloth);
         let values = cloth.rows.len() * DIM;
         assert_eq!((state.positions.len(), state.velocities.len()), (values, values), "the state of the own rows");
-        cloth.elements.set_creases(executor, &state.creases);
+        cloth.elements.set_plastic(executor, &state);
+        cloth.take_rest_shapes(executor);
         if let Some(collisions) = &mut cloth.collisions {
             collisions.forget_state(&state.let_go);
         }

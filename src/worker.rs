@@ -168,8 +168,8 @@ impl Worker {
     /// A state of the own rows from the arrays of a message.
     fn state(&mut self, arrays: &[&[u8]]) -> Result<RankState, WorkerError> {
         let simulation = &self.loaded("a state")?.simulation;
-        let (rows, creases) = (simulation.rows().len(), simulation.creases());
-        RankState::from_bytes(arrays, rows, creases).map_err(|error| self.other(error.to_string()))
+        let (rows, plastic) = (simulation.rows().len(), simulation.plastic_counts());
+        RankState::from_bytes(arrays, rows, plastic).map_err(|error| self.other(error.to_string()))
     }
 
     fn step(&mut self, step: u32, record: bool, way: Way) -> Result<ControlFlow<()>, WorkerError> {

@@ -14,7 +14,7 @@ use super::plan::RunPlan;
 pub use super::watch::{Next, StepDone, Watch, Way};
 use crate::linear_system::{BlockSystem, SolveParams, SolveResult};
 use crate::math::{DIM, Vec3};
-use crate::model::{NotFinite, RankModel, RankState, State};
+use crate::model::{NotFinite, PlasticCounts, PlasticElements, RankModel, RankState, State};
 use crate::os::signals;
 use crate::partition::RowPartition;
 use crate::protocol::{ToCoordinator, ToWorker, WorkerReady, WorkerSetup};
@@ -58,6 +58,9 @@ pub enum SessionError {
     /// A state of another mesh, or of a scene of which other fabrics are plastic.
     #[error("a state of {creases} creases does not fit the loaded level, which has {hinges}")]
     UnfitCreases { creases: usize, hinges: usize },
+    /// A state of another mesh, or of a scene of which other fabrics stay stretched.
+    #[error("a state of {stretches} rest stretches does not fit the loaded level, which has {triangles}")]
+    UnfitStretches { stretches: usize, triangles: usize },
     /// A state that has let go of an obstacle that is not there.
     #[error("a state that has let go of obstacle {obstacle} does not fit the loaded level, which has {obstacles}")]
     NoObstacle { obstacle: u32, obstacles: usize },
@@ -74,10 +77,10 @@ struct Loaded {
     partition: RowPartition,
     /// Vertex of the mesh of every row.
     order: Vec<u32>,
-    /// As [`RankModel::hinges_of_ranks`].
-    hinges: Vec<Vec<u32>>,
-    /// Creases of a state.
-    creases: usize,
+    /// As [`RankModel::plastic_elements`].
+    plastic: Vec<PlasticElements>,
+    /// Of a state.
+    plastic_counts: PlasticCounts,
     obstacles: usize,
     step: u32,
 }
@@ -150,8 +153,8 @@ impl Session {
         })?;
         self.loaded = Some(Loaded {
             partition: level.partition,
-            hinges: RankModel::hinges_of_ranks(&model, &level.partition),
-            creases: model.original_hinge.len(),
+            plastic: RankModel::plastic_elements(&model, &level.partition),
+            plastic_counts: model.plastic_elements().counts(),
             obstacles: model.obstacles.len(),
             order: model.original_from_global,
             step: 0,
@@ -169,8 +172,13 @@ impl Session {
         if state.vertices() != Some(vertices) {
             return Err(SessionError::Unfit { positions: state.positions.len(), vertices });
         }
-        if state.creases.len() != loaded.creases {
-            return Err(SessionError::UnfitCreases { creases: state.creases.len(), hinges: loaded.creases });
+        let (found, loaded_counts) = (state.plastic_counts(), loaded.plastic_counts);
+        if found.creases != loaded_counts.creases {
+            return Err(SessionError::UnfitCreases { creases: found.creases, hinges: loaded_counts.creases });
+        }
+        if found.stretches != loaded_counts.stretches {
+            let (stretches, triangles) = (found.stretches, loaded_counts.stretches);
+            return Err(SessionError::UnfitStretches { stretches, triangles });
         }
         let obstacles = loaded.obstacles;
         if let Some(one) = state.let_go.iter().find(|one| one.obstacle as usize >= obstacles) {
@@ -178,7 +186,7 @@ impl Session {
         }
         let setup_limit = self.crew.setup_limit();
         for rank in 0..loaded.partition.ranks() {
-            let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)], &loaded.hinges[rank]);
+            let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)], &loaded.plastic[rank]);
             self.crew.send(rank, &ToWorker::SetState { step }, &part.to_bytes())?;
             self.crew.flush(rank, setup_limit)?;
         }
@@ -270,7 +278,7 @@ impl Session {
                     return Err(unfit(state.positions.len()));
                 }
                 for rank in 0..loaded.partition.ranks() {
-                    let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)], &loaded.hinges[rank]);
+                    let part = state.gather(&loaded.order[loaded.partition.rows_of(rank)], &loaded.plastic[rank]);
                     self.crew.send(rank, &ToWorker::Arrive { step, record }, &part.to_bytes())?;
                     self.crew.flush(rank, setup_limit)?;
                 }
@@ -284,14 +292,15 @@ impl Session {
     /// # Errors
     /// A worker failed, or no level is loaded.
     pub fn state(&mut self) -> Result<State, SessionError> {
-        let Loaded { partition, order, hinges, creases, .. } = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?;
+        let loaded = self.loaded.as_ref().ok_or(SessionError::NotLoaded)?;
+        let Loaded { partition, order, plastic, plastic_counts, .. } = loaded;
         self.crew.broadcast(&ToWorker::SendState)?;
-        let mut state = State::zeros(order.len(), *creases);
+        let mut state = State::zeros(order.len(), *plastic_counts);
         self.crew.collect(self.options.silence, |rank, message, arrays| {
             let rows = partition.rows_of(rank);
             let ToCoordinator::State = message else { return false };
-            let Ok(part) = RankState::from_bytes(arrays, rows.len(), hinges[rank].len()) else { return false };
-            state.scatter(&order[rows], &hinges[rank], &part);
+            let Ok(part) = RankState::from_bytes(arrays, rows.len(), plastic[rank].counts()) else { return false };
+            state.scatter(&order[rows], &plastic[rank], &part);
             true
         })?;
         Ok(state)

@@ -28,27 +28,40 @@ static CREASE: KernelSource =
         .with_libraries(&[include_str!("element.wgsl")])
         .with_structs(&[FabricTable::LAYOUT, HingeElement::LAYOUT]);
 
-/// Applies the return map to the first `hinges` of `elements` at `positions` (xyz of every local vertex).
+/// Applies the return map to the first hinges of `elements` at `positions` (xyz of every local vertex), one for each
+/// item of `damage`, which becomes its plastic curvature over its yield curvature.
 pub fn apply(
     executor: &Executor,
     fabrics: &DeviceVec<FabricTable>,
     positions: &DeviceVec<f32>,
-    hinges: usize,
     elements: &mut DeviceVec<HingeElement>,
+    damage: &mut DeviceVec<f32>,
 ) {
+    let hinges = damage.len();
     match executor {
         Executor::Cpu(cpu) => {
-            crease_cpu::crease(cpu, fabrics.as_slice(), positions.as_slice(), &mut elements.as_mut_slice()[..hinges]);
+            let elements = &mut elements.as_mut_slice()[..hinges];
+            crease_cpu::crease(cpu, fabrics.as_slice(), positions.as_slice(), elements, damage.as_mut_slice());
         }
         Executor::Gpu(gpu) => {
             for window in gpu.windows(hinges, size_of::<HingeElement>()) {
                 let params = CreaseParams { count: window.len() as u32, padding: 0 };
-                let bindings =
-                    [fabrics.binding(), positions.binding(), elements.window_mut(window.start, window.len())];
+                let bindings = [
+                    fabrics.binding(),
+                    positions.binding(),
+                    elements.window_mut(window.start, window.len()),
+                    damage.window_mut(window.start, window.len()),
+                ];
                 gpu.run(&CREASE, &bindings, &params, window.len() as u64);
             }
         }
     }
+}
+
+/// Plastic curvature over yield curvature of a hinge.
+pub fn damage(fabrics: &[FabricTable], element: &HingeElement) -> f32 {
+    let fabric = FabricTable::yields_first(element.fabric.map(|of_side| &fabrics[of_side as usize]));
+    if fabric.yield_curvature > 0.0 { element.plastic_curvature / fabric.yield_curvature } else { 0.0 }
 }
 
 #[cfg(test)]

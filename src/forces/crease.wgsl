@@ -9,7 +9,8 @@ struct CreaseParams {
 @group(0) @binding(0) var<storage, read> fabrics: array<FabricTable>;
 @group(0) @binding(1) var<storage, read> positions: array<Packed3>;
 @group(0) @binding(2) var<storage, read_write> elements: array<HingeElement>;
-@group(0) @binding(3) var<uniform> params: CreaseParams;
+@group(0) @binding(3) var<storage, read_write> damage: array<f32>;
+@group(0) @binding(4) var<uniform> params: CreaseParams;
 
 @compute @workgroup_size(WORKGROUP)
 fn crease(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -43,5 +44,6 @@ fn crease(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups)
         let change = excess / (1.0 + hardening);
         elements[i].rest_angle += select(change, -change, curvature < 0.0) / element.curvature_from_angle;
         elements[i].plastic_curvature += change;
+        damage[i] = elements[i].plastic_curvature / fabrics[fabric].yield_curvature;
     }
 }

@@ -4,8 +4,15 @@ use super::bend_cpu::dihedral_angle;
 use super::element::{FabricTable, HingeElement, vertex};
 use crate::gpu::CpuExecutor;
 
-/// Moves the angles at rest of `elements`. Bytes per hinge: 48 element + 48 positions read, 48 written.
-pub(super) fn crease(cpu: &CpuExecutor, fabrics: &[FabricTable], positions: &[f32], elements: &mut [HingeElement]) {
+/// Moves the angles at rest of `elements`, and sets `damage` where they moved. Bytes per hinge: 48 element + 48
+/// positions read, 52 written.
+pub(super) fn crease(
+    cpu: &CpuExecutor,
+    fabrics: &[FabricTable],
+    positions: &[f32],
+    elements: &mut [HingeElement],
+    damage: &mut [f32],
+) {
     cpu.for_ranges_mut(elements, 1, 64, |_, elements| {
         for element in elements {
             let fabric = FabricTable::yields_first(element.fabric.map(|of_side| &fabrics[of_side as usize]));
@@ -13,6 +20,12 @@ pub(super) fn crease(cpu: &CpuExecutor, fabrics: &[FabricTable], positions: &[f3
                 let (angle, _) = dihedral_angle(element.vertices.map(|v| vertex(positions, v)));
                 return_map(fabric, angle, element);
             }
+        }
+    });
+    let elements: &[HingeElement] = elements;
+    cpu.for_ranges_mut(damage, 1, 64, |range, damage| {
+        for (element, damage) in elements[range].iter().zip(damage) {
+            *damage = super::crease::damage(fabrics, element);
         }
     });
 }
@@ -41,7 +54,7 @@ mod tests {
     }
 
     fn yields_at(yield_curvature_1_m: f64, hardening: f64, weakening: f64) -> FabricTable {
-        let plasticity = Some(Plasticity { yield_curvature_1_m, hardening, weakening });
+        let plasticity = Some(Plasticity { yield_curvature_1_m, hardening, weakening, ..Plasticity::NONE });
         FabricTable::from(&Fabric { plasticity, ..Fabric::uniform("f", 0.1, [1.0; 4], 1e-5) })
     }
 

@@ -30,8 +30,10 @@ gpu_struct! {
         pub weights_v: [f32; 2],
         /// Rest area, m^2.
         pub area_m2: f32,
+        /// The stiffness is divided by 1 + this; 0 unless a fabric is plastic and weakens.
+        pub damage: f32,
         /// Fills the struct to a multiple of 16 bytes.
-        pub padding: [f32; 3],
+        pub padding: [f32; 2],
     }
 }
 
@@ -118,7 +120,7 @@ gpu_struct! {
         pub bending: [f32; 15],
         /// Stiffness-proportional damping, seconds.
         pub damping_s: f32,
-        /// As [`Plasticity::yield_curvature_1_m`]; 0 = elastic.
+        /// As [`Plasticity::yield_curvature_1_m`]; 0 = folds are elastic.
         pub yield_curvature: f32,
         /// As [`Plasticity::hardening`].
         pub hardening: f32,
@@ -134,8 +136,8 @@ gpu_struct! {
         pub shear_limit: f32,
         /// Largest stiffness beyond a strain limit, N/m; 0 = no limit of any kind.
         pub limit_stiffness: f32,
-        /// Fills the struct to a multiple of 16 bytes.
-        pub padding: f32,
+        /// Logarithm of the stretch at which it yields, ln(1 + [`Plasticity::yield_strain`]); 0 = elastic.
+        pub yield_strain: f32,
     }
 }
 
@@ -161,6 +163,11 @@ impl FabricTable {
         if is_other { other } else { one }
     }
 
+    /// True if a part of the cloth of this fabric may have weakened triangles or another shape at rest.
+    pub fn changes_triangles(&self) -> bool {
+        self.yield_strain > 0.0 || self.yield_curvature > 0.0 && self.weakening > 0.0
+    }
+
     /// Factor of the bending stiffness at a plastic curvature above 0.
     pub(super) fn weakened(&self, plastic_curvature: f32) -> f32 {
         self.yield_curvature / (self.yield_curvature + self.weakening * plastic_curvature)
@@ -173,8 +180,9 @@ impl From<&Fabric> for FabricTable {
         for (to, from) in bending.iter_mut().zip(fabric.bending_n_m.iter().flatten()) {
             *to = *from as f32;
         }
-        let none = Plasticity { yield_curvature_1_m: 0.0, hardening: 0.0, weakening: 0.0 };
-        let Plasticity { yield_curvature_1_m, hardening, weakening } = fabric.plasticity.unwrap_or(none);
+        let Plasticity { yield_curvature_1_m, hardening, weakening, yield_strain } =
+            fabric.plasticity.unwrap_or(Plasticity::NONE);
+        let yields_at = |value: f64| if value < f64::INFINITY { value as f32 } else { 0.0 };
         let narrow = |range: Option<[f64; 2]>| range.map_or([0.0, FREE], |range| range.map(|stretch| stretch as f32));
         let (every, warp, weft, shear_deg) = match fabric.strain_limit {
             None => (None, None, None, None),
@@ -186,7 +194,7 @@ impl From<&Fabric> for FabricTable {
             stretching: fabric.stretching_n_m.map(|row| row.map(|k| k as f32)),
             bending,
             damping_s: fabric.damping_s as f32,
-            yield_curvature: yield_curvature_1_m as f32,
+            yield_curvature: yields_at(yield_curvature_1_m),
             hardening: hardening as f32,
             weakening: weakening as f32,
             strain_limit: narrow(every),
@@ -194,7 +202,7 @@ impl From<&Fabric> for FabricTable {
             weft_limit: narrow(weft),
             shear_limit: shear_deg.map_or(1.0, |angle| angle.to_radians().sin() as f32),
             limit_stiffness: if fabric.strain_limit.is_some() { (LIMIT_STIFFENING * stiffest) as f32 } else { 0.0 },
-            padding: 0.0,
+            yield_strain: yields_at(yield_strain.ln_1p()),
         }
     }
 }
@@ -212,7 +220,8 @@ pub fn triangle_element(vertices: [u32; 3], fabric: u32, uv: [Vec2; 3]) -> Trian
         weights_u: [w1.x as f32, w2.x as f32],
         weights_v: [w1.y as f32, w2.y as f32],
         area_m2: (0.5 * det.abs()) as f32,
-        padding: [0.0; 3],
+        damage: 0.0,
+        padding: [0.0; 2],
     }
 }
 

@@ -6,7 +6,8 @@ struct TriangleElement {
     weights_u: vec2<f32>,
     weights_v: vec2<f32>,
     area_m2: f32,
-    padding: array<f32, 3>,
+    damage: f32,
+    padding: array<f32, 2>,
 }
 
 struct HingeElement {
@@ -32,7 +33,7 @@ struct FabricTable {
     weft_limit: array<f32, 2>,
     shear_limit: f32,
     limit_stiffness: f32,
-    padding: f32,
+    yield_strain: f32,
 }
 
 struct StepParams {

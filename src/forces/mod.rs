@@ -16,6 +16,8 @@ mod element;
 pub mod fiber;
 mod fiber_cpu;
 mod overstretch;
+pub mod plastic_stretch;
+mod plastic_stretch_cpu;
 pub mod stretch;
 mod stretch_cpu;
 

@@ -78,7 +78,7 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let uu = 0.5 * (dot(xu, xu) - 1.0);
     let vv = 0.5 * (dot(xv, xv) - 1.0);
     let uv = 0.5 * dot(xu, xv);
-    let k = stretch_stiffness(element.fabric, uu, vv, uv);
+    let k = stretch_stiffness(element.fabric, uu, vv, uv) / (1.0 + element.damage);
     let warp = k.x;
     let cross_stiffness = k.y;
     let weft = k.z;

@@ -97,7 +97,12 @@ fn stretch_record(
     let (dt, area) = (params.step_s, element.area_m2);
     let (xu, xv) = deformation(element, x);
     let (uu, vv, uv) = (0.5 * (xu.dot(xu) - 1.0), 0.5 * (xv.dot(xv) - 1.0), 0.5 * xu.dot(xv));
-    let [warp, cross, weft, shear] = stretch_stiffness(fabric, [uu, vv, uv]);
+    let mut stiffness = stretch_stiffness(fabric, [uu, vv, uv]);
+    if element.damage > 0.0 {
+        let left = 1.0 / (1.0 + element.damage);
+        stiffness = stiffness.map(|k| k * left);
+    }
+    let [warp, cross, weft, shear] = stiffness;
     // Second Piola stress; the shear term of the energy is k/2 (uv)^2 with uv counted once.
     let (mut suu, mut svv, mut suv) = (warp * uu + cross * vv, weft * vv + cross * uu, 0.5 * shear * uv);
     let (wu, wv) = deformation(element, v);

@@ -2,7 +2,7 @@
 //! the row blocks of any rank count are contiguous ranges of it.
 
 use super::grips::Grips;
-use super::state::{RankState, State, creases_of};
+use super::state::{PlasticElements, RankState, RestStretch, State, UNSTRETCHED, creases_of, stretches_of};
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
 use crate::integrator::pins::RankPin;
 use crate::math::Vec2;
@@ -26,6 +26,10 @@ pub struct GlobalModel {
     pub hinges: Vec<HingeElement>,
     /// Hinge of the mesh of every hinge here; empty if no fabric is plastic.
     pub original_hinge: Vec<u32>,
+    /// Triangle of the mesh of every triangle here; empty if no fabric stays stretched.
+    pub original_triangle: Vec<u32>,
+    /// Rest stretch of every triangle here at the start; empty if no fabric stays stretched.
+    pub stretches: Vec<RestStretch>,
     /// Fabrics.
     pub fabrics: Vec<FabricTable>,
     /// Pins; `row` is a global row.
@@ -52,7 +56,8 @@ impl GlobalModel {
             global_from_original[original as usize] = global as u32;
         }
         let map = |v: u32| global_from_original[v as usize];
-        let RankState { positions, velocities, .. } = State::start_of(scene).gather(&original_from_global, &[]);
+        let nothing = PlasticElements::default();
+        let RankState { positions, velocities, .. } = State::start_of(scene).gather(&original_from_global, &nothing);
 
         let mut masses = vec![0.0f64; mesh.positions.len()];
         let mut areas = vec![0.0f64; mesh.triangles.len()];
@@ -83,6 +88,8 @@ impl GlobalModel {
         let of_mesh = hinges(mesh);
         let mut bends: Vec<HingeElement> = of_mesh.iter().map(bend).collect();
         // Elements of a row then lie close together. Ties keep their order, so the result is the same on every machine.
+        let mut original_triangle: Vec<u32> = (0..stretches_of(scene) as u32).collect();
+        original_triangle.sort_by_key(|&triangle| triangles[triangle as usize].vertices.iter().min().copied());
         triangles.sort_by_key(|e| e.vertices.iter().min().copied());
         let mut original_hinge: Vec<u32> = (0..creases_of(scene) as u32).collect();
         original_hinge.sort_by_key(|&hinge| bends[hinge as usize].vertices.iter().min().copied());
@@ -95,6 +102,8 @@ impl GlobalModel {
             triangles,
             hinges: bends,
             original_hinge,
+            stretches: vec![UNSTRETCHED; original_triangle.len()],
+            original_triangle,
             fabrics: scene.fabrics.iter().map(FabricTable::from).collect(),
             pins: scene
                 .pins
@@ -120,10 +129,15 @@ impl GlobalModel {
 
     /// Replaces the scene's start state by another one. Order, pins and rest shape stay those of the scene.
     pub fn set_state(&mut self, state: &State) {
-        let RankState { positions, velocities, creases, let_go: _ } =
-            state.gather(&self.original_from_global, &self.original_hinge);
-        (self.positions, self.velocities) = (positions, velocities);
+        let RankState { positions, velocities, creases, stretches, let_go: _ } =
+            state.gather(&self.original_from_global, &self.plastic_elements());
+        (self.positions, self.velocities, self.stretches) = (positions, velocities, stretches);
         self.hinges.iter_mut().zip(creases).for_each(|(hinge, crease)| hinge.set_crease(crease));
+    }
+
+    /// Elements of the mesh that a state knows something of, in the order of the elements here.
+    pub fn plastic_elements(&self) -> PlasticElements {
+        PlasticElements { hinges: self.original_hinge.clone(), triangles: self.original_triangle.clone() }
     }
 
     /// Mean of the smallest altitudes of the triangles at rest, meters.

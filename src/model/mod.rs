@@ -11,4 +11,7 @@ mod state;
 pub use collision::{CollisionArrays, CollisionModel, PinSpan};
 pub use global::{GlobalModel, stiffness_ratio};
 pub use rank::{RankArrays, RankModel, RankModelError};
-pub use state::{Crease, LetGo, NotFinite, RankState, RankStateError, State, hash_words};
+pub use state::{
+    Crease, LetGo, NotFinite, PlasticCounts, PlasticElements, RankState, RankStateError, RestStretch, State,
+    UNSTRETCHED, hash_words,
+};

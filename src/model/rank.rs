@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{CollisionArrays, CollisionModel, GlobalModel};
+use super::{CollisionArrays, CollisionModel, GlobalModel, PlasticElements, RestStretch};
 use crate::forces::{FabricTable, HingeElement, TriangleElement};
 use crate::integrator::pins::RankPin;
 use crate::partition::{HaloPlan, RowPartition, halo_plans};
@@ -31,7 +31,7 @@ pub struct RankModel {
     pub pins_move: bool,
     /// As [`GlobalModel::stiffness_ratio`].
     pub stiffness_ratio: f64,
-    /// True if a fabric of the scene is plastic. Then the state has creases.
+    /// True if folds of a fabric of the scene stay. Then the state has creases.
     pub plastic: bool,
     /// Collision data of the whole scene; none if the scene disables collisions.
     pub collision: Option<CollisionModel>,
@@ -53,6 +53,8 @@ pub struct RankArrays {
     pub triangles: Vec<TriangleElement>,
     /// Bending elements that touch own rows, in global order.
     pub hinges: Vec<HingeElement>,
+    /// Rest stretch of every triangle; empty if no fabric of the scene stays stretched.
+    pub stretches: Vec<RestStretch>,
     /// Fabrics.
     pub fabrics: Vec<FabricTable>,
     /// Positions of the followed vertices, as [`crate::scene::Obstacles::arrays`] gives them.
@@ -100,18 +102,15 @@ impl RankModel {
         halo_plans(partition, &halos)
     }
 
-    /// Hinges of the mesh that touch the rows of every rank, in the order of the ranks' hinges, as
-    /// [`super::State::gather`] takes them; empty lists if no fabric is plastic.
-    pub fn hinges_of_ranks(model: &GlobalModel, partition: &RowPartition) -> Vec<Vec<u32>> {
-        let mut of_ranks = vec![Vec::new(); partition.ranks()];
+    /// Elements of the mesh that touch the rows of every rank, in the order of the ranks' elements, as
+    /// [`super::State::gather`] takes them.
+    pub fn plastic_elements(model: &GlobalModel, partition: &RowPartition) -> Vec<PlasticElements> {
+        let mut of_ranks = vec![PlasticElements::default(); partition.ranks()];
         for (element, &hinge) in model.hinges.iter().zip(&model.original_hinge) {
-            let mut owners = element.vertices.map(|v| partition.owner(v as usize));
-            owners.sort_unstable();
-            for (i, &owner) in owners.iter().enumerate() {
-                if i == 0 || owners[i - 1] != owner {
-                    of_ranks[owner].push(hinge);
-                }
-            }
+            owners(partition, element.vertices).for_each(|owner| of_ranks[owner].hinges.push(hinge));
+        }
+        for (element, &triangle) in model.triangles.iter().zip(&model.original_triangle) {
+            owners(partition, element.vertices).for_each(|owner| of_ranks[owner].triangles.push(triangle));
         }
         of_ranks
     }
@@ -136,6 +135,8 @@ impl RankModel {
             .filter(|e| e.vertices.iter().any(owned))
             .map(|e| TriangleElement { vertices: e.vertices.map(local), ..*e })
             .collect();
+        let touches = |(e, _): &(&TriangleElement, &RestStretch)| e.vertices.iter().any(owned);
+        let stretches = model.triangles.iter().zip(&model.stretches).filter(touches).map(|(_, &s)| s).collect();
         let hinges = model
             .hinges
             .iter()
@@ -155,6 +156,7 @@ impl RankModel {
             masses: model.masses[rows.clone()].to_vec(),
             triangles,
             hinges,
+            stretches,
             fabrics: model.fabrics.clone(),
             followed: followed.arrays().0.to_vec(),
         };
@@ -186,6 +188,13 @@ fn renumber_grips(pins: &mut [RankPin]) -> Vec<u32> {
     named
 }
 
+/// Ranks that own one of the vertices of an element, each once.
+fn owners<const N: usize>(partition: &RowPartition, vertices: [u32; N]) -> impl Iterator<Item = usize> {
+    let mut owners = vertices.map(|v| partition.owner(v as usize));
+    owners.sort_unstable();
+    (0..N).filter(move |&i| i == 0 || owners[i - 1] != owners[i]).map(move |i| owners[i])
+}
+
 fn collect_halo(partition: &RowPartition, corners: &[u32], halos: &mut [Vec<u32>]) {
     let owners = corners.iter().map(|&v| partition.owner(v as usize));
     let mut owner_of = [0; 4];
@@ -214,19 +223,20 @@ impl RankModel {
 
     /// Sets the bulk arrays from bytes in the order of [`RankModel::to_bytes`].
     pub fn set_arrays(&mut self, bytes: &[&[u8]]) -> Result<(), RankModelError> {
-        let expected = if self.collision.is_some() { 13 } else { 7 };
+        let expected = if self.collision.is_some() { 14 } else { 8 };
         if bytes.len() != expected {
             return Err(RankModelError::Arrays(format!("{} arrays instead of {expected}", bytes.len())));
         }
-        let (own, all) = bytes.split_at(7);
+        let (own, all) = bytes.split_at(8);
         self.arrays = RankArrays {
             positions: cast(own[0])?,
             velocities: cast(own[1])?,
             masses: cast(own[2])?,
             triangles: cast(own[3])?,
             hinges: cast(own[4])?,
-            fabrics: cast(own[5])?,
-            followed: cast(own[6])?,
+            stretches: cast(own[5])?,
+            fabrics: cast(own[6])?,
+            followed: cast(own[7])?,
         };
         if let Some(collision) = &mut self.collision {
             collision.arrays = CollisionArrays {
@@ -243,13 +253,14 @@ impl RankModel {
 }
 
 impl RankArrays {
-    fn to_bytes(&self) -> [&[u8]; 7] {
+    fn to_bytes(&self) -> [&[u8]; 8] {
         [
             bytemuck::cast_slice(&self.positions),
             bytemuck::cast_slice(&self.velocities),
             bytemuck::cast_slice(&self.masses),
             bytemuck::cast_slice(&self.triangles),
             bytemuck::cast_slice(&self.hinges),
+            bytemuck::cast_slice(&self.stretches),
             bytemuck::cast_slice(&self.fabrics),
             bytemuck::cast_slice(&self.followed),
         ]

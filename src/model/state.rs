@@ -9,7 +9,7 @@ use xxhash_rust::xxh3::Xxh3;
 
 use crate::math::{DIM, Vec3};
 use crate::mesh::hinges;
-use crate::scene::Scene;
+use crate::scene::{Fabric, Scene};
 
 /// State of the whole cloth, in the mesh's vertex order.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -20,6 +20,8 @@ pub struct State {
     pub velocities: Vec<Vec3>,
     /// Of every hinge in the order of [`crate::mesh::hinges`]; empty if no fabric of the scene is plastic.
     pub creases: Vec<Crease>,
+    /// Of every triangle of the mesh; empty if no fabric of the scene stays stretched.
+    pub stretches: Vec<RestStretch>,
     /// Ascending, each vertex and obstacle once. Empty unless obstacles that overlap have pinched the cloth.
     pub let_go: Vec<LetGo>,
 }
@@ -41,6 +43,39 @@ pub struct LetGo {
 /// Plastic bending of a hinge: its angle at rest (radians) and its plastic curvature so far (1/m).
 pub type Crease = [f32; 2];
 
+/// Plastic stretching of a triangle: its symmetric rest stretch uu, vv, uv in the plane of warp and weft, and its
+/// plastic strain so far ([`crate::forces::plastic_stretch`]).
+pub type RestStretch = [f32; 4];
+
+/// The rest stretch of a triangle that has not yielded.
+pub const UNSTRETCHED: RestStretch = [1.0, 1.0, 0.0, 0.0];
+
+/// Elements of the mesh that touch the rows of a rank, in the order of the rank's elements: what a state says of them
+/// ([`super::RankModel::plastic_elements`]). Empty lists where nothing is plastic.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PlasticElements {
+    /// Hinges, in the order of [`crate::mesh::hinges`].
+    pub hinges: Vec<u32>,
+    /// Triangles.
+    pub triangles: Vec<u32>,
+}
+
+impl PlasticElements {
+    /// Their numbers.
+    pub fn counts(&self) -> PlasticCounts {
+        PlasticCounts { creases: self.hinges.len(), stretches: self.triangles.len() }
+    }
+}
+
+/// Numbers of creases and rest stretches of a state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PlasticCounts {
+    /// Of [`State::creases`].
+    pub creases: usize,
+    /// Of [`State::stretches`].
+    pub stretches: usize,
+}
+
 /// A value that is not finite; no step can continue from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite {
@@ -57,53 +92,62 @@ impl State {
             positions: scene.mesh.positions.clone(),
             velocities: scene.velocities.clone(),
             creases: vec![Crease::default(); creases_of(scene)],
+            stretches: vec![UNSTRETCHED; stretches_of(scene)],
             let_go: Vec::new(),
         }
     }
 
     /// State of zeros, to be filled by [`State::scatter`].
-    pub fn zeros(vertices: usize, creases: usize) -> State {
+    pub fn zeros(vertices: usize, plastic: PlasticCounts) -> State {
         State {
             positions: vec![Vec3::ZERO; vertices],
             velocities: vec![Vec3::ZERO; vertices],
-            creases: vec![Crease::default(); creases],
+            creases: vec![Crease::default(); plastic.creases],
+            stretches: vec![UNSTRETCHED; plastic.stretches],
             let_go: Vec::new(),
         }
     }
 
+    /// Numbers of creases and rest stretches.
+    pub fn plastic_counts(&self) -> PlasticCounts {
+        PlasticCounts { creases: self.creases.len(), stretches: self.stretches.len() }
+    }
+
     /// Number of vertices of the mesh; none if the fields have different lengths or name vertices that are not there.
     pub fn vertices(&self) -> Option<usize> {
-        let State { positions, velocities, creases: _, let_go } = self;
+        let State { positions, velocities, creases: _, stretches: _, let_go } = self;
         let is_vertex = |one: &LetGo| (one.vertex as usize) < positions.len();
         (positions.len() == velocities.len() && let_go.iter().all(is_vertex)).then_some(positions.len())
     }
 
-    /// 16 hexadecimal digits over the bits of positions, velocities, creases, then what is let go. `-0.0` and `0.0`
-    /// differ, so equal hashes mean equal bits, except with probability 2^-64.
+    /// 16 hexadecimal digits over the bits of positions, velocities, creases, rest stretches, then what is let go.
+    /// `-0.0` and `0.0` differ, so equal hashes mean equal bits, except with probability 2^-64.
     pub fn hash(&self) -> String {
-        let State { positions, velocities, creases, let_go } = self;
+        let State { positions, velocities, creases, stretches, let_go } = self;
         let mut hasher = Xxh3::new();
         hash_words(&mut hasher, positions);
         hash_words(&mut hasher, velocities);
         hash_words(&mut hasher, creases);
+        hash_words(&mut hasher, stretches);
         hash_words(&mut hasher, let_go);
         format!("{:016x}", hasher.digest())
     }
 
     /// The first value that is not finite. Positions are checked first.
     pub fn first_not_finite(&self) -> Option<NotFinite> {
-        // Creases follow from positions, and a plastic curvature is finite wherever the rest is.
-        let State { positions, velocities, creases: _, let_go: _ } = self;
+        // Creases and rest stretches follow from positions, and plastic curvatures and strains are finite wherever the
+        // rest is.
+        let State { positions, velocities, creases: _, stretches: _, let_go: _ } = self;
         [("position", positions), ("velocity", velocities)].into_iter().find_map(|(quantity, values)| {
             let vertex = values.iter().position(|value| !value.is_finite())? as u32;
             Some(NotFinite { vertex, quantity })
         })
     }
 
-    /// The part of a rank. `order`: the vertex of each row, in the order of the rows; `hinges`: the hinges of the mesh
-    /// that touch them ([`super::RankModel::hinges_of_ranks`]).
-    pub fn gather(&self, order: &[u32], hinges: &[u32]) -> RankState {
-        let State { positions, velocities, creases, let_go } = self;
+    /// The part of a rank. `order`: the vertex of each row, in the order of the rows; `plastic`: the elements that
+    /// touch them.
+    pub fn gather(&self, order: &[u32], plastic: &PlasticElements) -> RankState {
+        let State { positions, velocities, creases, stretches, let_go } = self;
         let mut own = Vec::new();
         if !let_go.is_empty() {
             for (row, &v) in (0..).zip(order) {
@@ -116,15 +160,16 @@ impl State {
         RankState {
             positions: rows(positions),
             velocities: rows(velocities),
-            creases: hinges.iter().map(|&hinge| creases[hinge as usize]).collect(),
+            creases: plastic.hinges.iter().map(|&hinge| creases[hinge as usize]).collect(),
+            stretches: plastic.triangles.iter().map(|&triangle| stretches[triangle as usize]).collect(),
             let_go: own,
         }
     }
 
     /// Copies the part of a rank into the state, which has nothing let go for its rows yet; the inverse of
-    /// [`State::gather`]. A hinge that touches rows of several ranks has the same bits on each.
-    pub fn scatter(&mut self, order: &[u32], hinges: &[u32], part: &RankState) {
-        let State { positions, velocities, creases, let_go } = self;
+    /// [`State::gather`]. A hinge or triangle that touches rows of several ranks has the same bits on each.
+    pub fn scatter(&mut self, order: &[u32], plastic: &PlasticElements, part: &RankState) {
+        let State { positions, velocities, creases, stretches, let_go } = self;
         let in_mesh = |one: &LetGo| LetGo { vertex: order[one.vertex as usize], ..*one };
         let_go.extend(part.let_go.iter().map(in_mesh));
         let_go.sort_unstable();
@@ -134,20 +179,27 @@ impl State {
                 values[v as usize] = Vec3::from_array(*row);
             }
         }
-        assert_eq!(part.creases.len(), hinges.len(), "a rank's state has a crease per hinge of its rows");
-        for (&hinge, crease) in hinges.iter().zip(&part.creases) {
+        assert_eq!(part.plastic_counts(), plastic.counts(), "a rank's state has those of the elements of its rows");
+        for (&hinge, crease) in plastic.hinges.iter().zip(&part.creases) {
             creases[hinge as usize] = *crease;
+        }
+        for (&triangle, stretch) in plastic.triangles.iter().zip(&part.stretches) {
+            stretches[triangle as usize] = *stretch;
         }
     }
 }
 
 /// Number of [`State::creases`] of a scene.
 pub(super) fn creases_of(scene: &Scene) -> usize {
-    let is_plastic = scene.fabrics.iter().any(|fabric| fabric.plasticity.is_some());
-    if is_plastic { hinges(&scene.mesh).len() } else { 0 }
+    if scene.fabrics.iter().any(Fabric::creases) { hinges(&scene.mesh).len() } else { 0 }
 }
 
-/// A rank's part of a [`State`]: its rows in the global order, three values each, and the hinges that touch them.
+/// Number of [`State::stretches`] of a scene.
+pub(super) fn stretches_of(scene: &Scene) -> usize {
+    if scene.fabrics.iter().any(Fabric::stays_stretched) { scene.mesh.triangles.len() } else { 0 }
+}
+
+/// A rank's part of a [`State`]: its rows in the global order, three values each, and the elements that touch them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RankState {
     /// Meters.
@@ -156,6 +208,8 @@ pub struct RankState {
     pub velocities: Vec<f32>,
     /// In the order of the rank's hinges; empty if no fabric of the scene is plastic.
     pub creases: Vec<Crease>,
+    /// In the order of the rank's triangles; empty if no fabric of the scene stays stretched.
+    pub stretches: Vec<RestStretch>,
     /// Ascending.
     pub let_go: Vec<LetGo>,
 }
@@ -167,22 +221,28 @@ pub struct RankStateError(String);
 
 impl RankState {
     /// State of zeros.
-    pub fn zeros(rows: usize, creases: usize) -> RankState {
+    pub fn zeros(rows: usize, plastic: PlasticCounts) -> RankState {
         RankState {
             positions: vec![0.0; rows * DIM],
             velocities: vec![0.0; rows * DIM],
-            creases: vec![Crease::default(); creases],
+            creases: vec![Crease::default(); plastic.creases],
+            stretches: vec![UNSTRETCHED; plastic.stretches],
             let_go: Vec::new(),
         }
     }
 
+    fn plastic_counts(&self) -> PlasticCounts {
+        PlasticCounts { creases: self.creases.len(), stretches: self.stretches.len() }
+    }
+
     /// The arrays as bytes, in a fixed order; a message carries them unserialized.
-    pub fn to_bytes(&self) -> [&[u8]; 4] {
-        let RankState { positions, velocities, creases, let_go } = self;
+    pub fn to_bytes(&self) -> [&[u8]; 5] {
+        let RankState { positions, velocities, creases, stretches, let_go } = self;
         [
             bytemuck::cast_slice(positions),
             bytemuck::cast_slice(velocities),
             bytemuck::cast_slice(creases),
+            bytemuck::cast_slice(stretches),
             bytemuck::cast_slice(let_go),
         ]
     }
@@ -190,16 +250,17 @@ impl RankState {
     /// The arrays from bytes in the order of [`RankState::to_bytes`].
     ///
     /// # Errors
-    /// The bytes are not the arrays of `rows` rows and `creases` creases.
-    pub fn from_bytes(arrays: &[&[u8]], rows: usize, creases: usize) -> Result<RankState, RankStateError> {
-        let mut state = RankState::zeros(rows, creases);
-        let RankState { positions, velocities, creases, let_go } = &mut state;
+    /// The bytes are not the arrays of `rows` rows and as many elements as `plastic` says.
+    pub fn from_bytes(arrays: &[&[u8]], rows: usize, plastic: PlasticCounts) -> Result<RankState, RankStateError> {
+        let mut state = RankState::zeros(rows, plastic);
+        let RankState { positions, velocities, creases, stretches, let_go } = &mut state;
         let pairs = arrays.last().map_or(0, |bytes| bytes.len() / size_of::<LetGo>());
         let_go.resize(pairs, LetGo::zeroed());
-        let fields: [&mut [u8]; 4] = [
+        let fields: [&mut [u8]; 5] = [
             bytemuck::cast_slice_mut(positions),
             bytemuck::cast_slice_mut(velocities),
             bytemuck::cast_slice_mut(creases),
+            bytemuck::cast_slice_mut(stretches),
             bytemuck::cast_slice_mut(let_go),
         ];
         if arrays.len() != fields.len() {
@@ -246,6 +307,7 @@ mod tests {
             positions: (0..vertices).map(|v| at(v, 0.5)).collect(),
             velocities: (0..vertices).map(|v| at(v, 7.0)).collect(),
             creases: vec![[0.25, 2.0], [-0.5, 8.0], [0.75, 16.0]],
+            stretches: vec![[1.5, 1.0, 0.25, 0.5], [1.25, 0.75, 0.0, 0.5]],
             let_go: [(0, 1, 0), (2, 0, 1), (2, 3, 0), (4, 1, 0)]
                 .map(|(vertex, obstacle, inside)| LetGo { vertex, obstacle, inside })
                 .into_iter()
@@ -257,22 +319,29 @@ mod tests {
     #[test]
     fn the_parts_of_all_ranks_are_the_whole() {
         let (whole, order) = (numbered(5), [3u32, 0, 4, 1, 2]);
-        let hinges = [&[0u32, 2][..], &[1, 2]];
-        let parts = [0..2, 2..5].map(|rows| (rows.clone(), hinges[rows.start / 2]));
-        let parts = parts.map(|(rows, hinges)| (rows.clone(), hinges, whole.gather(&order[rows], hinges)));
+        let plastic = [
+            PlasticElements { hinges: vec![0, 2], triangles: vec![1] },
+            PlasticElements { hinges: vec![1, 2], triangles: vec![1, 0] },
+        ];
+        let parts = [0..2, 2..5].map(|rows| (rows.clone(), &plastic[rows.start / 2]));
+        let parts = parts.map(|(rows, plastic)| (rows.clone(), plastic, whole.gather(&order[rows], plastic)));
         assert_eq!(parts[0].2.positions, [3.0, 0.5, -3.0, 0.0, 0.5, -0.0]);
         assert_eq!(parts[0].2.velocities[..3], [3.0, 7.0, -3.0]);
         assert_eq!(parts[0].2.creases, [[0.25, 2.0], [0.75, 16.0]]);
+        assert_eq!(parts[1].2.stretches, [[1.25, 0.75, 0.0, 0.5], [1.5, 1.0, 0.25, 0.5]]);
         assert_eq!(parts[0].2.let_go, [LetGo { vertex: 1, obstacle: 1, inside: 0 }]);
         assert_eq!(parts[1].2.let_go.iter().map(|one| one.vertex).collect::<Vec<_>>(), [0, 2, 2]);
-        let mut again = State::zeros(5, 3);
-        for (rows, hinges, part) in parts {
-            let part = RankState::from_bytes(&part.to_bytes(), rows.len(), hinges.len()).unwrap();
-            again.scatter(&order[rows], hinges, &part);
+        let mut again = State::zeros(5, whole.plastic_counts());
+        for (rows, plastic, part) in parts {
+            let part = RankState::from_bytes(&part.to_bytes(), rows.len(), plastic.counts()).unwrap();
+            again.scatter(&order[rows], plastic, &part);
         }
         assert_eq!(again, whole);
         assert_eq!(again.hash(), whole.hash());
         again.creases[1][0] = 0.5;
+        assert_ne!(again.hash(), whole.hash());
+        again = whole.clone();
+        again.stretches[1][3] = 0.25;
         assert_ne!(again.hash(), whole.hash());
         again = whole.clone();
         again.let_go[1].inside = 0;
@@ -282,16 +351,24 @@ mod tests {
 
     #[test]
     fn bytes_of_another_shape_are_refused() {
-        let part = numbered(2).gather(&[0, 1], &[1]);
+        let part = numbered(2).gather(&[0, 1], &PlasticElements { hinges: vec![1], triangles: vec![0] });
         let bytes = part.to_bytes();
-        assert_eq!(part.bytes(), 68);
-        let shorter = [bytes[0], &bytes[1][1..], bytes[2], bytes[3]];
-        for (arrays, rows, creases) in [(&bytes[..1], 2, 1), (&bytes[..], 1, 1), (&bytes[..], 2, 0), (&shorter, 2, 1)] {
-            let error = RankState::from_bytes(arrays, rows, creases).unwrap_err().to_string();
+        assert_eq!(part.bytes(), 84);
+        let shorter = [bytes[0], &bytes[1][1..], bytes[2], bytes[3], bytes[4]];
+        for (arrays, rows, creases, stretches) in [
+            (&bytes[..1], 2, 1, 1),
+            (&bytes[..], 1, 1, 1),
+            (&bytes[..], 2, 0, 1),
+            (&bytes[..], 2, 1, 0),
+            (&shorter, 2, 1, 1),
+        ] {
+            let plastic = PlasticCounts { creases, stretches };
+            let error = RankState::from_bytes(arrays, rows, plastic).unwrap_err().to_string();
             assert!(error.contains("instead of"), "{error}");
         }
         let beyond = RankState { let_go: vec![LetGo { vertex: 2, obstacle: 0, inside: 0 }], ..part.clone() };
-        let error = RankState::from_bytes(&beyond.to_bytes(), 2, 1).unwrap_err().to_string();
+        let plastic = PlasticCounts { creases: 1, stretches: 1 };
+        let error = RankState::from_bytes(&beyond.to_bytes(), 2, plastic).unwrap_err().to_string();
         assert!(error.contains("row 2 of 2 is let go"), "{error}");
     }
 

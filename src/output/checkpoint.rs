@@ -2,9 +2,10 @@
 //!
 //! `checkpoint/step_%08d.ltc` (the newest three) and `states/step_%08d.ltc` (all that were requested), little-endian:
 //! "LOOMCKPT", version (u32), header length (u32), header (bincode), positions and velocities (3 f32 per vertex,
-//! original vertex order), creases (2 f32 per hinge), what is let go (3 u32 per pair), xxh3 of all bytes before (u64).
-//! A damaged file is detected and skipped, not repaired. A state that has let nothing go is written in layout 2, one
-//! without creases in layout 1: their headers do not count what is not there.
+//! original vertex order), creases (2 f32 per hinge), rest stretches (4 f32 per triangle), what is let go (3 u32 per
+//! pair), xxh3 of all bytes before (u64). A damaged file is detected and skipped, not repaired. A state without rest
+//! stretches is written in layout 3, one that has let nothing go in layout 2, one without creases as well in layout 1:
+//! their headers do not count what is not there.
 
 use std::fs;
 use std::io::{self, Write};
@@ -16,12 +17,13 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use super::atomic::{WriteError, write_atomically};
 use super::ply::{positions_from_bytes, write_words};
-use crate::model::{Crease, LetGo, State};
+use crate::model::{Crease, LetGo, RestStretch, State};
 
 const MAGIC: &[u8; 8] = b"LOOMCKPT";
-/// Layouts without creases, with creases, and with what is let go as well.
-const VERSIONS: [u32; 3] = [1, 2, 3];
+/// Layouts without creases, with creases, with what is let go as well, and with rest stretches as well.
+const VERSIONS: [u32; 4] = [1, 2, 3, 4];
 const CREASE_BYTES: u64 = size_of::<Crease>() as u64;
+const STRETCH_BYTES: u64 = size_of::<RestStretch>() as u64;
 const LET_GO_BYTES: u64 = size_of::<LetGo>() as u64;
 /// Magic, version and header length.
 const PREFIX_BYTES: usize = 16;
@@ -63,7 +65,7 @@ pub enum CheckpointError {
     #[error("it is not a checkpoint")]
     Magic,
     /// The file was written by a version with another layout.
-    #[error("it has layout {0}, this program reads layouts 1 to 3")]
+    #[error("it has layout {0}, this program reads layouts 1 to 4")]
     Version(u32),
     /// The file is too short or too long.
     #[error("it is cut off or damaged: {got} bytes where its header asks for {expected}")]
@@ -95,13 +97,14 @@ impl Checkpoint {
             fingerprint: self.fingerprint,
             vertices: vertices as u64,
         };
-        let State { positions, velocities, creases, let_go } = &self.state;
-        let counts = [creases.len() as u64, let_go.len() as u64];
-        let (version, header) = match counts {
-            [0, 0] => (VERSIONS[0], bincode::serde::encode_to_vec(header, bincode_form())),
-            [creases, 0] => (VERSIONS[1], bincode::serde::encode_to_vec((header, creases), bincode_form())),
-            [creases, let_go] => {
-                (VERSIONS[2], bincode::serde::encode_to_vec((header, creases, let_go), bincode_form()))
+        let State { positions, velocities, creases, stretches, let_go } = &self.state;
+        let form = bincode_form();
+        let (version, header) = match [creases.len() as u64, let_go.len() as u64, stretches.len() as u64] {
+            [0, 0, 0] => (VERSIONS[0], bincode::serde::encode_to_vec(header, form)),
+            [creases, 0, 0] => (VERSIONS[1], bincode::serde::encode_to_vec((header, creases), form)),
+            [creases, let_go, 0] => (VERSIONS[2], bincode::serde::encode_to_vec((header, creases, let_go), form)),
+            [creases, let_go, stretches] => {
+                (VERSIONS[3], bincode::serde::encode_to_vec((header, creases, let_go, stretches), form))
             }
         };
         let header = header.map_err(io::Error::other)?;
@@ -114,6 +117,7 @@ impl Checkpoint {
         write_words(&mut out, &mut buffer, bytemuck::cast_slice(positions))?;
         write_words(&mut out, &mut buffer, bytemuck::cast_slice(velocities))?;
         write_words(&mut out, &mut buffer, bytemuck::cast_slice(creases))?;
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(stretches))?;
         for one in let_go {
             [one.vertex, one.obstacle, one.inside].iter().try_for_each(|word| out.write_all(&word.to_le_bytes()))?;
         }
@@ -140,22 +144,27 @@ impl Checkpoint {
         let body = PREFIX_BYTES + header_bytes;
         let Some(header) = bytes.get(PREFIX_BYTES..body) else { return Err(cut_off((body + CHECKSUM_BYTES) as u64)) };
         let form = bincode_form();
-        let decoded: Result<((Header, u64, u64), usize), _> = if version == VERSIONS[0] {
-            bincode::serde::decode_from_slice(header, form).map(|(header, used)| ((header, 0, 0), used))
+        let decoded: Result<((Header, u64, u64, u64), usize), _> = if version == VERSIONS[0] {
+            bincode::serde::decode_from_slice(header, form).map(|(header, used)| ((header, 0, 0, 0), used))
         } else if version == VERSIONS[1] {
             bincode::serde::decode_from_slice(header, form)
-                .map(|((header, creases), used)| ((header, creases, 0), used))
+                .map(|((header, creases), used)| ((header, creases, 0, 0), used))
+        } else if version == VERSIONS[2] {
+            bincode::serde::decode_from_slice(header, form)
+                .map(|((header, creases, let_go), used)| ((header, creases, let_go, 0), used))
         } else {
             bincode::serde::decode_from_slice(header, form)
         };
-        let ((header, creases, let_go), used) = decoded.map_err(|_| CheckpointError::Header)?;
+        let ((header, creases, let_go, stretches), used) = decoded.map_err(|_| CheckpointError::Header)?;
         if used != header_bytes {
             return Err(CheckpointError::Header);
         }
         let of_creases = creases.checked_mul(CREASE_BYTES).ok_or(CheckpointError::Header)?;
+        let of_stretches = stretches.checked_mul(STRETCH_BYTES).ok_or(CheckpointError::Header)?;
         let of_let_go = let_go.checked_mul(LET_GO_BYTES).ok_or(CheckpointError::Header)?;
         let of_vertices = header.vertices.checked_mul(24).and_then(|n| n.checked_add((body + CHECKSUM_BYTES) as u64));
-        let expected = of_vertices.and_then(|n| n.checked_add(of_creases)).and_then(|n| n.checked_add(of_let_go));
+        let parts = [of_creases, of_stretches, of_let_go];
+        let expected = parts.iter().fold(of_vertices, |sum, &part| sum.and_then(|n| n.checked_add(part)));
         let expected = expected.ok_or(CheckpointError::Header)?;
         if expected != got {
             return Err(cut_off(expected));
@@ -165,12 +174,14 @@ impl Checkpoint {
             return Err(CheckpointError::Checksum);
         }
         let (rest, let_go) = content[body..].split_at(content.len() - body - of_let_go as usize);
+        let (rest, stretches) = rest.split_at(rest.len() - of_stretches as usize);
         let (of_vertices, creases) = rest.split_at(rest.len() - of_creases as usize);
         let (positions, velocities) = of_vertices.split_at(of_vertices.len() / 2);
         let state = State {
             positions: positions_from_bytes(positions),
             velocities: positions_from_bytes(velocities),
-            creases: creases_from_bytes(creases),
+            creases: floats_from_bytes(creases),
+            stretches: floats_from_bytes(stretches),
             let_go: let_go_from_bytes(let_go),
         };
         if state.vertices().is_none() {
@@ -186,7 +197,7 @@ impl Checkpoint {
     }
 }
 
-fn creases_from_bytes(bytes: &[u8]) -> Vec<Crease> {
+fn floats_from_bytes<const N: usize>(bytes: &[u8]) -> Vec<[f32; N]> {
     let words = bytes.as_chunks().0.iter().map(|&word| f32::from_le_bytes(word)).collect::<Vec<_>>();
     words.as_chunks().0.to_vec()
 }

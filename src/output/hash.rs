@@ -26,7 +26,8 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     // Formatting cannot fail, because the sink never fails.
     // A field that later versions have added is left out at its default, so that older checkpoints still fit.
     let settings = format!("{settings:?}").replace(", substeps: Auto", "");
-    let fabrics = format!("{:?}", scene.fabrics).replace(", plasticity: None", "").replace(", strain_limit: None", "");
+    let absent = [", plasticity: None", ", strain_limit: None", ", yield_strain: inf"];
+    let fabrics = absent.iter().fold(format!("{:?}", scene.fabrics), |text, absent| text.replace(absent, ""));
     let _ = write!(TextSink(&mut hasher), "{fabrics} {:?} {:?} {settings}", scene.pins, scene.motions);
     if !scene.followed.is_empty() {
         let _ = write!(TextSink(&mut hasher), "{:?}", scene.followed);

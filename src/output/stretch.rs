@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::math::{DVec2, DVec3, Vec2, Vec3};
+use crate::model::{RestStretch, State, UNSTRETCHED};
 use crate::scene::{Scene, StrainLimit};
 
 /// Strain beyond a limit from which on a triangle is counted in a report.
@@ -24,8 +25,8 @@ pub struct BeyondLimits {
 }
 
 impl BeyondLimits {
-    /// What is beyond the limits in a state at `time_s`; none if nothing is. `positions`: of its vertices.
-    pub fn of(scene: &Scene, positions: &[Vec3], time_s: f64) -> Option<BeyondLimits> {
+    /// What is beyond the limits in `state` at `time_s`; none if nothing is.
+    pub fn of(scene: &Scene, state: &State, time_s: f64) -> Option<BeyondLimits> {
         if scene.fabrics.iter().all(|fabric| fabric.strain_limit.is_none()) {
             return None;
         }
@@ -37,8 +38,9 @@ impl BeyondLimits {
             let Some(limit) = &scene.fabrics[usize::from(scene.fabric_of_triangle[triangle])].strain_limit else {
                 continue;
             };
-            let at = corners.map(|v| positions[v as usize]);
-            let strain = beyond_limit(limit, at, scene.mesh.material_uv[triangle]);
+            let at = corners.map(|v| state.positions[v as usize]);
+            let rest = state.stretches.get(triangle).unwrap_or(&UNSTRETCHED);
+            let strain = beyond_limit(limit, at, at_rest(scene.mesh.material_uv[triangle], rest));
             if strain <= COUNTED_FROM {
                 continue;
             }
@@ -55,6 +57,11 @@ impl BeyondLimits {
         }
         (found.triangles > 0).then_some(found)
     }
+}
+
+/// The shape at rest of a triangle of the mesh, `uv`, that has this rest stretch.
+fn at_rest(uv: [Vec2; 3], &[uu, vv, xy, _]: &RestStretch) -> [Vec2; 3] {
+    uv.map(|p| Vec2::new(uu * p.x + xy * p.y, xy * p.x + vv * p.y))
 }
 
 /// Strain of a triangle beyond a limit, below 0 if it is within: a stretch minus its limit, for shear half the sine of

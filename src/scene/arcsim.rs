@@ -146,7 +146,7 @@ fn velocity_field(cloth: &Json) -> Result<[DVec3; 3], SceneError> {
     })
 }
 
-fn material(json: &Json, left_out: &LeftOut) -> Result<Fabric, SceneError> {
+fn material(json: &Json, left_out: &mut LeftOut) -> Result<Fabric, SceneError> {
     let fabric = load_fabric(&find(&json.required("data")?)?)?;
     let factor = |key| json.or(key, 1.0, Json::positive);
     let thicken = factor("thicken")?;
@@ -161,15 +161,34 @@ fn material(json: &Json, left_out: &LeftOut) -> Result<Fabric, SceneError> {
     {
         fabric.strain_limit = Some(StrainLimit::Every(limits.pair()?));
     }
-    if !left_out.disabled.contains(&"plasticity")
-        && let Some(yields_at) = json.get("yield_curv")
-    {
-        let weakening = json.or("weakening", 0.0, Json::not_negative)?;
-        let yield_curvature_1_m = yields_at.positive()?;
-        fabric.plasticity = Some(Plasticity { yield_curvature_1_m, hardening: 0.0, weakening });
+    if !left_out.disabled.contains(&"plasticity") {
+        fabric.plasticity = plasticity(json)?;
+        for key in ["plastic_flow", "plastic_limit"].into_iter().filter(|key| json.get(key).is_some()) {
+            left_out
+                .say(format!("{}.{key}: left out, a stretch yields at once and to three times its length", json.name));
+        }
     }
     fabric.check().map_err(|what| json.error(what))?;
     Ok(fabric)
+}
+
+/// `yield_curv` (1/m), `yield_stretch` (1 + strain, as `strain_limits`) and `weakening`; none without the first two.
+fn plasticity(json: &Json) -> Result<Option<Plasticity>, SceneError> {
+    let (curvature, stretch) = (json.get("yield_curv"), json.get("yield_stretch"));
+    if curvature.is_none() && stretch.is_none() {
+        return Ok(None);
+    }
+    let mut found = Plasticity { weakening: json.or("weakening", 0.0, Json::not_negative)?, ..Plasticity::NONE };
+    if let Some(curvature) = curvature {
+        found.yield_curvature_1_m = curvature.positive()?;
+    }
+    if let Some(stretch) = stretch {
+        found.yield_strain = stretch.positive()? - 1.0;
+        if found.yield_strain <= 0.0 {
+            return Err(stretch.error("must be a stretch (length / length at rest) above 1"));
+        }
+    }
+    Ok(Some(found))
 }
 
 fn handle_pin(

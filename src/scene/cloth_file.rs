@@ -13,7 +13,7 @@ use super::person::{Garment, KINDS};
 use super::placement::{Placement, unplaced_mesh};
 use super::{Fabric, Plasticity, RESOLUTIONS, SceneError, StrainLimit};
 
-pub(super) const FABRIC_FIELDS: [&str; 10] = [
+pub(super) const FABRIC_FIELDS: [&str; 11] = [
     "name",
     "density_kg_m2",
     "stretching_n_m",
@@ -21,6 +21,7 @@ pub(super) const FABRIC_FIELDS: [&str; 10] = [
     "flexural_rigidity_n_m",
     "damping_s",
     "yield_curvature",
+    "yield_strain",
     "hardening",
     "weakening",
     "strain_limit",
@@ -58,20 +59,23 @@ pub(super) fn fabric(fields: &Fields) -> Result<Fabric, SceneError> {
     Ok(fabric)
 }
 
-/// `yield_curvature`, `hardening` and `weakening`; what is absent is as in `before`.
+/// `yield_curvature`, `yield_strain`, `hardening` and `weakening`; what is absent is as in `before`.
 fn plasticity(fields: &Fields, before: Option<Plasticity>) -> Result<Option<Plasticity>, SceneError> {
     let yields_at = fields.optional("yield_curvature", Value::positive)?;
-    let Some(yield_curvature_1_m) = yields_at.or(before.map(|before| before.yield_curvature_1_m)) else {
+    let stays_at = fields.optional("yield_strain", Value::positive)?;
+    if yields_at.or(stays_at).is_none() && before.is_none() {
+        let what = "needs a `yield_curvature` or a `yield_strain`; without one the fabric is elastic";
         return match ["hardening", "weakening"].into_iter().find(|key| fields.get(key).is_some()) {
-            Some(key) => Err(fields.error_at(key, "needs a `yield_curvature`; without one the fabric is elastic")),
+            Some(key) => Err(fields.error_at(key, what)),
             None => Ok(None),
         };
-    };
-    let (hardening, weakening) = before.map_or((0.0, 0.0), |before| (before.hardening, before.weakening));
+    }
+    let before = before.unwrap_or(Plasticity::NONE);
     Ok(Some(Plasticity {
-        yield_curvature_1_m,
-        hardening: fields.or("hardening", hardening, Value::not_negative)?,
-        weakening: fields.or("weakening", weakening, Value::not_negative)?,
+        yield_curvature_1_m: yields_at.unwrap_or(before.yield_curvature_1_m),
+        hardening: fields.or("hardening", before.hardening, Value::not_negative)?,
+        weakening: fields.or("weakening", before.weakening, Value::not_negative)?,
+        yield_strain: stays_at.unwrap_or(before.yield_strain),
     }))
 }
 
@@ -95,7 +99,7 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 20] = [
+pub(super) const CLOTH_FIELDS: [&str; 21] = [
     "name",
     "sheet",
     "garment",
@@ -111,6 +115,7 @@ pub(super) const CLOTH_FIELDS: [&str; 20] = [
     "thicken",
     "damping_s",
     "yield_curvature",
+    "yield_strain",
     "hardening",
     "weakening",
     "strain_limit",

@@ -24,7 +24,7 @@ pub struct Fabric {
     pub bending_n_m: [[f64; 5]; 3],
     /// Stiffness-proportional damping, seconds (damping matrix = damping_s * stiffness matrix).
     pub damping_s: f64,
-    /// Bending beyond which folds stay; none = elastic.
+    /// Bending and stretching beyond which folds and stretches stay; none = elastic.
     #[serde(default)]
     pub plasticity: Option<Plasticity>,
     /// How far it stretches; none = as the stiffness allows.
@@ -76,15 +76,25 @@ impl StrainLimit {
     }
 }
 
-/// Plastic bending [Narain et al. 2013], per hinge: see [`crate::forces::crease`].
+/// Plastic bending and stretching [Narain et al. 2013], per hinge and per triangle: see [`crate::forces::crease`] and
+/// [`crate::forces::plastic_stretch`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Plasticity {
-    /// Elastic curvature beyond which the fold stays, 1/m; above 0.
+    /// Elastic curvature beyond which the fold stays, 1/m; above 0, infinite = every fold is elastic.
     pub yield_curvature_1_m: f64,
-    /// Growth of the yield curvature per plastic curvature; 0 = none.
+    /// Growth of the yield curvature per plastic curvature, and of the yield strain per plastic strain; 0 = none.
     pub hardening: f64,
-    /// Bending stiffness is divided by 1 + this * plastic curvature / yield curvature; 0 = it stays.
+    /// Stiffness is divided by 1 + this * damage; 0 = it stays. Damage: plastic curvature / yield curvature, plastic
+    /// strain / yield strain.
     pub weakening: f64,
+    /// Strain in any direction beyond which the stretch stays; above 0, infinite = every stretch is elastic.
+    pub yield_strain: f64,
+}
+
+impl Plasticity {
+    /// Nothing yields.
+    pub const NONE: Plasticity =
+        Plasticity { yield_curvature_1_m: f64::INFINITY, hardening: 0.0, weakening: 0.0, yield_strain: f64::INFINITY };
 }
 
 impl Fabric {
@@ -131,6 +141,16 @@ impl Fabric {
         }
     }
 
+    /// True if folds of the fabric stay beyond a curvature.
+    pub fn creases(&self) -> bool {
+        self.plasticity.is_some_and(|plasticity| plasticity.yield_curvature_1_m < f64::INFINITY)
+    }
+
+    /// True if stretches of the fabric stay beyond a strain.
+    pub fn stays_stretched(&self) -> bool {
+        self.plasticity.is_some_and(|plasticity| plasticity.yield_strain < f64::INFINITY)
+    }
+
     /// Checks the values. An error names the table entry, counted from 1.
     pub fn check(&self) -> Result<(), String> {
         let usable = |value: f64| (value as f32).is_finite();
@@ -140,9 +160,13 @@ impl Fabric {
         if !(usable(self.damping_s) && self.damping_s >= 0.0) {
             return Err(format!("the damping must be a number of at least 0 (s), not {}", self.damping_s));
         }
-        if let Some(Plasticity { yield_curvature_1_m, hardening, weakening }) = self.plasticity {
-            if !(usable(yield_curvature_1_m) && yield_curvature_1_m as f32 > 0.0) {
+        if let Some(Plasticity { yield_curvature_1_m, hardening, weakening, yield_strain }) = self.plasticity {
+            let yields = |value: f64| value == f64::INFINITY || usable(value) && value as f32 > 0.0;
+            if !yields(yield_curvature_1_m) {
                 return Err(format!("the yield curvature must be a number above 0 (1/m), not {yield_curvature_1_m}"));
+            }
+            if !yields(yield_strain) {
+                return Err(format!("the yield strain must be a number above 0, not {yield_strain}"));
             }
             for (what, value) in [("hardening", hardening), ("weakening", weakening)] {
                 if !(usable(value) && value >= 0.0) {

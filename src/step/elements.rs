@@ -1,6 +1,7 @@
 //! Elastic elements of a rank and their records of a step. Matrix and right-hand side read the records only.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 
 use bytemuck::Zeroable;
 
@@ -9,6 +10,7 @@ use super::span::Span;
 use crate::forces::bend::Bend;
 use crate::forces::crease;
 use crate::forces::fiber;
+use crate::forces::plastic_stretch::{self, NO_HINGE, PlasticTriangle};
 use crate::forces::stretch::Stretch;
 use crate::forces::{
     FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement,
@@ -34,12 +36,18 @@ pub(super) struct Elements {
     bends: usize,
     /// First fiber in `hinges`; as many as there are if no fabric has a strain limit.
     first_fiber: usize,
-    /// True if a fabric is plastic; then hinges change from step to step.
-    plastic: bool,
+    /// Plastic curvature over yield curvature of every hinge; empty if the folds of no fabric stay.
+    hinge_damage: DeviceVec<f32>,
+    /// Of every triangle; empty if neither shapes at rest nor damage of triangles change.
+    pub plastic_triangles: DeviceVec<PlasticTriangle>,
+    /// True if a fabric stays stretched.
+    stays_stretched: bool,
+    fabric_tables: Vec<FabricTable>,
 }
 
 impl Elements {
-    pub(super) fn new(executor: &Executor, arrays: &RankArrays, plastic: bool) -> Elements {
+    /// `creases`: the folds of a fabric of the scene stay.
+    pub(super) fn new(executor: &Executor, arrays: &RankArrays, creases: bool) -> Elements {
         let bends = arrays.hinges.len();
         let mut hinges = Cow::Borrowed(&arrays.hinges);
         let is_limited = arrays.fabrics.iter().any(FabricTable::has_fibers);
@@ -53,8 +61,10 @@ impl Elements {
             }
             hinges.extend(arrays.triangles.iter().map(fiber::element));
         }
+        let changes_triangles = arrays.fabrics.iter().any(FabricTable::changes_triangles);
+        let plastic_triangles = if changes_triangles { plastic_triangles(arrays, creases) } else { Vec::new() };
         let first_fiber = if is_limited { hinges.len() - arrays.triangles.len() } else { bends };
-        Elements {
+        let mut elements = Elements {
             bends,
             first_fiber,
             fabrics: DeviceVec::upload(executor, &arrays.fabrics),
@@ -64,8 +74,13 @@ impl Elements {
             hinge_records: DeviceVec::zeros(executor, hinges.len() * HINGE_RECORD_FLOATS),
             stretch: Stretch::new(executor),
             bend: Bend::new(executor),
-            plastic,
-        }
+            hinge_damage: DeviceVec::zeros(executor, if creases { bends } else { 0 }),
+            plastic_triangles: DeviceVec::upload(executor, &plastic_triangles),
+            stays_stretched: !arrays.stretches.is_empty(),
+            fabric_tables: arrays.fabrics.clone(),
+        };
+        elements.take_up_plastic(executor);
+        elements
     }
 
     /// The records of `state` for a step over `span`. `ahead_s`: see [`StepParams::ahead_s`].
@@ -103,12 +118,51 @@ impl Elements {
 
     /// True if a fabric is plastic.
     pub(super) fn is_plastic(&self) -> bool {
-        self.plastic
+        self.crease_count() > 0 || self.stretch_count() > 0
     }
 
-    /// The return map of all hinges (`forces::crease`).
-    pub(super) fn crease(&mut self, executor: &Executor, positions: &DeviceVec<f32>) {
-        crease::apply(executor, &self.fabrics, positions, self.bends, &mut self.hinges);
+    /// Number of creases that a state has.
+    pub(super) fn crease_count(&self) -> usize {
+        self.hinge_damage.len()
+    }
+
+    /// Number of rest stretches that a state has.
+    pub(super) fn stretch_count(&self) -> usize {
+        if self.stays_stretched { self.triangles.len() } else { 0 }
+    }
+
+    /// Bytes that [`Elements::yield_beyond`] reads.
+    pub(super) fn plastic_bytes(&self) -> u64 {
+        let triangles = if self.plastic_triangles.is_empty() { 0 } else { self.triangles.bytes() };
+        self.hinge_damage.bytes() * 13 + self.plastic_triangles.bytes() + triangles
+    }
+
+    /// The return maps of all hinges and triangles (`forces::crease`, `forces::plastic_stretch`).
+    pub(super) fn yield_beyond(&mut self, executor: &Executor, positions: &DeviceVec<f32>) {
+        if self.crease_count() > 0 {
+            crease::apply(executor, &self.fabrics, positions, &mut self.hinges, &mut self.hinge_damage);
+        }
+        self.stretch_beyond(executor, true, positions);
+    }
+
+    fn stretch_beyond(&mut self, executor: &Executor, moves: bool, positions: &DeviceVec<f32>) {
+        if !self.plastic_triangles.is_empty() {
+            let (fabrics, damage) = (&self.fabrics, &self.hinge_damage);
+            let (plastic, elements) = (&mut self.plastic_triangles, &mut self.triangles);
+            plastic_stretch::apply(executor, moves, fabrics, positions, damage, plastic, elements);
+        }
+    }
+
+    /// Brings damage and triangles in line with the creases and rest stretches that the elements hold.
+    pub(super) fn take_up_plastic(&mut self, executor: &Executor) {
+        if self.crease_count() > 0 && !self.plastic_triangles.is_empty() {
+            let hinges = self.hinges.host(executor);
+            let damage = |hinge: &HingeElement| crease::damage(&self.fabric_tables, hinge);
+            let damage: Vec<f32> = hinges[..self.bends].iter().map(damage).collect();
+            self.hinge_damage.write_range(executor, 0, &damage);
+        }
+        // Nothing moves, so no position is read.
+        self.stretch_beyond(executor, false, &DeviceVec::zeros(executor, 1));
     }
 
     /// Bytes that [`Elements::fill_records`] moves.
@@ -123,6 +177,21 @@ impl Elements {
 
     /// Device bytes.
     pub(super) fn bytes(&self) -> u64 {
-        self.fabrics.bytes() + self.moved_bytes()
+        self.fabrics.bytes() + self.moved_bytes() + self.hinge_damage.bytes() + self.plastic_triangles.bytes()
     }
+}
+
+/// The plastic data of the triangles of a rank at its start. All hinges of a triangle of a rank are there, too.
+fn plastic_triangles(arrays: &RankArrays, creases: bool) -> Vec<PlasticTriangle> {
+    let side = |a: u32, b: u32| [a.min(b), a.max(b)];
+    let ends = |hinge: &HingeElement| side(hinge.vertices[0], hinge.vertices[1]);
+    let of_side: HashMap<[u32; 2], u32> = arrays.hinges.iter().filter(|_| creases).map(ends).zip(0..).collect();
+    let with_hinges = |element: &TriangleElement| {
+        let [a, b, c] = element.vertices;
+        let hinge = |[a, b]: [u32; 2]| of_side.get(&side(a, b)).copied().unwrap_or(NO_HINGE);
+        PlasticTriangle::new(element, [[a, b], [b, c], [c, a]].map(hinge))
+    };
+    let mut triangles: Vec<PlasticTriangle> = arrays.triangles.iter().map(with_hinges).collect();
+    triangles.iter_mut().zip(&arrays.stretches).for_each(|(triangle, &stretch)| triangle.set_state(stretch));
+    triangles
 }

@@ -2,7 +2,7 @@
 
 use super::{Failure, RankCloth, Simulation};
 use crate::gpu::Executor;
-use crate::model::RankState;
+use crate::model::{PlasticCounts, RankState};
 use crate::scene::PreconditionerKind;
 use crate::solver::PcgError;
 
@@ -10,13 +10,14 @@ impl Simulation {
     /// State of the own rows. It waits for the executor once if the state has changed since the last call.
     pub fn state(&self) -> RankState {
         let creases = self.cloth.elements.creases(&self.executor);
+        let stretches = self.cloth.elements.stretches(&self.executor);
         let let_go = self.cloth.collisions.as_ref().map_or(Vec::new(), |collisions| collisions.let_go_of_rows());
-        RankState { creases, let_go, ..self.cloth.state.own(&self.executor).as_ref().clone() }
+        RankState { creases, stretches, let_go, ..self.cloth.state.own(&self.executor).as_ref().clone() }
     }
 
-    /// Number of creases in a state of this rank.
-    pub fn creases(&self) -> usize {
-        self.cloth.elements.crease_count()
+    /// Numbers of creases and rest stretches in a state of this rank.
+    pub fn plastic_counts(&self) -> PlasticCounts {
+        self.cloth.elements.plastic_counts()
     }
 
     /// Drops everything but the executor, for another simulation.

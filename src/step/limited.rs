@@ -67,6 +67,13 @@ impl LimitedTriangles {
         })
     }
 
+    /// Takes the shapes at rest of the rank's triangles, `elements`, as they are now.
+    pub(super) fn take_rest_shapes(&mut self, elements: &[TriangleElement]) {
+        let fabrics = &self.fabrics;
+        let limited = elements.iter().filter(|element| fabrics[element.fabric as usize].is_limited());
+        self.triangles.iter_mut().zip(limited).for_each(|(triangle, element)| *triangle = *element);
+    }
+
     fn beyond(&self, triangle: usize, positions: &[f32]) -> [Overstretch; 3] {
         let element = &self.triangles[triangle];
         let at = |v: u32| Vec3::from_slice(&positions[v as usize * 3..][..3]);

@@ -13,7 +13,7 @@ use crate::integrator::advance::Advance;
 use crate::integrator::pins::PinTargets;
 use crate::integrator::scatter::Scatter;
 use crate::math::DIM;
-use crate::model::{RankArrays, RankState};
+use crate::model::{PlasticCounts, RankArrays, RankState};
 use crate::solver::{HaloExchange, TrafficCounter};
 use crate::telemetry::{Activity, EventName};
 use crate::transport::TransportError;
@@ -57,7 +57,7 @@ impl StateVectors {
         if let Some(known) = &*self.copy.borrow() {
             return Rc::clone(known);
         }
-        let mut state = RankState::zeros(self.own.len() / DIM, 0);
+        let mut state = RankState::zeros(self.own.len() / DIM, PlasticCounts::default());
         let mut batch = ReadBatch::new();
         batch.add(&self.positions, self.own.start, &mut state.positions);
         batch.add(&self.velocities, self.own.start, &mut state.velocities);

@@ -9,8 +9,8 @@ use std::collections::HashMap;
 
 use crate::math::Vec3;
 use crate::mesh::{Refinement, hinges};
-use crate::model::{Crease, LetGo, State};
-use crate::scene::Scene;
+use crate::model::{Crease, LetGo, RestStretch, State, UNSTRETCHED};
+use crate::scene::{Fabric, Scene};
 
 /// The way from a coarse level of a scene to a fine one.
 #[derive(Clone, Debug)]
@@ -47,10 +47,10 @@ impl Upsampling {
             let of_piece = refinement.triangles.chunks_exact(refinement.parts);
             parts.extend(of_piece.map(|parts| parts.iter().map(|t| large.triangles.start + t).collect()));
         }
-        let plastic = fine.fabrics.iter().any(|fabric| fabric.plasticity.is_some());
+        let creases = fine.fabrics.iter().any(Fabric::creases);
         let edges = |scene: &Scene| {
             let edge = |hinge: &crate::mesh::Hinge| [hinge.vertices[0], hinge.vertices[1]];
-            if plastic { hinges(&scene.mesh).iter().map(edge).collect() } else { Vec::new() }
+            if creases { hinges(&scene.mesh).iter().map(edge).collect() } else { Vec::new() }
         };
         Upsampling {
             copies,
@@ -66,14 +66,15 @@ impl Upsampling {
     }
 
     /// The state of the fine level on the surface of `coarse`, a state of the coarse one. Positions and velocities in
-    /// the middle of an edge are the means of its ends; a crease goes on to the parts of its edge; what is let go goes
-    /// on to all vertices of its triangles.
+    /// the middle of an edge are the means of its ends; a crease goes on to the parts of its edge, a rest stretch to
+    /// those of its triangle; what is let go goes on to all vertices of its triangles.
     pub fn state(&self, coarse: &State) -> State {
         assert_eq!(coarse.vertices(), Some(self.coarse_vertices), "a state of the coarse level");
         State {
             positions: self.vectors(&coarse.positions),
             velocities: self.vectors(&coarse.velocities),
             creases: self.creases(&coarse.creases),
+            stretches: self.stretches(&coarse.stretches),
             let_go: self.let_go(&coarse.let_go),
         }
     }
@@ -108,6 +109,17 @@ impl Upsampling {
         self.fine_hinges.iter().map(|&[a, b]| of_edge.get(&[a, b]).copied().unwrap_or_default()).collect()
     }
 
+    fn stretches(&self, coarse: &[RestStretch]) -> Vec<RestStretch> {
+        if coarse.is_empty() {
+            return Vec::new();
+        }
+        let mut fine = vec![UNSTRETCHED; self.fine_triangles.len()];
+        for (&stretch, parts) in coarse.iter().zip(&self.parts) {
+            parts.iter().for_each(|&triangle| fine[triangle as usize] = stretch);
+        }
+        fine
+    }
+
     fn let_go(&self, coarse: &[LetGo]) -> Vec<LetGo> {
         let mut fine = Vec::new();
         if coarse.is_empty() {
@@ -138,6 +150,7 @@ mod tests {
         [[cloth]]
         sheet = { size_m = [1.0, 0.8], triangles = 2_000 }
         yield_curvature = 5.0
+        yield_strain = 0.02
         [[cloth]]
         sheet = { radius_m = 0.3, triangles = 900 }
         origin_m = [0.0, 0.0, 1.0]
@@ -230,6 +243,16 @@ mod tests {
         }
         let carried = state.creases.iter().filter(|crease| **crease != Crease::default()).count();
         assert_eq!(carried, 4 * edges.len());
+    }
+
+    #[test]
+    fn rest_stretches_go_on_to_the_parts_of_their_triangles() {
+        let (coarse, fine, up) = levels(1);
+        let stretches: Vec<RestStretch> = (0..coarse.mesh.triangles.len()).map(|t| [1.0, 1.0, 0.0, t as f32]).collect();
+        let state = up.state(&State { stretches, ..State::start_of(&coarse) });
+        assert_eq!(state.stretches.len(), fine.mesh.triangles.len());
+        let first = state.stretches[..8].iter().map(|stretch| stretch[3]).collect::<Vec<_>>();
+        assert_eq!(first, [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]);
     }
 
     #[test]

@@ -6,8 +6,9 @@ use loomtree::assembly::{ElementRows, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
 use loomtree::forces::crease;
 use loomtree::forces::fiber;
+use loomtree::forces::plastic_stretch::{self, NO_HINGE, PlasticTriangle};
 use loomtree::forces::stretch::Stretch;
-use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS};
+use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement};
 use loomtree::gpu::{DeviceVec, Executor};
 use loomtree::integrator::advance::Advance;
 use loomtree::integrator::scatter::Scatter;
@@ -185,8 +186,9 @@ fn creases(executor: &Executor, part: &RankModel) -> (Vec<f32>, Vec<f32>) {
     let flatter: Vec<f32> = arrays.positions.chunks(3).flat_map(|p| [p[0], p[1], 0.2 * p[2]]).collect();
     let flatter = DeviceVec::upload(executor, &flatter);
     let mut records = DeviceVec::zeros(executor, hinges.len() * HINGE_RECORD_FLOATS);
-    crease::apply(executor, &fabrics, &x, part.arrays.hinges.len(), &mut hinges);
-    crease::apply(executor, &fabrics, &flatter, part.arrays.hinges.len(), &mut hinges);
+    let mut damage = DeviceVec::zeros(executor, hinges.len());
+    crease::apply(executor, &fabrics, &x, &mut hinges, &mut damage);
+    crease::apply(executor, &fabrics, &flatter, &mut hinges, &mut damage);
     let count = hinges.len() as u32;
     let params = StepParams { step_s: 0.004, air_density: 0.0, air_drag: 0.0, count, wind: [0.0; 3], ahead_s: 0.004 };
     Bend::new(executor).apply(executor, &params, &fabrics, &hinges, &flatter, &x, &mut records);
@@ -207,6 +209,59 @@ fn creases_equal_the_native_twin() {
         let found = creases(&executor, &part);
         assert_close("creases", &found.0, &expected.0, 2, 1e-5);
         assert_close("hinge records", &found.1, &expected.1, HINGE_RECORD_FLOATS, 1e-5);
+    }
+}
+
+/// Rest stretches after two return maps, the elements' weights and damage, and their records.
+fn rest_stretches(executor: &Executor, part: &RankModel) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
+    let arrays = &part.arrays;
+    let mut fabric = arrays.fabrics[0];
+    (fabric.yield_strain, fabric.hardening, fabric.weakening) = (0.05, 0.3, 0.7);
+    let fabrics = DeviceVec::upload(executor, &[fabric]);
+    let mut elements = DeviceVec::upload(executor, &arrays.triangles);
+    let hinges = arrays.hinges.len() as u32;
+    let of_triangle = |(i, element): (u32, &TriangleElement)| {
+        PlasticTriangle::new(element, [i % hinges, if i % 2 == 0 { NO_HINGE } else { 0 }, (i + 7) % hinges])
+    };
+    let plastic: Vec<PlasticTriangle> = (0..).zip(&arrays.triangles).map(of_triangle).collect();
+    let mut plastic = DeviceVec::upload(executor, &plastic);
+    let damage: Vec<f32> = (0..hinges).map(|i| 0.1 * (i % 5) as f32).collect();
+    let damage = DeviceVec::upload(executor, &damage);
+    let x = DeviceVec::upload(executor, &arrays.positions);
+    let other: Vec<f32> =
+        arrays.positions.chunks(3).flat_map(|p| [0.9 * p[0] + 0.2 * p[1], 1.1 * p[1], p[2]]).collect();
+    let other = DeviceVec::upload(executor, &other);
+    for positions in [&x, &other] {
+        plastic_stretch::apply(executor, true, &fabrics, positions, &damage, &mut plastic, &mut elements);
+    }
+    plastic_stretch::apply(executor, false, &fabrics, &x, &damage, &mut plastic, &mut elements);
+    let mut records = DeviceVec::zeros(executor, elements.len() * TRIANGLE_RECORD_FLOATS);
+    let count = elements.len() as u32;
+    let params = StepParams { step_s: 0.004, air_density: 0.0, air_drag: 0.0, count, wind: [0.0; 3], ahead_s: 0.004 };
+    Stretch::new(executor).apply(executor, &params, &fabrics, &elements, &x, &x, &mut records);
+    let states = plastic.read(executor).iter().flat_map(|triangle| triangle.state()).collect();
+    let weights = |element: &TriangleElement| {
+        let ([a, b], [c, d]) = (element.weights_u, element.weights_v);
+        [a, b, c, d, element.damage]
+    };
+    let weights = elements.read(executor).iter().flat_map(weights).collect();
+    let records = records.read(executor);
+    assert_eq!(executor.take_fault(), None);
+    (states, weights, records)
+}
+
+#[test]
+fn rest_stretches_equal_the_native_twin() {
+    let (Some(gpu), Some(split)) = (device::executor(), device::executor_binding(192 << 10)) else { return };
+    let part = crumpled_rank(65);
+    let expected = rest_stretches(&Executor::cpu(1), &part);
+    let yielded = expected.0.chunks(4).filter(|state| state[3] > 0.0).count();
+    assert!(yielded > expected.0.len() / 16, "{yielded} triangles yield");
+    for executor in [gpu, split] {
+        let found = rest_stretches(&executor, &part);
+        assert_close("rest stretches", &found.0, &expected.0, 4, 1e-5);
+        assert_close("weights", &found.1, &expected.1, 5, 1e-5);
+        assert_close("triangle records", &found.2, &expected.2, TRIANGLE_RECORD_FLOATS, 1e-5);
     }
 }
 

@@ -74,8 +74,17 @@ fn stack() -> Scene {
 /// The flag of a fabric that creases at once.
 fn creased() -> Scene {
     let mut scene = flag();
-    let plasticity = Plasticity { yield_curvature_1_m: 0.2, hardening: 0.1, weakening: 0.5 };
+    let plasticity = Plasticity { yield_curvature_1_m: 0.2, hardening: 0.1, weakening: 0.5, ..Plasticity::NONE };
     scene.fabrics[0].plasticity = Some(plasticity);
+    scene
+}
+
+/// The flag of a fabric that creases and stays stretched at once, and weakens, with strain limits beside them.
+fn stretched() -> Scene {
+    let mut scene = creased();
+    let plasticity = scene.fabrics[0].plasticity.as_mut().expect("plastic");
+    plasticity.yield_strain = 2e-4;
+    scene.fabrics[0].strain_limit = Some(StrainLimit::Every([0.95, 1.002]));
     scene
 }
 
@@ -96,8 +105,10 @@ fn assert_bits(name: &str, states: &[RankState], expected: &[RankState]) {
         assert!(bits(&state.positions) == bits(&expected.positions), "{name}: positions of rank {rank}");
         assert!(bits(&state.velocities) == bits(&expected.velocities), "{name}: velocities of rank {rank}");
         assert_eq!(state.let_go, expected.let_go, "{name}: what rank {rank} has let go");
-        let (creases, expected) = (state.creases.as_flattened(), expected.creases.as_flattened());
-        assert!(bits(creases) == bits(expected), "{name}: creases of rank {rank}");
+        let (creases, expected_creases) = (state.creases.as_flattened(), expected.creases.as_flattened());
+        assert!(bits(creases) == bits(expected_creases), "{name}: creases of rank {rank}");
+        let (stretches, expected) = (state.stretches.as_flattened(), expected.stretches.as_flattened());
+        assert!(bits(stretches) == bits(expected), "{name}: rest stretches of rank {rank}");
     }
 }
 
@@ -184,6 +195,27 @@ fn creases() {
 }
 
 #[test]
+fn rest_stretches() {
+    for ranks in [1, 3] {
+        check("stretched", &stretched(), ranks, ExchangeMode::Halo);
+    }
+    let whole = |ranks| {
+        let model = GlobalModel::new(&stretched());
+        let parts = on_ranks(&model, ranks, ExchangeMode::Halo, cpu, |simulation, transport| {
+            (1..=STEPS).map(|number| step(simulation, transport, number)).last().expect("a step")
+        });
+        whole_state(&model, parts.iter())
+    };
+    let one = whole(1);
+    let yielded = one.stretches.iter().filter(|stretch| stretch[3] > 0.0).count();
+    assert!(yielded > one.stretches.len() / 10, "{yielded} of {} triangles have yielded", one.stretches.len());
+    assert!(one.creases.iter().any(|crease| crease[1] > 0.0));
+    for ranks in [2, 3, 5, 8] {
+        assert_eq!(whole(ranks).hash(), one.hash(), "{ranks} ranks");
+    }
+}
+
+#[test]
 fn a_sphere_in_contact() {
     for ranks in [1, 3] {
         check("sphere", &sphere(), ranks, ExchangeMode::Halo);
@@ -196,7 +228,8 @@ fn a_sheet_pinched_between_balls() {
     let mut scene = between_balls(0.006, [0.0, 0.032, 0.064]);
     pinched(&scene);
     // Creases and pairs that are let go in one state, with strain limits beside them.
-    scene.fabrics[0].plasticity = Some(Plasticity { yield_curvature_1_m: 0.2, hardening: 0.1, weakening: 0.5 });
+    scene.fabrics[0].plasticity =
+        Some(Plasticity { yield_curvature_1_m: 0.2, hardening: 0.1, weakening: 0.5, ..Plasticity::NONE });
     scene.fabrics[0].strain_limit = Some(StrainLimit::Every([0.95, 1.002]));
     let state = pinched(&scene);
     let yielded = state.creases.iter().filter(|crease| crease[1] > 0.0).count();

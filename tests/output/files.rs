@@ -156,7 +156,8 @@ fn checkpoint(step: u64) -> Checkpoint {
     let creases = (0..step / 2 % 2 * 3).map(|i| [i as f32, 0.25]).collect();
     // None of the first, so that all layouts are written.
     let let_go = (3..step as u32).map(|vertex| LetGo { vertex, obstacle: 7, inside: vertex % 2 }).collect();
-    let state = State { velocities: positions.clone(), positions, creases, let_go };
+    let stretches = (0..step / 4 % 2 * 5).map(|i| [1.0 + i as f32, 1.0, 0.25, 0.5]).collect();
+    let state = State { velocities: positions.clone(), positions, creases, stretches, let_go };
     Checkpoint { frame: 2, step, time_s: 0.25, fingerprint: 77, state }
 }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use loomtree::impact_zone::ZoneCounts;
 use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
-use loomtree::model::{LetGo, State};
+use loomtree::model::{LetGo, PlasticCounts, State};
 use loomtree::output::*;
 use loomtree::scene::{Fabric, Pin, Scene, Settings};
 use loomtree::step::{QueryStats, StageSeconds};
@@ -31,6 +31,7 @@ fn state_hash_has_a_known_value_and_feels_every_bit() {
     assert_ne!(hash, State { positions: velocities, velocities: positions, ..State::default() }.hash());
     assert_ne!(hash, State { let_go: vec![LetGo { vertex: 0, obstacle: 0, inside: 0 }], ..state.clone() }.hash());
     assert_ne!(hash, State { creases: vec![[0.0; 2]], ..state.clone() }.hash());
+    assert_ne!(hash, State { stretches: vec![[0.0; 4]], ..state.clone() }.hash());
     for (vertex, bit) in (0..2).flat_map(|vertex| (0..96).map(move |bit| (vertex, bit))) {
         for field in 0..2 {
             let mut changed = state.clone();
@@ -40,7 +41,7 @@ fn state_hash_has_a_known_value_and_feels_every_bit() {
             assert_ne!(changed.hash(), hash, "bit {bit} of vertex {vertex}, field {field}");
         }
     }
-    let zeros = State::zeros(1, 0);
+    let zeros = State::zeros(1, PlasticCounts::default());
     assert_ne!(zeros.hash(), State { velocities: vec![-Vec3::ZERO], ..zeros.clone() }.hash());
 }
 

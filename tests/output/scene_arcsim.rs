@@ -64,7 +64,7 @@ fn every_field_arrives() {
     assert_eq!((fabric.stretching_n_m[0], fabric.bending_n_m[0][0]), ([20.0, 2.0, 40.0, 10.0], 6e-6));
 
     assert_eq!(fabric.strain_limit, Some(StrainLimit::Every([0.9, 1.1])));
-    let plasticity = Plasticity { yield_curvature_1_m: 200.0, hardening: 0.0, weakening: 0.5 };
+    let plasticity = Plasticity { yield_curvature_1_m: 200.0, hardening: 0.0, weakening: 0.5, ..Plasticity::NONE };
     assert_eq!(fabric.plasticity, Some(plasticity));
 
     assert!(scene.mesh.positions[1].distance(Vec3::new(0.0, 2.0, 1.0)) < 1e-6);
@@ -110,9 +110,16 @@ fn limits_and_plasticity_can_be_disabled_and_must_make_sense() {
     assert_eq!((off.strain_limit, off.plasticity), (None, None));
     assert!(fabric(both, "").unwrap().plasticity.is_some_and(|plasticity| plasticity.weakening == 0.0));
     assert_eq!(fabric("weakening: 1", "").unwrap().plasticity, None, "without a yield curvature nothing yields");
+    let stretches = fabric("yield_stretch: 1.25, weakening: 2", "").unwrap().plasticity;
+    let expected = Plasticity { yield_strain: 0.25, weakening: 2.0, ..Plasticity::NONE };
+    assert_eq!(stretches, Some(expected));
     for (material, what) in [
         ("strain_limits: [1.05]", "field `cloths[0].materials[0].strain_limits`: must be an array of 2 numbers"),
         ("strain_limits: [1.05, 0.95]", "the strain limit must be two stretches"),
+        (
+            "yield_stretch: 1",
+            "field `cloths[0].materials[0].yield_stretch`: must be a stretch (length / length at rest) above",
+        ),
         ("yield_curv: 0", "field `cloths[0].materials[0].yield_curv`: must be a number above 0"),
     ] {
         let error = fabric(material, "").unwrap_err();

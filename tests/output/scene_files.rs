@@ -265,7 +265,7 @@ fn mistakes_name_line_and_field() {
         with("\ncolour = 1"),
         "line 4: field `cloth.colour`: unknown field; known here: name, sheet, garment, mesh, material, \
          weld_m, subdivide, plane, origin_m, rotate_deg, scale, fabric, thicken, damping_s, yield_curvature, \
-         hardening, weakening, strain_limit, velocity_m_s, friction"
+         yield_strain, hardening, weakening, strain_limit, velocity_m_s, friction"
     );
     assert_eq!(
         with("fabric = \"coton\""),

@@ -61,7 +61,7 @@ fn rest_after(angle: f64, plasticity: Plasticity, step_s: f64) -> (f64, [f64; 2]
 }
 
 fn plasticity(hardening: f64, weakening: f64) -> Plasticity {
-    Plasticity { yield_curvature_1_m: YIELD_1_M, hardening, weakening }
+    Plasticity { yield_curvature_1_m: YIELD_1_M, hardening, weakening, ..Plasticity::NONE }
 }
 
 #[test]

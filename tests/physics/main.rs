@@ -16,5 +16,6 @@ mod pins;
 mod plates;
 mod rest;
 mod stiff;
+mod stretches;
 mod substeps;
 mod system;

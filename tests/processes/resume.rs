@@ -60,6 +60,41 @@ fn creases_go_on_with_the_same_bits() {
     assert_eq!(place.hashes("out"), straight(&place, 10));
 }
 
+/// Creases and rest stretches in one cloth, and a limit that pulls triangles back in another.
+#[test]
+fn rest_stretches_and_limits_go_on_with_the_same_bits() {
+    let place = Place::new();
+    let fields = "yield_curvature = 1.0
+        yield_strain = 0.002
+        hardening = 0.2
+        weakening = 0.5
+        strain_limit = [0.9, 1.01]
+        fabric =";
+    let limited = r#"cloth = 0
+        [[cloth]]
+        name = "limited"
+        sheet = { size_m = [1.0, 1.0] }
+        origin_m = [0.0, 0.0, 3.0]
+        fabric = "nylon"
+        strain_limit = [0.95, 1.001]
+        [[pin]]
+        cloth = "limited"
+        corners = ["top-left"]
+        "#;
+    place.write("flag.toml", flag(1000, 3, 6).replace("fabric =", fields) + limited);
+    place.run("run flag.toml --executor cpu --workers 2 --keep-states frames --out out").expect(0);
+    let state = fs::read(place.path("out/states/step_00000018.ltc")).expect("a state");
+    let state = Checkpoint::from_bytes(&state).expect("a state").state;
+    let yielded = state.stretches.iter().filter(|stretch| stretch[3] > 0.0).count();
+    assert!(yielded > state.stretches.len() / 100, "{yielded} of {} triangles", state.stretches.len());
+    place.run("run --resume --out out --workers 5 --frames 8").expect(0);
+    place.run("run --resume --out out --workers 1 --frames 10").expect(0);
+    assert_eq!(place.hashes("out"), straight(&place, 10));
+    let report = place.report("out");
+    let pulled = |step: &&serde_json::Value| step["limits"]["pulled"].as_u64().is_some_and(|pulled| pulled > 0);
+    assert!(report["steps"].as_array().expect("steps").iter().filter(pulled).count() > 1, "limits have work");
+}
+
 #[test]
 fn a_truncated_checkpoint_is_skipped_for_the_one_before() {
     let place = Place::new();

@@ -10,7 +10,7 @@ use loomtree::coordinator::session::{Next, StepDone, Watch};
 use loomtree::coordinator::shot::{Ended, News, Segment, play};
 use loomtree::coordinator::{Crew, CrewError};
 use loomtree::coordinator::{Launch, RunOptions, RunPlan, Session, SessionError, SessionOptions, SessionPlace};
-use loomtree::model::State;
+use loomtree::model::{PlasticCounts, State};
 use loomtree::output::Checkpoint;
 use loomtree::protocol::{CONNECTING, ExecutorChoice};
 use loomtree::scene::PreconditionerKind;
@@ -62,7 +62,7 @@ fn advance(session: &mut Session, to: u32) -> Vec<String> {
 
 /// Loads, steps, sets and loads again; every way to the last step must lead to the same bits.
 fn check(mut session: Session, fine: &RunPlan, coarse: &RunPlan) {
-    assert!(matches!(session.set_state(&State::zeros(3, 0), 0), Err(SessionError::NotLoaded)));
+    assert!(matches!(session.set_state(&State::zeros(3, PlasticCounts::default()), 0), Err(SessionError::NotLoaded)));
     let start = State::start_of(&fine.scene);
     assert_eq!(session.load(fine).expect("loaded").len(), fine.partition.ranks());
     assert_eq!(session.state().expect("a state").hash(), start.hash());

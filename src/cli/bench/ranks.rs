@@ -45,9 +45,9 @@ impl ModelState {
                 break;
             }
         }
-        let RankState { positions, velocities, creases, let_go: _ } = simulation.state();
-        (model.positions, model.velocities) = (positions, velocities);
-        // One rank holds all hinges in the order of the model.
+        let RankState { positions, velocities, creases, stretches, let_go: _ } = simulation.state();
+        (model.positions, model.velocities, model.stretches) = (positions, velocities, stretches);
+        // One rank holds all elements in the order of the model.
         model.hinges.iter_mut().zip(creases).for_each(|(hinge, crease)| hinge.set_crease(crease));
         let contacts = simulation.assemble(&mut transport, step + 1).map_err(|error| failed(&error))?;
         model.settings.preconditioner = PreconditionerKind::Jacobi;

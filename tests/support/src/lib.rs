@@ -167,10 +167,10 @@ pub fn simulate(
 /// The state of the whole cloth, from the parts of all ranks in rank order.
 pub fn whole_state<'a>(model: &GlobalModel, parts: impl ExactSizeIterator<Item = &'a RankState>) -> State {
     let partition = RowPartition::new(model.rows(), parts.len());
-    let hinges = RankModel::hinges_of_ranks(model, &partition);
-    let mut state = State::zeros(model.rows(), model.original_hinge.len());
+    let plastic = RankModel::plastic_elements(model, &partition);
+    let mut state = State::zeros(model.rows(), model.plastic_elements().counts());
     parts.enumerate().for_each(|(rank, part)| {
-        state.scatter(&model.original_from_global[partition.rows_of(rank)], &hinges[rank], part);
+        state.scatter(&model.original_from_global[partition.rows_of(rank)], &plastic[rank], part);
     });
     state
 }

@@ -4,7 +4,7 @@
 use loomtree::forces::{bend_energy, dihedral_angle, stretch_energy, stretch_stiffness};
 use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
-use loomtree::model::{GlobalModel, RankModel};
+use loomtree::model::{GlobalModel, RankModel, RestStretch};
 use loomtree::partition::RowPartition;
 use loomtree::scene::{Fabric, Scene};
 use loomtree::solver::ExchangeMode;
@@ -132,6 +132,11 @@ impl OneRank {
             ends == wanted
         });
         self.simulation.state().creases[hinge.expect("an inner edge")]
+    }
+
+    /// Rest stretches of all triangles, in the order of the model.
+    pub fn rest_stretches(&self) -> Vec<RestStretch> {
+        self.simulation.state().stretches
     }
 
     fn original(&self, xyz: &[f32]) -> Vec<Vec3> {
