@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use loomtree::cli::{self, CliError, Verbosity};
+use loomtree::cli::{self, CliError, Verbosity, launcher};
 use loomtree::coordinator::Launch;
 
 /// Distributed simulator for very large cloth: one worker process per (simulated) GPU.
@@ -74,12 +74,12 @@ fn main() -> ExitCode {
         _ => Verbosity::Usual,
     });
     let result = match arguments.command {
-        Command::Run(args) => cli::run::run(args, Launch::Spawn),
+        Command::Run(args) => launcher::under(args.launcher.launcher, |launch| cli::run::run(args, launch)),
         Command::Schedule(args) => cli::schedule::run(args),
         Command::Predict(args) => cli::predict::run(args),
         Command::Topology(args) => cli::topology::run(args),
         Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
-        Command::Solve(args) => cli::solve::run(args),
+        Command::Solve(args) => launcher::under(args.launcher.launcher, |launch| cli::solve::run(args, &launch)),
         Command::Join(args) => cli::join::run(args),
         Command::Compare(args) => cli::compare::run(args),
         Command::Convert(args) => cli::convert::run(args),

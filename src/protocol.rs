@@ -46,9 +46,10 @@ pub struct WorkerSetup {
     pub bind_cores: BindCores,
     /// Number of ranks.
     pub ranks: usize,
-    /// Index of rank 0 among the ranks of all sessions side by side. Adapters and cores are assigned in this order.
-    pub first_place: usize,
-    /// Ranks of all sessions side by side.
+    /// Index of this rank among the ranks of all sessions side by side on its machine. Adapters and cores are assigned
+    /// in this order.
+    pub place: usize,
+    /// Ranks of all sessions side by side on its machine.
     pub places: usize,
     /// Number of the connection of the data ports. When it changes, all ranks drop their ports and connect again.
     pub epoch: u32,

@@ -228,8 +228,8 @@ impl Worker {
     /// The executor for `setup`. It reuses the existing one if the parameters are the same, and drops the loaded
     /// simulation.
     fn executor(&mut self, setup: &WorkerSetup) -> Result<Executor, WorkerError> {
-        let WorkerSetup { executor: choice, adapter, threads, first_place, .. } = *setup;
-        let kind = ExecutorKind { choice, adapter, threads, place: first_place + self.rank };
+        let WorkerSetup { executor: choice, adapter, threads, place, .. } = *setup;
+        let kind = ExecutorKind { choice, adapter, threads, place };
         let used = self.loaded.take().map(|loaded| loaded.simulation.into_executor());
         let there = self.executor.take().and_then(|(made_for, spare)| Some((made_for, used.or(spare)?)));
         let executor = match there {
@@ -275,7 +275,7 @@ fn connect(
 ) -> Result<Box<dyn Transport>, TransportError> {
     let hook = inbox.clone();
     if setup.threads == 1 && setup.bind_cores == BindCores::Auto {
-        share_cores(setup.first_place + rank, setup.places);
+        share_cores(setup.place, setup.places);
     }
     if setup.ranks == 1 {
         let transport = SoloTransport::new(Box::new(move || hook.should_stop()));
@@ -292,7 +292,7 @@ fn connect(
     })
 }
 
-/// The executor for `setup`; `place`: index of this rank among those of all sessions.
+/// The executor for `setup`; `place`: index of this rank among those of its machine.
 pub fn make_executor(setup: &WorkerSetup, place: usize) -> Result<Executor, String> {
     let executor = match setup.executor {
         ExecutorChoice::Cpu => return Ok(Executor::cpu(setup.threads)),

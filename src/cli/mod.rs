@@ -12,6 +12,7 @@ pub mod doctor;
 mod far;
 pub mod init;
 pub mod join;
+pub mod launcher;
 pub mod predict;
 pub mod render;
 pub mod report;

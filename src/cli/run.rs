@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::CliError;
+use super::launcher::LauncherArgs;
 use super::run_lines::{conclude, introduce};
 use super::start_state::Places;
 use super::view::{PageArgs, serve};
@@ -42,6 +43,9 @@ pub struct RunArgs {
     /// Where the page is served.
     #[command(flatten)]
     pub page: PageArgs,
+    /// Who starts the workers.
+    #[command(flatten)]
+    pub launcher: LauncherArgs,
     /// Everything that run.toml keeps.
     #[command(flatten)]
     pub options: GivenOptions,
@@ -52,9 +56,13 @@ pub struct RunArgs {
 /// # Errors
 /// Bad input, a failed run, or a run that a signal has stopped (exit code 128 + its number).
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
-    let Resolved { places, options, recorded_scene } = resolve(&args)?;
+    let Resolved { places, mut options, recorded_scene } = resolve(&args)?;
     // Checked before the plan is made, which can take a while. Too many workers are refused there.
-    let sessions = if options.time.segments > 1 { options.time.sessions.unwrap_or(1) } else { 1 };
+    let is_split = options.time.segments > 1 && !args.coarse_only && args.only_segment.is_none();
+    if let Some(ranks) = launch.ranks() {
+        share_ranks(ranks, is_split, &args.options, &mut options);
+    }
+    let sessions = if is_split { options.time.sessions.unwrap_or(1) } else { 1 };
     launch.machine().prepare((sessions * options.workers).min(RANKS_MAX))?;
     let scope = match (args.coarse_only, args.only_segment) {
         (true, _) => Scope::Coarse,
@@ -105,6 +113,23 @@ fn make(
     // Until here a signal ends the process in the default way.
     signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
     conclude(crate::coordinator::run(plan, options, places, launch), places)
+}
+
+/// Gives every one of `ranks` processes of a world a place: to as many workers as there are, or to the sessions of a
+/// split shot. What the command line says stays, and is checked against the processes later.
+fn share_ranks(ranks: usize, is_split: bool, given: &GivenOptions, options: &mut RunOptions) {
+    let sessions = &mut options.time.sessions;
+    if !is_split {
+        if !given.gives("workers") {
+            options.workers = ranks;
+        }
+    } else if given.gives("workers") || sessions.is_none() {
+        // Without --sessions every session has one worker.
+        options.workers = if given.gives("workers") { options.workers } else { 1 };
+        sessions.get_or_insert((ranks / options.workers.max(1)).max(1));
+    } else {
+        options.workers = (ranks / sessions.unwrap_or(1).max(1)).max(1);
+    }
 }
 
 /// Resolved arguments of the command.

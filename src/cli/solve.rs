@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::CliError;
+use super::launcher::LauncherArgs;
 use super::solve_report::{SolveFacts, report};
 use super::solve_trace::{SOLVES_MOST, TraceFolder};
 use crate::coordinator::options::positive_seconds;
@@ -27,6 +28,9 @@ pub struct SolveArgs {
     /// [default: A*1, so that the solution is 1 everywhere]
     #[arg(long, value_name = "FILE")]
     pub rhs: Option<PathBuf>,
+    /// Who starts the workers.
+    #[command(flatten)]
+    pub launcher: LauncherArgs,
     /// Workers, each with its own device and block of rows
     #[arg(long, short = 'n', value_name = "N", default_value_t = 1)]
     pub workers: usize,
@@ -76,9 +80,6 @@ pub struct SolveArgs {
     pub repeat: u32,
 }
 
-/// How the workers of a solve are started.
-const LAUNCH: Launch = Launch::Spawn;
-
 fn tolerance(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value < 1.0 => Ok(value),
@@ -90,16 +91,20 @@ fn tolerance(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// Bad input (exit code 2), or a solve that failed or did not converge (exit code 1).
-pub fn run(args: SolveArgs) -> Result<(), CliError> {
+pub fn run(mut args: SolveArgs, launch: &Launch) -> Result<(), CliError> {
+    // Every process of a world is a worker.
+    if let (Some(ranks), 1) = (launch.ranks(), args.workers) {
+        args.workers = ranks;
+    }
     if let Some(path) = &args.solution {
         check_solution(path)?;
     }
-    let plan = prepare(&args)?;
+    let plan = prepare(&args, launch)?;
     let trace = args.trace.as_deref().map(TraceFolder::new).transpose()?;
     let facts = facts(&args, &plan, trace);
     let session = args.session();
-    LAUNCH.machine().prepare(args.workers)?;
-    let (results, executor) = solve(plan, &session, &LAUNCH).map_err(|error| match error {
+    launch.machine().prepare(args.workers)?;
+    let (results, executor) = solve(plan, &session, launch).map_err(|error| match error {
         SessionError::Crew(CrewError::Failed { failure: Failure::BadInput(text), .. }) => CliError::bad_input(text),
         SessionError::Crew(CrewError::Failed { failure: Failure::Other(text), .. }) => {
             CliError::failed(format!("{}: {text}", args.matrix.display()))
@@ -117,7 +122,7 @@ pub fn run(args: SolveArgs) -> Result<(), CliError> {
 ///
 /// # Errors
 /// Bad input.
-pub fn prepare(args: &SolveArgs) -> Result<SolvePlan, CliError> {
+pub fn prepare(args: &SolveArgs, launch: &Launch) -> Result<SolvePlan, CliError> {
     // Checked before a large file is read.
     check_workers(args.workers, usize::MAX, "").map_err(CliError::bad_input)?;
     let (system, stored_rhs) = read_system(&args.matrix).map_err(CliError::bad_input)?;
@@ -141,7 +146,7 @@ pub fn prepare(args: &SolveArgs) -> Result<SolvePlan, CliError> {
             max_iterations: args.max_iterations,
             repeat: args.repeat,
             time_products: args.repeat > 1,
-            host_threads: args.session().threads_of(1, LAUNCH.machine().as_ref()),
+            host_threads: args.session().threads_of(1, launch.machine().as_ref()),
             preconditioner: args.preconditioner,
             record_solves: if args.trace.is_some() { SOLVES_MOST } else { 0 },
         },

@@ -4,6 +4,7 @@
 use std::io::Write;
 use std::os::unix::process::CommandExt;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
@@ -15,7 +16,7 @@ use crate::step::Failure;
 use crate::transport::{
     ControlCoordinator, ControlError, Heartbeat, IceoryxCoordinator, Launcher, Life, Machine, MessageError, OneProcess,
     ProcessLauncher, RunError, RunName, SetupTurn, SharedMemoryMachine, Silence, ThreadConnect, ThreadJob,
-    ThreadLauncher, WorkerCommand, decode, encode, thread_channel,
+    ThreadLauncher, WorkerCommand, World, decode, encode, thread_channel,
 };
 use crate::worker;
 
@@ -40,7 +41,7 @@ const SETUP_MOST: Duration = Duration::from_secs(600);
 const COMPUTING_MOST: u32 = 30;
 
 /// Origin of the workers.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub enum Launch {
     /// Start them as children of this process, which must be the `loomtree` program.
     Spawn,
@@ -48,6 +49,8 @@ pub enum Launch {
     Await,
     /// Start them as threads of this process.
     Threads,
+    /// They are the processes of a world that another program has started.
+    World(Arc<dyn World>),
 }
 
 impl Launch {
@@ -56,6 +59,15 @@ impl Launch {
         match self {
             Launch::Spawn | Launch::Await => Box::new(SharedMemoryMachine),
             Launch::Threads => Box::new(OneProcess),
+            Launch::World(world) => world.machine(),
+        }
+    }
+
+    /// Number of workers, if whoever started them has decided it.
+    pub fn ranks(&self) -> Option<usize> {
+        match self {
+            Launch::World(world) => Some(world.ranks()),
+            _ => None,
         }
     }
 }
@@ -140,8 +152,9 @@ pub struct Crew {
 }
 
 impl Crew {
-    /// Starts (or waits for) `ranks` workers. A worker that is silent for `heartbeat_limit` counts as hung.
-    pub fn assemble(ranks: usize, launch: &Launch, heartbeat_limit: Duration) -> Result<Crew, CrewError> {
+    /// Starts (or waits for) `ranks` workers, the first of which is worker `first` of all crews side by side. A worker
+    /// that is silent for `heartbeat_limit` counts as hung.
+    pub fn assemble(first: usize, ranks: usize, launch: &Launch, heartbeat_limit: Duration) -> Result<Crew, CrewError> {
         let command: Option<WorkerCommand> = match launch {
             Launch::Spawn => Some(Box::new(worker_command)),
             Launch::Await => None,
@@ -157,15 +170,19 @@ impl Crew {
                 });
                 return Crew::start(Box::new(control), Box::new(launcher), launch.machine(), heartbeat_limit);
             }
+            Launch::World(world) => {
+                let (control, launcher) = world.crew(first, ranks)?;
+                return Crew::start(control, launcher, launch.machine(), heartbeat_limit);
+            }
         };
         let launcher = ProcessLauncher::new(ranks, command)?;
         let control = IceoryxCoordinator::create(launcher.run(), ranks)?;
-        if *launch == Launch::Await {
+        if matches!(launch, Launch::Await) {
             // If no one reads this line, no one starts workers, and their absence is detected soon.
             drop(writeln!(std::io::stdout(), "{}", launcher.run()));
         }
         let mut crew = Crew::start(Box::new(control), Box::new(launcher), launch.machine(), heartbeat_limit)?;
-        if *launch == Launch::Spawn {
+        if matches!(launch, Launch::Spawn) {
             crew.setup_limit = SETUP_LIMIT;
         }
         Ok(crew)

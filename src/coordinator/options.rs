@@ -187,6 +187,11 @@ impl GivenOptions {
         GivenOptions { options: RunOptions::default(), given: Vec::new() }
     }
 
+    /// Whether the command line gave the option of this name in [`RunOptions`].
+    pub fn gives(&self, name: &str) -> bool {
+        self.given.iter().any(|given| given == name)
+    }
+
     /// `base` with the options that the command line gave.
     ///
     /// # Errors

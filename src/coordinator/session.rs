@@ -108,8 +108,8 @@ impl Session {
     pub fn assemble(place: SessionPlace, options: &SessionOptions, launch: &Launch) -> Result<Session, SessionError> {
         // The lock is released when all workers have begun their first step, because the free shared memory is checked
         // before that.
-        let turn = (*launch == Launch::Spawn).then(|| SetupTurn::wait(|| signals::stop_requested().is_some()));
-        let mut crew = Crew::assemble(options.workers, launch, options.silence)?;
+        let turn = matches!(launch, Launch::Spawn).then(|| SetupTurn::wait(|| signals::stop_requested().is_some()));
+        let mut crew = Crew::assemble(place.session * options.workers, options.workers, launch, options.silence)?;
         turn.into_iter().for_each(|turn| crew.keep(turn));
         Ok(Session { crew, options: options.clone(), place, ports: None, loaded: None })
     }
@@ -128,7 +128,7 @@ impl Session {
         self.loaded = None;
         let model = level.model();
         let links = level.links(&model);
-        let setup = self.setup(level.message_values(), links.is_some())?;
+        let setups = self.setups(level.message_values(), links.is_some())?;
         let setup_limit = self.crew.setup_limit();
         RankModel::split(&model, &level.partition, |rank, mut part| {
             let exchange = ExchangePlan { mode: level.exchange, queue: level.transfers.schedule.queues[rank].clone() };
@@ -136,7 +136,8 @@ impl Session {
                 collision.memory_limit_bytes = level.table_bytes;
             }
             // The serializer skips the arrays, because they follow the header unserialized.
-            let setup = WorkerSetup { links: links.as_ref().map(|links| links[rank].clone()), ..setup.clone() };
+            let links = links.as_ref().map(|links| links[rank].clone());
+            let setup = WorkerSetup { links, ..setups[rank].clone() };
             let message = ToWorker::Load { setup, exchange, model: Box::new(part) };
             let ToWorker::Load { model, .. } = &message else { unreachable!("made above") };
             self.crew.send(rank, &message, &model.to_bytes())?;
@@ -321,11 +322,11 @@ impl Session {
     ) -> Result<(Vec<SolveResult>, String), SessionError> {
         self.loaded = None;
         // The exchange of a solution in double precision carries two f32 per value.
-        let setup = self.setup(partition.sub_vector_rows() * 2 * DIM, false)?;
+        let setups = self.setups(partition.sub_vector_rows() * 2 * DIM, false)?;
         let setup_limit = self.crew.setup_limit();
         system.split(rhs, partition, |rank, mut part| {
             let arrays = std::mem::take(&mut part.arrays);
-            let (setup, exchange) = (setup.clone(), exchange[rank].clone());
+            let (setup, exchange) = (setups[rank].clone(), exchange[rank].clone());
             let message = ToWorker::Solve { setup, exchange, params, system: Box::new(part) };
             self.crew.send(rank, &message, &arrays.to_bytes())?;
             self.crew.flush(rank, setup_limit)
@@ -350,8 +351,8 @@ impl Session {
         self.crew.dismiss();
     }
 
-    /// Setup of every worker. Messages that exceed the existing ports require new ports.
-    fn setup(&mut self, max_message_values: usize, emulated: bool) -> Result<WorkerSetup, SessionError> {
+    /// Setups of the workers, by rank. Messages that exceed the existing ports require new ports.
+    fn setups(&mut self, max_message_values: usize, emulated: bool) -> Result<Vec<WorkerSetup>, SessionError> {
         let ranks = self.crew.ranks();
         // A single rank does not send messages.
         let max_message_values = if ranks == 1 { 0 } else { max_message_values };
@@ -370,19 +371,25 @@ impl Session {
                 epoch
             }
         };
-        Ok(WorkerSetup {
+        let setup = WorkerSetup {
             executor: self.options.executor,
             adapter: self.options.adapter,
             threads: self.options.threads_of(self.place.sessions, self.crew.machine()),
             bind_cores: self.options.bind_cores,
             ranks,
-            first_place: self.place.session * ranks,
-            places: self.place.sessions * ranks,
+            place: 0,
+            places: 1,
             epoch,
             max_message_values: self.ports.as_ref().map_or(max_message_values, |ports| ports.max_message_values),
             patience_s: PATIENCE_S,
             links: None,
-        })
+        };
+        let placed = |rank: usize| {
+            let (index, workers) = (self.place.session * ranks + rank, self.place.sessions * ranks);
+            let (place, places) = self.crew.machine().place(index, workers);
+            WorkerSetup { place, places, ..setup.clone() }
+        };
+        Ok((0..ranks).map(placed).collect())
     }
 }
 

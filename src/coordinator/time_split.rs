@@ -238,7 +238,7 @@ pub fn run_split(
         Scope::All | Scope::Join => sessions(plan, options, launch),
         Scope::Coarse | Scope::Segment(_) => 1,
     };
-    if *launch == Launch::Await && sessions > 1 {
+    if matches!(launch, Launch::Await) && sessions > 1 {
         let what = "workers that are started one by one make one session: leave out --sessions";
         return Err(RunError::BadInput(what.into()));
     }

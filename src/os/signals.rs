@@ -92,6 +92,14 @@ pub fn listen() -> io::Result<()> {
     Ok(())
 }
 
+/// From now on this process ignores SIGINT, SIGTERM and SIGHUP: another process stops it in order.
+pub fn leave_stops_to_others() {
+    for number in [SIGINT, SIGTERM, SIGHUP] {
+        // If the system refuses this, the signal keeps its default action.
+        let _ = signal_hook::flag::register(number, Arc::new(AtomicBool::new(false)));
+    }
+}
+
 /// Returns at the next signal that asks to stop, after [`listen`]: for a program that has nothing left to do.
 pub fn wait_for_stop() {
     WAITED_FOR.store(true, Ordering::Relaxed);

@@ -34,6 +34,11 @@ pub trait Machine {
     fn threads_per_worker(&self, workers: usize) -> usize {
         (self.cores() / workers.max(1)).max(1)
     }
+    /// Place of worker `index` of `workers` side by side among those of its machine, and the number of those: which
+    /// core and which GPU it takes.
+    fn place(&self, index: usize, workers: usize) -> (usize, usize) {
+        (index, workers)
+    }
     /// Prepares for `workers` workers: checks what each needs besides room for its transfers, and removes what dead runs
     /// left. Cheap, so that a run is refused before its plan is made.
     ///

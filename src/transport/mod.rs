@@ -29,6 +29,8 @@ mod in_process;
 mod launcher;
 mod machine;
 mod message;
+#[cfg(feature = "mpi")]
+mod mpi;
 mod pattern;
 mod process;
 mod process_launcher;
@@ -40,6 +42,7 @@ mod solo;
 mod threads;
 mod traced;
 mod wait;
+mod world;
 
 pub use collective::{gather_lists, share_lists, share_positions, share_ranges};
 pub use connect::{Connect, Connection};
@@ -54,6 +57,8 @@ pub use in_process::{InProcessTransport, SendHook};
 pub use launcher::{Launcher, Life};
 pub use machine::{Machine, MachineError, OneProcess, RANKS_MAX, SharedMemoryMachine, cores};
 pub use message::{MessageError, decode, encode, items_of};
+#[cfg(feature = "mpi")]
+pub use mpi::{Membership, MpiWorld, Serve};
 pub use pattern::{Counts, Message, Neighbor, Pattern, Rows};
 pub use process::{ProcessWatch, share_cores, start_ticks};
 pub use process_launcher::{ProcessLauncher, WorkerCommand, worker_role};
@@ -71,3 +76,4 @@ pub use threads::{
 };
 pub use traced::TracedTransport;
 pub use wait::{HOOK_INTERVAL, WaitHook};
+pub use world::{World, WorldCrew};

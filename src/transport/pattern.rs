@@ -222,18 +222,36 @@ impl Due {
 
     /// Checks the number of `values` against the pattern and returns the message; Err: the numbers differ.
     pub(super) fn message<'a>(&'a self, rank: usize, values: &'a [f32]) -> Result<Message<'a>, TransportError> {
-        let Neighbor { rank: source, message_rows, rows } = self.neighbor();
+        let Neighbor { message_rows, rows, .. } = self.neighbor();
         let (width, tail) = (self.width, self.pattern.tail);
-        let expected = message_rows * width + tail;
-        if values.len() != expected {
-            let message = format!("a message of rank {source} holds {} values instead of {expected}", values.len());
-            return Err(TransportError::Mechanism { rank, message });
-        }
+        self.check(rank, values, message_rows * width + tail)?;
         let positions = match rows {
             Rows::All => None,
             Rows::At(positions) => Some(&positions[..]),
         };
         Ok(Message { values, positions, width, tail })
+    }
+
+    /// Number of values of the message if only the rows that are read are sent.
+    #[cfg(feature = "mpi")]
+    pub(super) fn packed_values(&self) -> usize {
+        self.neighbor().rows_read() * self.width + self.pattern.tail
+    }
+
+    /// As [`Due::message`], of `values` that hold only the rows that are read.
+    #[cfg(feature = "mpi")]
+    pub(super) fn packed_message<'a>(&self, rank: usize, values: &'a [f32]) -> Result<Message<'a>, TransportError> {
+        self.check(rank, values, self.packed_values())?;
+        Ok(Message { values, positions: None, width: self.width, tail: self.pattern.tail })
+    }
+
+    fn check(&self, rank: usize, values: &[f32], expected: usize) -> Result<(), TransportError> {
+        if values.len() == expected {
+            return Ok(());
+        }
+        let (source, found) = (self.neighbor().rank, values.len());
+        let message = format!("a message of rank {source} holds {found} values instead of {expected}");
+        Err(TransportError::Mechanism { rank, message })
     }
 }
 
@@ -274,6 +292,12 @@ impl Pending {
     /// The next message to receive of `source`.
     pub(super) fn next(&self, source: usize) -> Option<&Due> {
         self.due.get(source)?.front()
+    }
+
+    /// The last message to receive of `source`.
+    #[cfg(feature = "mpi")]
+    pub(super) fn newest(&self, source: usize) -> Option<&Due> {
+        self.due.get(source)?.back()
     }
 
     /// As [`Pending::next`]; an error if there is none.

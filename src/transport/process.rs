@@ -3,6 +3,7 @@
 //! namespaces.
 
 use std::os::fd::OwnedFd;
+use std::path::Path;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
@@ -75,15 +76,24 @@ pub fn start_ticks(pid: u32) -> Option<u64> {
 
 /// Processor time that a process and its threads have used, in clock ticks. `None` as for [`start_ticks`].
 pub(super) fn cpu_ticks(pid: u32) -> Option<u64> {
-    parse_cpu(&std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
+    ticks_of(Path::new(&format!("/proc/{pid}/stat")))
 }
 
 /// Whether a thread of a process computes, or waits for a core or for memory (states R and D). On a crowded machine such
 /// a wait may be long, and it uses no processor time.
 pub(super) fn is_busy(pid: u32) -> bool {
     let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
-    let lines = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("stat")).ok());
-    lines.into_iter().any(|line| matches!(state_of(&line), Some(b'R' | b'D')))
+    threads.into_iter().any(|thread| thread_is_busy(&thread.path().join("stat")))
+}
+
+/// As [`cpu_ticks`], of the process or thread whose `stat` is at `path`.
+pub(super) fn ticks_of(path: &Path) -> Option<u64> {
+    parse_cpu(&std::fs::read_to_string(path).ok()?)
+}
+
+/// As [`is_busy`], of the thread whose `stat` is at `path`.
+pub(super) fn thread_is_busy(path: &Path) -> bool {
+    std::fs::read_to_string(path).is_ok_and(|line| matches!(state_of(&line), Some(b'R' | b'D')))
 }
 
 /// The state in a line of `/proc/PID/stat`.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::os::clock::AwakeClock;
 
-use super::cores;
+use super::{TransportError, cores};
 
 /// Called at least every [`HOOK_INTERVAL`] during a wait. It gives a sign of life, and returns true to give up waiting
 /// (a peer ended, the user requested a stop).
@@ -31,6 +31,16 @@ pub(super) enum Stopped {
     TimedOut { waited_s: f64 },
     /// The hook requested it.
     Aborted,
+}
+
+impl Stopped {
+    /// The error of a rank that waited for `source_rank`.
+    pub(super) fn error(self, rank: usize, source_rank: usize, what: &'static str) -> TransportError {
+        match self {
+            Stopped::TimedOut { waited_s } => TransportError::TimedOut { rank, source_rank, what, waited_s },
+            Stopped::Aborted => TransportError::Aborted { rank, source_rank, what },
+        }
+    }
 }
 
 /// Deadline, spin time and hook of the waits of one rank.

@@ -30,7 +30,7 @@ impl Common {
             threads: self.threads as usize,
             bind_cores: BindCores::Auto,
             ranks: 1,
-            first_place: 0,
+            place: 0,
             places: 1,
             epoch: 0,
             max_message_values: 0,

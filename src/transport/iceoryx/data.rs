@@ -30,7 +30,7 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use super::cells::{OwnCells, before_waking};
 use super::node::{Ipc, create_node, create_wake, service_name, text};
-use super::ports::{Header, Peer, Values, create_values, open_peer, port_name, stopped_error};
+use super::ports::{Header, Peer, Values, create_values, open_peer, port_name};
 use crate::transport::pattern::{DEPTH, Pending};
 use crate::transport::wait::{Patience, WaitHook};
 use crate::transport::{
@@ -163,7 +163,7 @@ impl IceoryxTransport {
                     Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
                     Err(error) => break Err(self.fail(format!("waiting for rank {source} ({what}): {error:?}"))),
                 },
-                Err(stopped) => break Err(stopped_error(self.rank, source, what, stopped)),
+                Err(stopped) => break Err(stopped.error(self.rank, source, what)),
             }
             match look(&mut self.links) {
                 Ok(None) => {}
@@ -280,7 +280,7 @@ impl Transport for IceoryxTransport {
 
     fn alive(&mut self) -> Result<(), TransportError> {
         let rank = self.rank;
-        self.patience.call_hook_if_due().map_err(|stopped| stopped_error(rank, rank, "its own work", stopped))
+        self.patience.call_hook_if_due().map_err(|stopped| stopped.error(rank, rank, "its own work"))
     }
 
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {

@@ -10,7 +10,7 @@ use super::cells::PeerCells;
 use super::node::{Ipc, OpenError, open_when_created, service_name, text};
 use crate::transport::TransportError;
 use crate::transport::pattern::{BUFFERS, DEPTH};
-use crate::transport::wait::{Patience, Stopped};
+use crate::transport::wait::Patience;
 
 /// Header of every message.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
@@ -57,13 +57,6 @@ impl Peer {
 }
 
 /// The error of an abandoned wait for `source_rank`.
-pub(super) fn stopped_error(rank: usize, source_rank: usize, what: &'static str, stopped: Stopped) -> TransportError {
-    match stopped {
-        Stopped::TimedOut { waited_s } => TransportError::TimedOut { rank, source_rank, what, waited_s },
-        Stopped::Aborted => TransportError::Aborted { rank, source_rank, what },
-    }
-}
-
 type OwnValues = (publish_subscribe::PortFactory<Ipc, Values, Header>, Publisher<Ipc, Values, Header>);
 
 /// Name of the service of `rank` in connection `epoch`.
@@ -110,7 +103,7 @@ pub(super) fn open_peer(
 ) -> Result<Peer, TransportError> {
     let fail = |message: String| TransportError::Mechanism { rank, message };
     let not_opened = |error: OpenError| match error {
-        OpenError::Stopped(stopped) => stopped_error(rank, source, "its start", stopped),
+        OpenError::Stopped(stopped) => stopped.error(rank, source, "its start"),
         OpenError::Failed(message) => fail(format!("rank {source}: {message}")),
     };
     let name = |kind: &str| service_name(&port_name(epoch, source, kind)).map_err(fail);
