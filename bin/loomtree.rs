@@ -74,12 +74,12 @@ fn main() -> ExitCode {
         _ => Verbosity::Usual,
     });
     let result = match arguments.command {
-        Command::Run(args) => launcher::under(args.launcher.launcher, |launch| cli::run::run(args, launch)),
+        Command::Run(args) => launcher::under(&args.launcher.clone(), |launch| cli::run::run(args, launch)),
         Command::Schedule(args) => cli::schedule::run(args),
         Command::Predict(args) => cli::predict::run(args),
         Command::Topology(args) => cli::topology::run(args),
         Command::Check(args) => cli::check::check(&args, &mut std::io::stdout()),
-        Command::Solve(args) => launcher::under(args.launcher.launcher, |launch| cli::solve::run(args, &launch)),
+        Command::Solve(args) => launcher::under(&args.launcher.clone(), |launch| cli::solve::run(args, &launch)),
         Command::Join(args) => cli::join::run(args),
         Command::Compare(args) => cli::compare::run(args),
         Command::Convert(args) => cli::convert::run(args),
@@ -87,7 +87,7 @@ fn main() -> ExitCode {
         Command::Report(args) => cli::report::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),
-        Command::Bench(args) => cli::bench::run(args),
+        Command::Bench(args) => launcher::under(&args.launcher.clone(), |launch| cli::bench::run(args, &launch)),
         Command::Ccd(args) => cli::ccd::run(args),
         Command::Init(args) => cli::init::init(args),
         Command::Schema(args) => cli::init::schema(args),

@@ -50,11 +50,12 @@ pub fn serve(rank: usize, control: Box<dyn ControlWorker>, data: Box<dyn Connect
 struct Worker {
     rank: usize,
     inbox: Inbox,
-    data: Box<dyn Connect>,
     /// The setup that the executor was created for, and the executor unless a simulation owns it.
     executor: Option<(ExecutorKind, Option<Executor>)>,
     ports: Option<Ports>,
     loaded: Option<Loaded>,
+    /// Dropped after the ports, whose files it may remove.
+    data: Box<dyn Connect>,
 }
 
 /// Parameters of an executor.

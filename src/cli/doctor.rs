@@ -296,7 +296,7 @@ mod tests {
     fn bad_input_is_refused() {
         let nothing = |_: &Path| Ok(10);
         assert_eq!(run(args(vec![], 0), &[], nothing).unwrap_err().exit_code, 2);
-        assert_eq!(run(args(vec![], 65), &[], nothing).unwrap_err().exit_code, 2);
+        assert_eq!(run(args(vec![], 513), &[], nothing).unwrap_err().exit_code, 2);
         let missing = |path: &Path| Err(CliError::bad_input(format!("{}: no such file", path.display())));
         let error = run(args(vec!["nowhere.toml".into()], 1), &[], missing).unwrap_err();
         assert_eq!((error.exit_code, error.to_string().as_str()), (2, "nowhere.toml: no such file"));

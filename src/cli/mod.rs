@@ -25,6 +25,7 @@ mod solve_report;
 mod solve_trace;
 mod start_state;
 pub mod topology;
+mod topology_hosts;
 pub mod view;
 pub mod worker;
 

@@ -61,6 +61,10 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     let is_split = options.time.segments > 1 && !args.coarse_only && args.only_segment.is_none();
     if let Some(ranks) = launch.ranks() {
         share_ranks(ranks, is_split, &args.options, &mut options);
+        if options.emulate_links {
+            let what = "--emulate-links models links on one machine, between workers that this program starts";
+            return Err(CliError::bad_input(what));
+        }
     }
     let sessions = if is_split { options.time.sessions.unwrap_or(1) } else { 1 };
     launch.machine().prepare((sessions * options.workers).min(RANKS_MAX))?;

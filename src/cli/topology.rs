@@ -8,11 +8,12 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
-use super::{CliError, print};
+use super::launcher::{self, LauncherArgs};
+use super::{CliError, print, topology_hosts};
 use crate::gpu::{AdapterKind, AdapterSummary, Executor, adapters, bandwidth_gb_s};
 use crate::interconnect::{MAX_GPUS, Topology};
 use crate::output::write_atomically;
-use crate::transport::cores;
+use crate::transport::{MeasuredWorld, cores};
 
 /// Arguments of `loomtree topology`.
 #[derive(Clone, Debug, clap::Args)]
@@ -23,13 +24,16 @@ pub struct TopologyArgs {
 
 #[derive(Clone, Debug, Subcommand)]
 enum What {
-    /// Write a topology file for this machine
+    /// Write a topology file for this machine, or for the hosts of mpirun's ranks and the links between them
     Detect(DetectArgs),
 }
 
 /// Arguments of `loomtree topology detect`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DetectArgs {
+    /// Who starts the ranks.
+    #[command(flatten)]
+    pub launcher: LauncherArgs,
     /// File to write [default: print it]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -47,13 +51,26 @@ pub struct DetectArgs {
 /// Runs the command.
 pub fn run(args: TopologyArgs) -> Result<(), CliError> {
     let What::Detect(args) = args.what;
-    let text = detect(&args, Path::new("/sys"), &adapters(), measured)?;
+    launcher::with_all(&args.launcher, |ranks| {
+        let text = detect(&args, Path::new("/sys"), &adapters(), measured)?;
+        write(&args, &ranks.map_or(Ok(text.clone()), |ranks| of_hosts(ranks, &text))?)
+    })
+}
+
+fn write(args: &DetectArgs, text: &str) -> Result<(), CliError> {
     match &args.out {
-        None => print(&text)?,
+        None => print(text),
         Some(path) => write_atomically(path, |out| out.write_all(text.as_bytes()))
-            .map_err(|error| CliError::failed(format!("--out: {error}")))?,
+            .map_err(|error| CliError::failed(format!("--out: {error}"))),
     }
-    Ok(())
+}
+
+/// The text of a topology of the hosts of ranks, with the device of this host, whose own topology is `text`.
+fn of_hosts(world: &MeasuredWorld, text: &str) -> Result<String, CliError> {
+    let own = Topology::parse(text.as_bytes(), "detected topology").map_err(CliError::bad_input)?;
+    let of_device = |note: &&str| note.contains("of a GPU:") || note.contains("no GPU found");
+    let notes = text.lines().filter_map(|line| line.strip_prefix("# - ")).filter(of_device).map(str::to_string);
+    topology_hosts::text(world, own.device(), &notes.collect::<Vec<_>>())
 }
 
 /// Fraction of the wire rate that copies reach, as in the shipped files: 12 of 15.75 GB/s.
@@ -364,7 +381,8 @@ impl Parts {
 mod tests {
     use super::*;
 
-    const NOTHING: DetectArgs = DetectArgs { out: None, bandwidth: None, gflops: None, memory: None };
+    const NOTHING: DetectArgs =
+        DetectArgs { launcher: LauncherArgs::NONE, out: None, bandwidth: None, gflops: None, memory: None };
 
     /// A sysfs with these devices: (path below `devices`, class, speed, width).
     fn sysfs(devices: &[(&str, &str, &str, &str)]) -> tempfile::TempDir {

@@ -1,10 +1,10 @@
 //! The parts that a topology is put together from, not checked yet: links, devices, names, and the graph for routing.
 
 /// Most GPUs (= ranks) that a topology may have.
-pub const MAX_GPUS: usize = 64;
-/// Most switches and links: far more than 64 GPUs need, few enough to route at once.
-pub(super) const MAX_SWITCHES: usize = 256;
-pub(super) const MAX_LINKS: usize = 1024;
+pub const MAX_GPUS: usize = 512;
+/// Most switches and links: far more than so many GPUs need, few enough to route at once.
+pub(super) const MAX_SWITCHES: usize = 1024;
+pub(super) const MAX_LINKS: usize = 4096;
 pub(super) const MAX_NAME_CHARS: usize = 64;
 
 /// True if the two directions of a link share its bandwidth.

@@ -46,14 +46,14 @@ fn shipped_pcie_trees_are_the_default_trees() {
 }
 
 #[test]
-fn default_topologies_exist_for_1_to_64_gpus_only() {
-    for gpus in 1..=64 {
+fn default_topologies_exist_for_1_to_512_gpus_only() {
+    for gpus in (1..=64).chain([128, 500, 512]) {
         let topology = Topology::default_for(gpus).unwrap();
         assert_eq!((topology.gpus(), topology.leaf_order().len(), topology.is_tree()), (gpus, gpus, true));
     }
-    for gpus in [0, 65, usize::MAX] {
+    for gpus in [0, 513, usize::MAX] {
         let message = Topology::default_for(gpus).unwrap_err().to_string();
-        assert!(message.contains("1 to 64 workers") && message.contains(&gpus.to_string()), "{message}");
+        assert!(message.contains("1 to 512 workers") && message.contains(&gpus.to_string()), "{message}");
     }
 }
 
@@ -193,10 +193,10 @@ fn unusable_files_get_one_sentence() {
     assert!(message(&vec![b'#'; (1 << 20) + 1]).contains("at most 1048576 bytes"));
     let device = "device={name='d',memory_gb=1,bandwidth_gb_s=1,gflops=1}";
     let none = message(format!("name='a'\ngpus=[]\n{device}").as_bytes());
-    assert_eq!(none, "f: gpus: a topology has 1 to 64 GPUs, this file has 0");
-    let gpus: Vec<String> = (0..65).map(|id| format!("{{id={id},name='g{id}'}}")).collect();
+    assert_eq!(none, "f: gpus: a topology has 1 to 512 GPUs, this file has 0");
+    let gpus: Vec<String> = (0..513).map(|id| format!("{{id={id},name='g{id}'}}")).collect();
     let many = message(format!("name='a'\ngpus=[{}]\n{device}", gpus.join(",")).as_bytes());
-    assert_eq!(many, "f: gpus: a topology has 1 to 64 GPUs, this file has 65");
+    assert_eq!(many, "f: gpus: a topology has 1 to 512 GPUs, this file has 513");
     let apart = message(format!("name='a'\ngpus=[\n{{id=1,name='x'}},\n{{id=0,name='y'}}]\n{device}").as_bytes());
     assert_eq!(apart, "f, line 3: no links lead from GPU `y` to GPU `x`: every GPU must be reachable");
     let missing = Topology::read(Path::new("no/such/topology.toml")).unwrap_err().to_string();

@@ -41,15 +41,15 @@ struct State {
 
 struct Unread {
     number: u64,
-    /// Bit r is set until rank r has read it.
-    readers: u64,
+    /// Ranks that have yet to read it, ascending.
+    readers: Vec<usize>,
     values: Arc<Vec<f32>>,
 }
 
 impl State {
     /// The next message of `source` that `rank` reads, which must be that of exchange `number`.
     fn next(&self, rank: usize, source: usize, number: u64) -> Option<Result<&Unread, TransportError>> {
-        let unread = self.messages[source].iter().find(|unread| unread.readers & (1 << rank) != 0)?;
+        let unread = self.messages[source].iter().find(|unread| unread.readers.contains(&rank))?;
         let (source_rank, expected, got) = (source, number, unread.number);
         Some(if got == expected {
             Ok(unread)
@@ -61,7 +61,7 @@ impl State {
     /// The first reader of a message of `rank` that prevents the next one.
     fn in_the_way(&self, rank: usize) -> Option<usize> {
         let oldest = self.messages[rank].front().filter(|_| self.messages[rank].len() >= DEPTH);
-        oldest.map(|unread| unread.readers.trailing_zeros() as usize)
+        oldest.and_then(|unread| unread.readers.first().copied())
     }
 }
 
@@ -184,8 +184,8 @@ impl<Hook: FnMut() -> bool> Transport for InProcessTransport<Hook> {
         fill: &mut dyn FnMut(&mut [f32]),
     ) -> Result<(), TransportError> {
         let number = self.pending.start(pattern, width)?;
-        let readers = pattern.readers().iter().fold(0, |mask, reader| mask | 1 << reader.rank);
-        if readers == 0 {
+        let readers: Vec<usize> = pattern.readers().iter().map(|reader| reader.rank).collect();
+        if readers.is_empty() {
             return Ok(());
         }
         let rank = self.rank;
@@ -231,9 +231,9 @@ impl<Hook: FnMut() -> bool> Transport for InProcessTransport<Hook> {
         let mut state = self.shared.lock();
         let unread = &mut state.messages[source];
         if let Some(message) = unread.iter_mut().find(|unread| unread.number == number) {
-            message.readers &= !(1 << rank);
+            message.readers.retain(|&reader| reader != rank);
         }
-        unread.retain(|unread| unread.readers != 0);
+        unread.retain(|unread| !unread.readers.is_empty());
         drop(state);
         self.shared.changed.notify_all();
         Ok(())

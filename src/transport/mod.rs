@@ -58,7 +58,7 @@ pub use launcher::{Launcher, Life};
 pub use machine::{Machine, MachineError, OneProcess, RANKS_MAX, SharedMemoryMachine, cores};
 pub use message::{MessageError, decode, encode, items_of};
 #[cfg(feature = "mpi")]
-pub use mpi::{Membership, MpiWorld, Serve};
+pub use mpi::{Inside, Membership, MpiWorld, Serve};
 pub use pattern::{Counts, Message, Neighbor, Pattern, Rows};
 pub use process::{ProcessWatch, share_cores, start_ticks};
 pub use process_launcher::{ProcessLauncher, WorkerCommand, worker_role};
@@ -76,4 +76,4 @@ pub use threads::{
 };
 pub use traced::TracedTransport;
 pub use wait::{HOOK_INTERVAL, WaitHook};
-pub use world::{World, WorldCrew};
+pub use world::{MeasuredLink, MeasuredWorld, World, WorldCrew};

@@ -101,6 +101,18 @@ impl Pattern {
         Pattern { tail: values, ..self.clone() }
     }
 
+    /// The same pattern with as many values after the rows as `other` has.
+    #[cfg(feature = "mpi")]
+    pub(super) fn with_tail_of(&self, other: &Pattern) -> Pattern {
+        self.with_tail(other.tail)
+    }
+
+    /// Whether `other` is a copy of this pattern. Equal patterns that were made one by one need not be alike.
+    #[cfg(feature = "mpi")]
+    pub(super) fn is_like(&self, other: &Pattern) -> bool {
+        Arc::ptr_eq(&self.lists, &other.lists) && self.tail == other.tail
+    }
+
     /// The same pattern with another length of the own message, `None`: without readers. For faults only, because other
     /// ranks do not know of it.
     pub(super) fn spoiled(&self, message_rows: Option<usize>) -> Pattern {

@@ -21,3 +21,25 @@ pub trait World: Debug + Send + Sync {
 
 /// Control channel and launcher of a crew.
 pub type WorldCrew = (Box<dyn ControlCoordinator>, Box<dyn Launcher>);
+
+/// Time of a message of no length, and how fast long ones travel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredLink {
+    /// Microseconds, one way.
+    pub latency_us: f64,
+    /// 10^9 bytes/s, one way.
+    pub bandwidth_gb_s: f64,
+}
+
+/// The hosts of a world and what was measured between them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeasuredWorld {
+    /// By process: number of its host.
+    pub hosts: Vec<usize>,
+    /// By host: its name.
+    pub names: Vec<String>,
+    /// Between two processes of the first host that has two.
+    pub inside: Option<MeasuredLink>,
+    /// By host: between its first process and that of host 0; none for host 0.
+    pub between: Vec<Option<MeasuredLink>>,
+}

@@ -13,6 +13,8 @@ mod faults;
 mod groups;
 mod launch;
 mod machine_limits;
+#[cfg(feature = "mpi")]
+mod mpi;
 mod one_process;
 mod resume;
 mod same_bits;

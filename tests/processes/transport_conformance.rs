@@ -64,7 +64,7 @@ fn others(transport: &dyn Transport) -> Vec<usize> {
     (1..ranks).map(|step| (rank + step) % ranks).collect()
 }
 
-fn order_and_contents<G: Group>() {
+pub(crate) fn order_and_contents<G: Group>() {
     for ranks in 1..=4 {
         let rounds = 50;
         let counts = G::run(ranks, PATIENT, move |transport| {
@@ -128,7 +128,7 @@ fn publishing_ahead<G: Group>() {
     });
 }
 
-fn ready_tells<G: Group>() {
+pub(crate) fn ready_tells<G: Group>() {
     G::run(2, PATIENT, |transport| {
         let other = 1 - transport.rank();
         assert!(!transport.ready(other));
@@ -155,7 +155,7 @@ fn ready_tells<G: Group>() {
     });
 }
 
-fn gathering<G: Group>() {
+pub(crate) fn gathering<G: Group>() {
     for ranks in 1..=4 {
         G::run(ranks, PATIENT, move |transport| {
             let contribution = |rank: usize, round: usize| -> Vec<f64> {
@@ -176,7 +176,7 @@ fn gathering<G: Group>() {
     }
 }
 
-fn mixed_rounds<G: Group>() {
+pub(crate) fn mixed_rounds<G: Group>() {
     // What a solver iteration does, a thousand times.
     let sums = G::run(4, PATIENT, |transport| {
         let (mut out, mut sum) = (Vec::new(), 0.0);
@@ -224,7 +224,7 @@ fn silent_peer<G: Group>() {
     }
 }
 
-fn wrong_calls<G: Group>() {
+pub(crate) fn wrong_calls<G: Group>() {
     G::run(2, PATIENT, |transport| {
         let (rank, other) = (transport.rank(), 1 - transport.rank());
         for source in [rank, other, 2] {
@@ -239,7 +239,49 @@ fn wrong_calls<G: Group>() {
     });
 }
 
-conformance!(order_and_contents, publishing_ahead, ready_tells, gathering, mixed_rounds, silent_peer, wrong_calls,);
+/// Lists of uneven lengths, some empty, reach every rank whole and once, between exchanges of other kinds.
+pub(crate) fn whole_lists<G: Group>() {
+    for ranks in [1, 2, 3, 5] {
+        G::run(ranks, PATIENT, move |transport| {
+            let rank = transport.rank();
+            for round in 0..40 {
+                let lists: Vec<Vec<f32>> = (0..ranks).map(|source| message(source, round)).collect();
+                let lengths: Vec<usize> = lists.iter().map(Vec::len).collect();
+                let (mut seen, mut expected) = (vec![Vec::new(); ranks], transport.counts());
+                let read = &mut |source: usize, values: &[f32]| seen[source].push(values.to_vec());
+                transport.share(&lengths, &lists[rank], read).unwrap();
+                for (source, list) in lists.iter().enumerate() {
+                    // An empty list of another rank need not be shown.
+                    let whole: &[Vec<f32>] = if source == rank || !list.is_empty() { &[list.clone()] } else { &[] };
+                    assert_eq!(seen[source], whole, "round {round}, list of rank {source}");
+                    let (messages, bytes) = (u64::from(!list.is_empty() && ranks > 1), (list.len() * 4) as u64);
+                    if source == rank {
+                        expected.published += messages;
+                        expected.bytes_published += messages * bytes;
+                    } else {
+                        expected.received += messages;
+                        expected.bytes_received += messages * bytes;
+                    }
+                }
+                assert_eq!(transport.counts(), expected, "round {round}");
+                publish_round(transport, round + 1).unwrap();
+                receive_round(transport, round + 1);
+            }
+            transport.barrier().unwrap();
+        });
+    }
+}
+
+conformance!(
+    order_and_contents,
+    whole_lists,
+    publishing_ahead,
+    ready_tells,
+    gathering,
+    mixed_rounds,
+    silent_peer,
+    wrong_calls,
+);
 
 /// What a run takes of the shared memory is what was said before the start.
 #[test]

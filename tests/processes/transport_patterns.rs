@@ -81,7 +81,7 @@ fn finish(transport: &mut dyn Transport, round: usize, width: usize, pattern: &P
     }
 }
 
-fn patterns_change_from_exchange_to_exchange<G: Group>() {
+pub(crate) fn patterns_change_from_exchange_to_exchange<G: Group>() {
     for ranks in 2..=5 {
         let rounds = 240;
         let counts = G::run(ranks, PATIENT, move |transport| {
@@ -198,7 +198,7 @@ fn a_slow_reader_holds_up_its_sources_and_nobody_else<G: Group>() {
     });
 }
 
-fn a_rare_reader_gets_the_right_message_out_of_many<G: Group>() {
+pub(crate) fn a_rare_reader_gets_the_right_message_out_of_many<G: Group>() {
     // Rank 0 sends to rank 1 in every exchange, to rank 2 in every 7th, to rank 3 in the last one only.
     let rounds = 700;
     let ways = move |round: usize| {
@@ -224,7 +224,7 @@ fn a_rare_reader_gets_the_right_message_out_of_many<G: Group>() {
     assert_eq!(counts.map_counts(), [(700, 0), (0, 700), (0, 100), (0, 1)]);
 }
 
-fn two_halves_of_a_group_go_their_own_ways<G: Group>() {
+pub(crate) fn two_halves_of_a_group_go_their_own_ways<G: Group>() {
     // Nothing joins ranks 0 and 1 to 2 and 3 but an all-gather at the end; one half may be far ahead of the other.
     G::run(4, PATIENT, |transport| {
         let rank = transport.rank();
@@ -274,7 +274,7 @@ fn a_reader_that_is_gone_is_noticed<G: Group>() {
     }
 }
 
-fn a_third_exchange_before_the_first_is_finished_is_refused<G: Group>() {
+pub(crate) fn a_third_exchange_before_the_first_is_finished_is_refused<G: Group>() {
     G::run(2, PATIENT, |transport| {
         let (rank, ways) = (transport.rank(), [(0, 1), (1, 0)]);
         say(transport, &ways, 0).unwrap();

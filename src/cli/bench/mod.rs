@@ -22,11 +22,16 @@ mod time_levels;
 use clap::Subcommand;
 
 use super::CliError;
+use super::launcher::LauncherArgs;
+use crate::coordinator::Launch;
 use crate::os::console;
 
 /// Arguments of `loomtree bench`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct BenchArgs {
+    /// Who starts the workers.
+    #[command(flatten)]
+    pub launcher: LauncherArgs,
     #[command(subcommand)]
     what: Bench,
 }
@@ -63,23 +68,23 @@ enum Bench {
 }
 
 /// Runs a benchmark and prints its tables.
-pub fn run(args: BenchArgs) -> Result<(), CliError> {
+pub fn run(args: BenchArgs, launch: &Launch) -> Result<(), CliError> {
     if !matches!(args.what, Bench::Interconnect(_) | Bench::Drape(_) | Bench::Strain(_)) {
         warn_of_load();
     }
     match args.what {
         Bench::Device(bench) => device::run(&bench),
         Bench::Spmv(bench) => spmv::run(&bench),
-        Bench::Collision(bench) => bench.each()?.iter().try_for_each(collision::run),
-        Bench::Step(bench) => bench.each()?.iter().try_for_each(step::time),
-        Bench::Assembly(bench) => bench.each()?.iter().try_for_each(assembly::run),
-        Bench::Scaling(bench) => scaling::run(&bench),
+        Bench::Collision(bench) => bench.each(launch)?.iter().try_for_each(collision::run),
+        Bench::Step(bench) => bench.each(launch)?.iter().try_for_each(step::time),
+        Bench::Assembly(bench) => bench.each(launch)?.iter().try_for_each(assembly::run),
+        Bench::Scaling(bench) => scaling::run(&bench, launch),
         Bench::MatrixFree(bench) => matrix_free::run(&bench),
-        Bench::Memory(bench) => bench.each()?.iter().try_for_each(step::memory),
+        Bench::Memory(bench) => bench.each(launch)?.iter().try_for_each(step::memory),
         Bench::Drape(bench) => drape::run(&bench),
         Bench::Strain(bench) => strain::run(&bench),
         Bench::Interconnect(bench) => interconnect::run(&bench),
-        Bench::Time(bench) => time::run(&bench),
+        Bench::Time(bench) => time::run(&bench, launch),
     }
 }
 

@@ -7,6 +7,7 @@ use crate::cli::CliError;
 use crate::cli::predict::RecordedRun;
 use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
 use crate::interconnect::{KernelTimes, Replay, ScheduleKind, Topology, plan};
+use crate::os::console::note;
 use crate::output::{Existing, Report, StepRecord};
 use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
@@ -56,7 +57,7 @@ impl ScenesBench {
     ///
     /// # Errors
     /// The numbers of `--skip` do not fit the scenes, or the files of two scenes would have the same names.
-    pub(super) fn each(&self) -> Result<Vec<SceneBench>, CliError> {
+    pub(super) fn each(&self, launch: &Launch) -> Result<Vec<SceneBench>, CliError> {
         let (scenes, skips) = (self.scene.len(), self.skip.len());
         if skips > 1 && skips != scenes {
             return Err(CliError::bad_input(format!(
@@ -69,11 +70,16 @@ impl ScenesBench {
         if let Some(twice) = stems.iter().enumerate().find_map(|(i, stem)| stems[..i].contains(stem).then_some(stem)) {
             return Err(CliError::bad_input(format!("--scene: two scenes are called '{twice}'; run them one by one")));
         }
+        let mut settings = self.settings.clone();
+        if let Some(ranks) = launch.ranks() {
+            settings.workers = within(&settings.workers, ranks)?;
+        }
         let one = |(i, scene): (usize, &PathBuf)| SceneBench {
             scene: scene.clone(),
             skip: self.skip.get(i).or(self.skip.first()).copied(),
             suffix: if scenes > 1 { format!("_{}", stems[i]) } else { String::new() },
-            settings: self.settings.clone(),
+            settings: settings.clone(),
+            launch: launch.clone(),
         };
         Ok(self.scene.iter().enumerate().map(one).collect())
     }
@@ -90,6 +96,22 @@ pub(super) struct SceneBench {
     suffix: String,
     /// Options that all scenes share.
     pub settings: Settings,
+    /// Who starts the workers.
+    launch: Launch,
+}
+
+/// The numbers of workers that `ranks` processes of a launcher allow.
+fn within(workers: &[usize], ranks: usize) -> Result<Vec<usize>, CliError> {
+    let (kept, left): (Vec<usize>, Vec<usize>) = workers.iter().partition(|&&workers| workers <= ranks);
+    if kept.is_empty() {
+        return Err(CliError::bad_input(format!(
+            "--workers: {ranks} processes were started, and every number is above"
+        )));
+    }
+    if !left.is_empty() {
+        note(format_args!("{ranks} processes were started, so {left:?} workers are left out"));
+    }
+    Ok(kept)
 }
 
 /// The counted steps of all rounds with one number of workers.
@@ -214,7 +236,7 @@ impl SceneBench {
         let out = folder.path().join(RUN);
         let places = RunPlaces { scene: self.scene.clone(), out, existing: Existing::Refuse };
         let start = std::time::Instant::now();
-        crate::coordinator::run(plan, &options, &places, &Launch::Spawn)
+        crate::coordinator::run(plan, &options, &places, &self.launch)
             .map_err(|error| CliError::failed(error.to_string()))?;
         let wall_s = start.elapsed().as_secs_f64();
         let report = Report::load(&places.out.join("report.json")).map_err(CliError::failed)?;

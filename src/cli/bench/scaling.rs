@@ -9,6 +9,7 @@ use super::common::{machine, median};
 use super::runs::{Runs, SceneBench, ScenesBench, Size};
 use super::table::FigureTable;
 use crate::cli::CliError;
+use crate::coordinator::Launch;
 use crate::interconnect::Topology;
 
 /// Arguments of `loomtree bench scaling`.
@@ -22,10 +23,10 @@ pub(super) struct ScalingBench {
     topology: Option<PathBuf>,
 }
 
-pub(super) fn run(bench: &ScalingBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &ScalingBench, launch: &Launch) -> Result<(), CliError> {
     let most = bench.scenes.settings.workers.iter().copied().max().unwrap_or(1);
     let machine = machine(bench.topology.as_deref(), most)?;
-    bench.scenes.each()?.iter().try_for_each(|scene| of_scene(scene, &machine))
+    bench.scenes.each(launch)?.iter().try_for_each(|scene| of_scene(scene, &machine))
 }
 
 fn of_scene(scene: &SceneBench, machine: &Topology) -> Result<(), CliError> {

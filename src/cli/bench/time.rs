@@ -126,14 +126,14 @@ fn processes(text: &str) -> Result<usize, String> {
     }
 }
 
-pub(super) fn run(bench: &TimeBench) -> Result<(), CliError> {
+pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
     let machine = machine(bench.topology.as_deref(), 8)?;
     let levels = match (&bench.fine, &bench.coarse) {
         (Some(fine), Some(coarse)) => {
             let runs = [Some(fine), Some(coarse), bench.coarsest.as_ref()];
             runs.into_iter().flatten().map(|run| Level::read(run)).collect::<Result<Vec<_>, _>>()?
         }
-        _ => measure(bench)?,
+        _ => measure(bench, launch)?,
     };
     let recorded = Recorded::of(&levels, &machine)?;
     if bench.json {
@@ -308,7 +308,7 @@ fn print_json(bench: &TimeBench, recorded: &Recorded) -> Result<(), CliError> {
 }
 
 /// Runs the scene on its levels, one after the other, with one worker of one thread.
-fn measure(bench: &TimeBench) -> Result<Vec<Level>, CliError> {
+fn measure(bench: &TimeBench, launch: &Launch) -> Result<Vec<Level>, CliError> {
     let folder =
         tempfile::tempdir().map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
     let area = bench.coarse_ratio * bench.coarse_ratio;
@@ -334,7 +334,7 @@ fn measure(bench: &TimeBench) -> Result<Vec<Level>, CliError> {
                 out: folder.path().join(triangles.to_string()),
                 existing: Existing::Refuse,
             };
-            crate::coordinator::run(plan, &options, &places, &Launch::Spawn)
+            crate::coordinator::run(plan, &options, &places, launch)
                 .map_err(|error| CliError::failed(error.to_string()))?;
             let level = Level::read(&places.out)?;
             Ok(Level { place: format!("{} ({triangles} triangles)", bench.scene.display()), ..level })

@@ -10,7 +10,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::library::{Library, Receiving, Sending};
-use super::tags;
 use crate::transport::pattern::{DEPTH, Pending};
 use crate::transport::wait::Patience;
 use crate::transport::{ALL_GATHER_MAX, Counts, Message, Neighbor, Pattern, Rows, Transport, TransportError, WaitHook};
@@ -24,8 +23,8 @@ pub(super) struct MpiOptions {
     pub rank: usize,
     /// By rank: its process in the world.
     pub processes: Vec<usize>,
-    /// Number of the connection among all of the world.
-    pub connection: u32,
+    /// Tags of exchanges and of all-gathers, which no other connection of these processes has.
+    pub tags: [i32; 2],
     /// Maximum number of values of a message.
     pub max_len: usize,
     /// Longest wait of a call.
@@ -57,19 +56,25 @@ pub(super) struct MpiTransport {
     counts: Counts,
 }
 
+/// An all-gather under way.
+pub(super) struct Gather {
+    /// With their sources.
+    arriving: Vec<(usize, Receiving<f64>)>,
+}
+
 impl MpiTransport {
     /// Connects; returns after every rank has.
     ///
     /// # Errors
     /// A rank did not connect before the deadline, or the hook gave up.
     pub(super) fn connect(library: &Library, options: MpiOptions) -> Result<MpiTransport, TransportError> {
-        let MpiOptions { rank, processes, connection, max_len, deadline, sharing, on_wait } = options;
+        let MpiOptions { rank, processes, tags, max_len, deadline, sharing, on_wait } = options;
         let ranks = processes.len();
         let mut transport = MpiTransport {
             library: library.clone(),
             rank,
             processes,
-            tags: tags::of_connection(connection),
+            tags,
             max_len,
             patience: Patience::new(deadline, sharing, on_wait),
             pending: Pending::new(rank, ranks),
@@ -155,6 +160,45 @@ impl MpiTransport {
         Some(packed)
     }
 
+    /// Begins an all-gather with the ranks `others`: sends them `own`, and receives theirs.
+    pub(super) fn begin_gather(&mut self, own: &[f64], others: &[usize]) -> Result<Gather, TransportError> {
+        if own.len() > ALL_GATHER_MAX {
+            return Err(self.fail(format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len())));
+        }
+        let contribution = Arc::new(own.to_vec());
+        let mut arriving = Vec::with_capacity(others.len());
+        for &other in others {
+            let (process, tag) = (self.processes[other], self.tags[1]);
+            let mut buffer = std::mem::take(&mut self.gathered[other]);
+            buffer.resize(ALL_GATHER_MAX, 0.0);
+            let receiving = self.library.receive(process, tag, buffer).map_err(|message| self.fail(message))?;
+            arriving.push((other, receiving));
+            let sent = self.library.send(process, tag, &contribution).map_err(|message| self.fail(message))?;
+            self.ungathered.push(sent);
+        }
+        Ok(Gather { arriving })
+    }
+
+    /// Waits for the values of an all-gather.
+    pub(super) fn end_gather(&mut self, begun: Gather, out: &mut [Vec<f64>]) -> Result<(), TransportError> {
+        for (source, mut receiving) in begun.arriving {
+            let what = "its part of an all-gather";
+            self.wait_for(source, what, |_| Ok(receiving.is_done()?.then_some(())))?;
+            let (values, bytes) = receiving.into_buffer();
+            out[source].clear();
+            out[source].extend_from_slice(&values[..bytes / size_of::<f64>()]);
+            self.gathered[source] = values;
+        }
+        let mut left = Vec::new();
+        for mut request in std::mem::take(&mut self.ungathered) {
+            if !request.is_done().map_err(|message| self.fail(message))? {
+                left.push(request);
+            }
+        }
+        self.ungathered = left;
+        Ok(())
+    }
+
     /// Whether the next message of `source` is here.
     fn has_arrived(&mut self, source: usize) -> Result<bool, String> {
         self.arriving[source].front_mut().map_or(Ok(false), Receiving::is_done)
@@ -236,46 +280,14 @@ impl Transport for MpiTransport {
     }
 
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
-        if own.len() > ALL_GATHER_MAX {
-            return Err(self.fail(format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len())));
-        }
         let (rank, ranks) = (self.rank, self.processes.len());
         out.resize_with(ranks, Vec::new);
         out[rank].clear();
         out[rank].extend_from_slice(own);
-        if ranks == 1 {
-            return Ok(());
-        }
-        let others = (1..ranks).map(|step| (rank + step) % ranks);
-        let contribution = Arc::new(own.to_vec());
-        let mut arriving = Vec::with_capacity(ranks);
-        for other in others {
-            let (process, tag) = (self.processes[other], self.tags[1]);
-            let mut buffer = std::mem::take(&mut self.gathered[other]);
-            buffer.resize(ALL_GATHER_MAX, 0.0);
-            let receiving = self.library.receive(process, tag, buffer).map_err(|message| self.fail(message))?;
-            arriving.push((other, receiving));
-            let sent = self.library.send(process, tag, &contribution).map_err(|message| self.fail(message))?;
-            self.ungathered.push(sent);
-        }
-        for (source, mut receiving) in arriving {
-            let what = "its part of an all-gather";
-            self.wait_for(source, what, |_| Ok(receiving.is_done()?.then_some(())))?;
-            let (values, bytes) = receiving.into_buffer();
-            out[source].clear();
-            out[source].extend_from_slice(&values[..bytes / size_of::<f64>()]);
-            self.gathered[source] = values;
-        }
-        let mut left = Vec::new();
-        for mut request in self.ungathered.drain(..) {
-            match request.is_done() {
-                Ok(true) => {}
-                Ok(false) => left.push(request),
-                Err(message) => return Err(TransportError::Mechanism { rank, message }),
-            }
-        }
-        self.ungathered = left;
-        Ok(())
+        // Each rank has another order, so that not all send to the same one at once.
+        let others: Vec<usize> = (1..ranks).map(|step| (rank + step) % ranks).collect();
+        let begun = self.begin_gather(own, &others)?;
+        self.end_gather(begun, out)
     }
 
     fn alive(&mut self) -> Result<(), TransportError> {

@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use rustix::thread::{CpuSet, sched_getaffinity};
 
+use super::connect::Inside;
 use super::library::Library;
-use crate::transport::{Machine, MachineError, cores};
+use crate::transport::{Machine, MachineError, check_shared_memory, cores, shared_memory_space};
 
 /// Bytes of a host's name, and of a set of cores, that a process tells the others.
 const NAME: usize = 64;
@@ -17,6 +18,8 @@ pub(super) struct Hosts {
     pub hosts: Vec<usize>,
     /// By process: what it is called in sentences.
     pub names: Arc<Vec<String>>,
+    /// By process: name of its host.
+    pub host_names: Vec<String>,
     /// By process: cores that the processes of its host may use together.
     cores: Vec<usize>,
 }
@@ -34,10 +37,14 @@ impl Hosts {
             own[NAME + 4 + core / 8] |= 1 << (core % 8);
         }
         let census = library.census(&own)?;
-        let names = census.words.iter().enumerate().map(|(process, words)| {
+        let host_name = |words: &Vec<u8>| {
             let name = words[..NAME].split(|&byte| byte == 0).next().unwrap_or_default();
+            String::from_utf8_lossy(name).into_owned()
+        };
+        let host_names: Vec<String> = census.words.iter().map(host_name).collect();
+        let names = census.words.iter().zip(&host_names).enumerate().map(|(process, (words, host))| {
             let pid = u32::from_le_bytes(std::array::from_fn(|at| words[NAME + at]));
-            format!("rank {process} on {}, process {pid}", String::from_utf8_lossy(name))
+            format!("rank {process} on {host}, process {pid}")
         });
         let union = |host: usize| {
             let of_host = census.hosts.iter().zip(&census.words).filter(|(there, _)| **there == host);
@@ -46,7 +53,8 @@ impl Hosts {
             both.iter().map(|byte| byte.count_ones() as usize).sum::<usize>().max(1)
         };
         let cores = census.hosts.iter().map(|&host| union(host)).collect();
-        Ok(Hosts { names: Arc::new(names.collect()), cores, hosts: census.hosts })
+        let names = Arc::new(names.collect());
+        Ok(Hosts { names, host_names, cores, hosts: census.hosts })
     }
 
     fn on_host_of(&self, process: usize) -> usize {
@@ -61,33 +69,36 @@ fn first_cores(count: usize) -> CpuSet {
 }
 
 /// The machines of a world as one.
-pub(super) struct ClusterMachine(pub Arc<Hosts>);
+pub(super) struct ClusterMachine {
+    pub hosts: Arc<Hosts>,
+    pub inside: Inside,
+}
 
 impl Machine for ClusterMachine {
     fn cores(&self) -> usize {
-        let hosts = &self.0.hosts;
+        let hosts = &self.hosts.hosts;
         hosts
             .iter()
             .enumerate()
             .filter(|(process, host)| process == *host)
-            .map(|(process, _)| self.0.cores[process])
+            .map(|(process, _)| self.hosts.cores[process])
             .sum()
     }
 
     /// As many as the fullest host allows, so that no rank waits for a slower one.
     fn threads_per_worker(&self, _workers: usize) -> usize {
-        let of_process = |process: usize| self.0.cores[process] / self.0.on_host_of(process);
-        (0..self.0.hosts.len()).map(of_process).min().unwrap_or(1).max(1)
+        let of_process = |process: usize| self.hosts.cores[process] / self.hosts.on_host_of(process);
+        (0..self.hosts.hosts.len()).map(of_process).min().unwrap_or(1).max(1)
     }
 
     fn place(&self, index: usize, _workers: usize) -> (usize, usize) {
-        let hosts = &self.0.hosts;
+        let hosts = &self.hosts.hosts;
         let before = hosts[..index].iter().filter(|&&host| host == hosts[index]).count();
-        (before, self.0.on_host_of(index))
+        (before, self.hosts.on_host_of(index))
     }
 
     fn prepare(&self, workers: usize) -> Result<(), MachineError> {
-        let there = self.0.hosts.len();
+        let there = self.hosts.hosts.len();
         if workers == there {
             return Ok(());
         }
@@ -97,7 +108,14 @@ impl Machine for ClusterMachine {
         )))
     }
 
-    fn check_transfers(&self, _ranks: usize, _max_len: usize) -> Result<(), MachineError> {
-        Ok(())
+    /// Checks the host of process 0 for as many ranks as the fullest one has; the others say so when they connect.
+    fn check_transfers(&self, ranks: usize, max_len: usize) -> Result<(), MachineError> {
+        let hosts = &self.hosts.hosts;
+        let most = (0..hosts.len()).map(|process| self.hosts.on_host_of(process)).max().unwrap_or(1).min(ranks);
+        if self.inside == Inside::Mpi || most == 1 {
+            return Ok(());
+        }
+        let (_, free) = shared_memory_space().map_err(|error| MachineError::Unreadable(error.to_string()))?;
+        check_shared_memory(most, max_len, free).map_err(|error| MachineError::TooSmall(error.to_string()))
     }
 }

@@ -7,7 +7,9 @@
 mod connect;
 mod control;
 mod data;
+mod hosted;
 mod library;
+mod links;
 mod machine;
 mod pause;
 mod stream;
@@ -19,6 +21,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
+pub use connect::Inside;
 use connect::MpiConnect;
 use control::{Crew, MpiCoordinator, MpiLauncher, MpiWorker, Seat};
 use library::{Library, Universe};
@@ -27,7 +30,9 @@ use pause::Pause;
 use stream::{Incoming, Kind, Outgoing};
 use vitals::{Pulse, Vitals};
 
-use super::{Connect, ControlCoordinator, ControlError, ControlWorker, Launcher, Machine, World, WorldCrew};
+use super::{
+    Connect, ControlCoordinator, ControlError, ControlWorker, Launcher, Machine, World, WorldCrew, remove_dead_runs,
+};
 
 /// What a process does as worker `rank` of a crew until it is dismissed.
 pub type Serve = fn(usize, Box<dyn ControlWorker>, Box<dyn Connect>);
@@ -40,6 +45,7 @@ pub struct MpiWorld {
     /// Number of the next crew.
     crews: AtomicU32,
     must_abort: Arc<AtomicBool>,
+    inside: Inside,
 }
 
 impl fmt::Debug for MpiWorld {
@@ -59,22 +65,26 @@ pub struct Membership {
 }
 
 impl Membership {
-    /// Joins the world of this process. Every process of the world calls it once, from its main thread; it waits for
-    /// all of them. A panic in any thread of a process ends all processes from now on.
+    /// Joins the world of this process; messages inside a host go the way `inside`. Every process of the world calls
+    /// it once, from its main thread; it waits for all of them. A panic in any thread of a process ends all processes
+    /// from now on.
     ///
     /// # Errors
     /// A sentence about MPI, or about a world that has another number of processes than `expected`.
-    pub fn join(expected: Option<usize>) -> Result<Membership, String> {
+    pub fn join(expected: Option<usize>, inside: Inside) -> Result<Membership, String> {
         let (library, universe) = Library::start()?;
         if let Some(expected) = expected.filter(|&expected| expected != library.ranks()) {
             return Err(singletons(library.ranks(), expected));
         }
         let hosts = Arc::new(Hosts::census(&library)?);
+        if hosts.hosts[library.rank()] == library.rank() {
+            remove_dead_runs();
+        }
         let vitals = Vitals::new(library.ranks());
         let pulse = Pulse::start(&library, &vitals, hosts.names[0].clone()).map_err(|error| error.to_string())?;
         abort_on_panic(&library);
         let (crews, must_abort) = (AtomicU32::new(1), Arc::default());
-        let world = Arc::new(MpiWorld { library, vitals, hosts, crews, must_abort });
+        let world = Arc::new(MpiWorld { library, vitals, hosts, crews, must_abort, inside });
         Ok(Membership { world, pulse: Some(pulse), own_worker: None, _universe: universe })
     }
 
@@ -97,6 +107,18 @@ impl Membership {
         let thread = std::thread::Builder::new().name("worker 0".into()).spawn(move || world.obey(serve));
         self.own_worker = Some(thread.map_err(|error| error.to_string())?);
         Ok(())
+    }
+
+    /// Connects the first processes of the world as the ranks of a group without a coordinator, as if they were on
+    /// `hosts` (by process: the lowest process of its host). `crew`: a number that the group has for itself, the same
+    /// on all its processes.
+    pub fn group(&self, crew: u32, hosts: &[usize]) -> Box<dyn Connect> {
+        Box::new(MpiConnect::new(&self.world.library, crew, 0, hosts, self.world.inside))
+    }
+
+    /// Own number and number of processes.
+    pub fn rank(&self) -> (usize, usize) {
+        (self.world.library.rank(), self.world.library.ranks())
     }
 
     /// The world, for the coordinator.
@@ -142,8 +164,8 @@ impl MpiWorld {
                     let [crew, rank, _, first] = words[..] else { continue };
                     let coordinator = self.hosts.names[0].clone();
                     let control = MpiWorker::new(&self.library, &self.vitals, crew as u32, coordinator);
-                    let (library, hosts) = (self.library.clone(), self.hosts.hosts.clone());
-                    let connect = MpiConnect { library, crew: crew as u32, first: first as usize, hosts };
+                    let (crew, first, hosts) = (crew as u32, first as usize, &self.hosts.hosts);
+                    let connect = MpiConnect::new(&self.library, crew, first, hosts, self.inside);
                     serve(rank as usize, Box::new(control), Box::new(connect));
                     pause = Pause::default();
                 }
@@ -164,7 +186,7 @@ impl World for MpiWorld {
     }
 
     fn machine(&self) -> Box<dyn Machine> {
-        Box::new(ClusterMachine(self.hosts.clone()))
+        Box::new(ClusterMachine { hosts: self.hosts.clone(), inside: self.inside })
     }
 
     fn crew(&self, first: usize, ranks: usize) -> Result<WorldCrew, ControlError> {

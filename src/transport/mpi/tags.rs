@@ -12,16 +12,15 @@ pub(super) const ALIVE: i32 = 4;
 pub(super) const DOWN: i32 = 5;
 /// The control channel, from a worker to the coordinator.
 pub(super) const UP: i32 = 6;
-/// The name of a run in shared memory.
-pub(super) const RUN: i32 = 7;
 
 /// First tag of data, and number of connections with tags of their own. After that many they come again, when nothing
 /// of the first one is left.
 const DATA: i32 = 16;
-const CONNECTIONS: u32 = 8000;
+const CONNECTIONS: u32 = 8160;
 
-/// Tags of the exchanges and of the all-gathers of connection number `connection`.
-pub(super) fn of_connection(connection: u32) -> [i32; 2] {
+/// Tags of the exchanges and of the all-gathers of connection number `connection`: between all its ranks, and between
+/// those of one host.
+pub(super) fn of_connection(connection: u32) -> [[i32; 2]; 2] {
     let first = DATA + 4 * (connection % CONNECTIONS) as i32;
-    [first, first + 1]
+    [[first, first + 1], [first + 2, first + 3]]
 }

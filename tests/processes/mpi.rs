@@ -1,0 +1,287 @@
+//! Runs as the ranks of `mpirun`: the transport, the same bits as on one machine, refusals, killed ranks, and two hosts
+//! made of network namespaces where this machine allows it.
+//!
+//! The suite of the transport runs in processes that `mpirun` starts from this test binary: every process runs every
+//! test, and takes part in the groups that are large enough for it.
+
+use std::any::Any;
+use std::cell::{Cell, RefCell};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use loomtree::transport::{Connection, Counts, Inside, Membership, Transport};
+use support::process::{Place, flag, program, repository};
+
+use crate::groups::{Group, MAX_LEN, PATIENT};
+use crate::{transport_conformance, transport_patterns};
+
+/// What a process of the suite is to do: way inside a host, and hosts by process.
+const SUITE: &str = "LOOMTREE_TEST_MPI";
+
+thread_local! {
+    static MEMBER: RefCell<Option<Member>> = const { RefCell::new(None) };
+}
+
+/// This process of the suite.
+struct Member {
+    membership: Membership,
+    hosts: Vec<usize>,
+    crews: Cell<u32>,
+}
+
+impl Member {
+    /// Connects the first `ranks` processes; none in the others.
+    fn connect(&self, ranks: usize, deadline: Duration) -> Option<Box<dyn Transport>> {
+        let crew = self.crews.get();
+        self.crews.set(crew + 1);
+        let (rank, _) = self.membership.rank();
+        let connection =
+            Connection { rank, ranks, epoch: 0, max_len: MAX_LEN, deadline, on_wait: Box::new(|| false), links: None };
+        (rank < ranks).then(|| self.membership.group(crew, &self.hosts).connect(connection).expect("connect"))
+    }
+
+    /// What all ranks returned, in every process.
+    fn gather<T: 'static>(&self, own: Option<T>) -> Vec<T> {
+        let (_, processes) = self.membership.rank();
+        let own = own.map_or(Vec::new(), |own| numbers(&own));
+        let mut all = Vec::new();
+        self.connect(processes, PATIENT).expect("a member").all_gather(&own, &mut all).expect("gather");
+        all.iter().filter(|values| !values.is_empty()).map(|values| *value::<T>(values)).collect()
+    }
+}
+
+/// A result as numbers. The first one only says that there is a result.
+fn numbers(result: &dyn Any) -> Vec<f64> {
+    if let Some(Counts { published, bytes_published, received, bytes_received }) = result.downcast_ref() {
+        let counts = [published, bytes_published, received, bytes_received];
+        return std::iter::once(1.0).chain(counts.map(|&count| count as f64)).collect();
+    }
+    match result.downcast_ref::<f64>() {
+        Some(&value) => vec![1.0, value],
+        None => vec![1.0],
+    }
+}
+
+fn value<T: 'static>(numbers: &[f64]) -> Box<T> {
+    let value: Box<dyn Any> = match *numbers {
+        [_, published, bytes_published, received, bytes_received] => {
+            let [published, bytes_published, received, bytes_received] =
+                [published, bytes_published, received, bytes_received].map(|count| count as u64);
+            Box::new(Counts { published, bytes_published, received, bytes_received })
+        }
+        [_, value] => Box::new(value),
+        _ => Box::new(()),
+    };
+    value.downcast().expect("a result that can be sent")
+}
+
+/// Processes of a world.
+struct Processes;
+
+impl Group for Processes {
+    fn run<T: Send + 'static>(
+        ranks: usize,
+        deadline: Duration,
+        program: impl Fn(&mut dyn Transport) -> T + Clone + Send + 'static,
+    ) -> Vec<T> {
+        MEMBER.with_borrow(|member| {
+            let member = member.as_ref().expect("this process has joined");
+            let own = member.connect(ranks, deadline).map(|mut transport| program(transport.as_mut()));
+            member.gather(own)
+        })
+    }
+}
+
+/// Not a test of its own: one process of the suite.
+#[test]
+fn child() {
+    let Ok(role) = std::env::var(SUITE) else {
+        println!("skipped: only runs as a child of the other tests");
+        return;
+    };
+    let words: Vec<&str> = role.split(' ').collect();
+    let inside = if words[0] == "mpi" { Inside::Mpi } else { Inside::SharedMemory };
+    let hosts = words[1..].iter().map(|host| host.parse().expect("a number")).collect();
+    let membership = Membership::join(None, inside).expect("a world");
+    let member = Member { membership, hosts, crews: Cell::new(1000) };
+    MEMBER.set(Some(member));
+    transport_conformance::order_and_contents::<Processes>();
+    transport_conformance::whole_lists::<Processes>();
+    transport_conformance::ready_tells::<Processes>();
+    transport_conformance::gathering::<Processes>();
+    transport_conformance::mixed_rounds::<Processes>();
+    transport_conformance::wrong_calls::<Processes>();
+    transport_patterns::patterns_change_from_exchange_to_exchange::<Processes>();
+    transport_patterns::a_rare_reader_gets_the_right_message_out_of_many::<Processes>();
+    transport_patterns::two_halves_of_a_group_go_their_own_ways::<Processes>();
+    transport_patterns::a_third_exchange_before_the_first_is_finished_is_refused::<Processes>();
+    MEMBER.take().expect("joined above").membership.leave(0);
+}
+
+/// Only one of these tests at a time starts processes: eight ranks on a small machine are enough.
+static ALONE: Mutex<()> = Mutex::new(());
+
+/// `mpirun -n ranks`, also as root and with more ranks than cores, for both families of MPI.
+fn mpirun(ranks: usize) -> Command {
+    let mut command = Command::new("mpirun");
+    command.args(["-n", &ranks.to_string()]);
+    command.env("OMPI_ALLOW_RUN_AS_ROOT", "1").env("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1");
+    command.env("OMPI_MCA_rmaps_base_oversubscribe", "1").env("OMPI_MCA_mpi_yield_when_idle", "1");
+    command.env("PRTE_MCA_rmaps_default_mapping_policy", ":oversubscribe");
+    command.env("OMPI_MCA_btl_vader_single_copy_mechanism", "none").env("OMPI_MCA_hwloc_base_binding_policy", "none");
+    command.stdin(Stdio::null());
+    command
+}
+
+/// What a command printed, and its exit code.
+fn output(command: &mut Command) -> (i32, String) {
+    let ended = command.output().expect("mpirun starts");
+    let text = [ended.stdout, ended.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
+    (ended.status.code().unwrap_or(-1), text)
+}
+
+fn suite(inside: &str, hosts: &[usize]) {
+    let _alone = ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let hosts: Vec<String> = hosts.iter().map(usize::to_string).collect();
+    let mut command = mpirun(hosts.len());
+    command.arg(std::env::current_exe().expect("the test binary"));
+    command.args(["mpi::child", "--exact", "--nocapture", "--test-threads=1"]);
+    command.env(SUITE, format!("{inside} {}", hosts.join(" ")));
+    let (code, text) = output(&mut command);
+    assert_eq!(code, 0, "{text}");
+    assert_eq!(text.matches("1 passed").count(), hosts.len(), "{text}");
+}
+
+#[test]
+fn the_transport_suite_passes_within_a_host() {
+    suite("mpi", &[0; 5]);
+}
+
+#[test]
+fn the_transport_suite_passes_between_hosts() {
+    suite("mpi", &[0, 1, 2, 3, 4]);
+    // Three ranks here, two there, in turn; and a host with one rank.
+    suite("mpi", &[0, 1, 0, 1, 0]);
+    suite("shared-memory", &[0, 0, 2, 2, 4]);
+}
+
+/// A run of `words` on `ranks` ranks, which must end well.
+fn run(place: &Place, ranks: usize, words: &str) {
+    let (code, text) =
+        output(mpirun(ranks).arg(program("loomtree")).args(words.split(' ')).current_dir(place.path("")));
+    assert_eq!(code, 0, "{ranks} ranks: {words}\n{text}");
+}
+
+/// The shipped scene `name` with `triangles` triangles, as a file of the place.
+fn shipped(place: &Place, name: &str) {
+    let text = std::fs::read_to_string(repository(&format!("scenes/{name}.toml"))).expect("a shipped scene");
+    place.write(&format!("{name}.toml"), text);
+}
+
+#[test]
+fn any_number_of_ranks_gives_the_bits_of_one_worker() {
+    let _alone = ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let place = Place::new();
+    place.write("flag.toml", flag(1500, 3, 8));
+    shipped(&place, "sphere");
+    shipped(&place, "stack");
+    let shots = [
+        ("flag", "run flag.toml --executor cpu"),
+        ("sphere", "run sphere.toml --executor cpu --resolution 1000 --frames 8"),
+        ("stack", "run stack.toml --executor cpu --resolution 1000 --frames 3"),
+    ];
+    for (name, words) in shots {
+        place.run(&format!("{words} --workers 2 --out one_{name}")).expect(0);
+        let expected = place.hashes(&format!("one_{name}"));
+        assert!(expected.len() > 3, "{expected:?}");
+        for (ranks, way) in [(1, "auto"), (2, "mpi"), (2, "auto"), (4, "mpi"), (8, "auto")] {
+            let out = format!("{name}_{ranks}_{way}");
+            run(&place, ranks, &format!("{words} --transport {way} --out {out}"));
+            assert_eq!(place.hashes(&out), expected, "{name}: {ranks} ranks, {way}");
+        }
+    }
+    let split = "run flag.toml --executor cpu --segments 2";
+    place.run(&format!("{split} --sessions 2 --workers 1 --out split")).expect(0);
+    for (ranks, words) in [(2, ""), (4, " --workers 2"), (4, " --sessions 2")] {
+        let out = format!("split_{ranks}{}", words.trim().replace([' ', '-'], ""));
+        run(&place, ranks, &format!("{split}{words} --out {out}"));
+        assert_eq!(place.hashes(&out), place.hashes("split"), "{ranks} ranks{words}");
+    }
+}
+
+#[test]
+fn what_does_not_fit_a_world_is_refused_in_words() {
+    let _alone = ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let place = Place::new();
+    place.write("flag.toml", flag(500, 2, 2));
+    let refused = |ranks: usize, words: &str, sentence: &str| {
+        let mut command = mpirun(ranks);
+        let (code, text) = output(command.arg(program("loomtree")).args(words.split(' ')).current_dir(place.path("")));
+        assert_eq!(code, 2, "{words}\n{text}");
+        assert_eq!(text.matches(sentence).count(), 1, "{words}: once\n{text}");
+    };
+    refused(2, "run flag.toml --workers 3", "3 workers, and 2 processes were started");
+    refused(2, "run missing.toml", "missing.toml: cannot be read");
+    refused(3, "run flag.toml --emulate-links", "models links on one machine");
+    refused(2, "run flag.toml --segments 2 --sessions 3", "3 workers, and 2 processes were started");
+    // A launcher whose processes do not find each other.
+    let mut alone = Command::new(program("loomtree"));
+    alone.args(["run", "flag.toml"]).current_dir(place.path(""));
+    alone.env("SLURM_STEP_NUM_TASKS", "4").env("SLURM_PROCID", "0");
+    let (code, text) = output(&mut alone);
+    assert_eq!(code, 2, "{text}");
+    assert!(text.contains("was to start 4 processes, and this one sees 1") && text.contains("--mpi=pmix"), "{text}");
+    let (code, text) =
+        output(Command::new(program("loomtree")).args(["run", "x", "--launcher", "processes", "--transport", "mpi"]));
+    assert!(code == 2 && text.contains("--transport mpi needs the ranks"), "{text}");
+}
+
+/// Process numbers of the ranks that run `out`.
+fn ranks_of(out: &Path) -> Vec<i32> {
+    let out = out.to_string_lossy().into_owned();
+    let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
+    let is_rank = |pid: &i32| {
+        let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        let line = String::from_utf8_lossy(&line).into_owned();
+        line.split('\0').next().is_some_and(|name| name.ends_with("loomtree")) && line.contains(&out)
+    };
+    pids.filter(is_rank).collect()
+}
+
+#[test]
+fn a_killed_rank_ends_all_and_the_run_can_be_resumed() {
+    let _alone = ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let place = Place::new();
+    place.write("flag.toml", flag(1500, 3, 40));
+    place.run("run flag.toml --executor cpu --workers 1 --out whole").expect(0);
+    for (number, way) in ["mpi", "auto"].into_iter().enumerate() {
+        let out = place.path(&format!("killed_{way}"));
+        let mut command = mpirun(3);
+        command.arg(program("loomtree")).args(["run", "flag.toml", "--executor", "cpu", "--checkpoint-every", "1"]);
+        command.args(["--transport", way, "--out"]).arg(&out).current_dir(place.path(""));
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("mpirun starts");
+        let begun = Instant::now();
+        while !out.join("frames/frame_000005.ply").exists() {
+            assert!(begun.elapsed() < PATIENT, "no frame 5 in {}", out.display());
+            if child.try_wait().expect("a child").is_some() {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let ranks = ranks_of(&out);
+        assert_eq!(ranks.len(), 3, "{way}");
+        support::process::signal(ranks[number + 1], support::process::Signal::KILL);
+        let killed = Instant::now();
+        let status = child.wait().expect("mpirun ends");
+        while !ranks_of(&out).is_empty() {
+            assert!(killed.elapsed() < Duration::from_secs(10), "{way}: ranks are left");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        assert!(!status.success());
+        place.run(&format!("run --resume --workers 2 --out {}", out.display())).expect(0);
+        assert_eq!(place.hashes(&format!("killed_{way}")).last(), place.hashes("whole").last(), "{way}");
+    }
+}
