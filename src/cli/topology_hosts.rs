@@ -59,10 +59,12 @@ pub(super) fn text(world: &MeasuredWorld, device: &DeviceModel, device_notes: &[
     });
     let _ = writeln!(text, "\nname = \"detected\"");
     let switches = (names.len() > 1).then(|| "network".to_string()).into_iter().chain((0..names.len()).map(host_name));
-    let switches: Vec<String> = switches.map(|name| quoted(&name)).collect();
+    // A single GPU has no switch.
+    let switches: Vec<String> = switches.filter(|_| ranks > 1).map(|name| quoted(&name)).collect();
     let _ = writeln!(text, "switches = [{}]\ngpus = [", switches.join(", "));
     for rank in 0..ranks {
-        let _ = writeln!(text, "    {{ id = {rank}, name = \"rank{rank}\" }},");
+        let host = quoted(&host_name(hosts[rank]));
+        let _ = writeln!(text, "    {{ id = {rank}, name = \"rank{rank}\", host = {host} }},");
     }
     let _ = writeln!(text, "]\nlinks = [");
     let mut link = |a: &str, b: &str, MeasuredLink { latency_us, bandwidth_gb_s }: MeasuredLink| {
@@ -114,6 +116,7 @@ mod tests {
         let text = text(&world, &device, &["memory: told".into()]).unwrap();
         let topology = Topology::parse(text.as_bytes(), "found").unwrap();
         assert_eq!((topology.gpus(), topology.is_tree(), topology.device()), (5, true, &device), "{text}");
+        assert_eq!(topology.hosts(), [0, 0, 1, 1, 2]);
         let path = |from: usize, to: usize| -> (f64, f64) {
             let links = topology.path(from, to).iter().map(|hop| &topology.links()[hop.link]);
             links.fold((0.0, f64::INFINITY), |(us, rate), link| (us + link.latency_us, rate.min(link.bandwidth_gb_s)))

@@ -10,7 +10,7 @@ use super::start_from::kept_start;
 use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology, TopologyError, Traffic, plan};
 use crate::math::DIM;
 use crate::model::{GlobalModel, RankModel};
-use crate::partition::RowPartition;
+use crate::partition::{RowPartition, most_ranks};
 use crate::scene::{Overrides, ParsedScene, Scene, SceneError, Untangling, read, read_str, set_fields};
 use crate::solver::ExchangeMode;
 use crate::transport::{RANKS_MAX, STAMP_VALUES};
@@ -189,6 +189,11 @@ pub fn check_workers(workers: usize, rows: usize, few: &str) -> Result<(), PlanE
     }
     if workers > rows {
         return Err(PlanError::Workers { workers, what: format!("{few}; use at most as many workers") });
+    }
+    if rows < usize::MAX && workers > most_ranks(rows) {
+        let most = most_ranks(rows);
+        let what = format!("{few}, which make {most} chunks, the least that a worker owns; use at most {most} workers");
+        return Err(PlanError::Workers { workers, what });
     }
     Ok(())
 }

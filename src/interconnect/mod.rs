@@ -40,6 +40,7 @@ mod topology_file;
 mod topology_tests;
 mod transfers;
 mod validate;
+mod wire;
 
 pub use arrivals::{Line, RankLinks, Receipt};
 pub use bound::{LowerBound, demand_bound_s, lower_bound};
@@ -57,6 +58,7 @@ pub use routing::Hop;
 pub use topology::Topology;
 pub use topology_error::TopologyError;
 pub use transfers::{Transfer, TransferPlan};
+pub use wire::{Crossing, crossing};
 
 /// One entry of a work queue: in its stage the queue's rank receives sub-vector `vector` from rank `source`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -90,8 +90,8 @@ pub enum Phase {
     Exchange(Traffic),
     /// A matrix-vector product with its exchange.
     Product(Traffic, RecordedProduct),
-    /// Everybody waits for everybody.
-    AllReduce,
+    /// Everybody waits for everybody: bytes of every rank's message.
+    AllReduce(Vec<f64>),
     /// Every rank sends data to every other rank, outside of products: bytes of every rank.
     Share(Vec<f64>),
     /// Everybody waits for everybody, outside of the solver.
@@ -138,7 +138,7 @@ pub enum RecordFault {
 enum Own {
     Kernel(EventName, Kernel),
     Exchange(Open),
-    AllReduce,
+    AllReduce(f64),
     Share(f64),
     ShareCounts,
 }
@@ -175,7 +175,7 @@ impl RecordedStep {
         let key = |own: &Own| match own {
             Own::Kernel(name, _) => (0, *name as u32),
             Own::Exchange(open) => (1, u32::from(open.kind())),
-            Own::AllReduce => (2, 0),
+            Own::AllReduce(_) => (2, 0),
             Own::Share(_) => (3, 0),
             Own::ShareCounts => (4, 0),
         };
@@ -240,7 +240,7 @@ fn phases_of(rank: usize, ranks: usize, events: &[Event]) -> Result<Vec<Own>, us
                 phases.push(match name {
                     name if name.is_share() && waits => Own::ShareCounts,
                     name if name.is_share() => Own::Share(event.bytes as f64),
-                    EventName::AllReduce => Own::AllReduce,
+                    EventName::AllReduce => Own::AllReduce(event.bytes as f64),
                     _ => Own::Kernel(name, Kernel::of(event)),
                 });
             }
@@ -252,7 +252,8 @@ fn phases_of(rank: usize, ranks: usize, events: &[Event]) -> Result<Vec<Own>, us
 
 /// The same phase of all ranks.
 fn joined(own: Vec<Own>) -> Phase {
-    let (mut kernels, mut opens, mut shared, mut named) = (Vec::new(), Vec::new(), Vec::new(), None);
+    let (mut kernels, mut opens, mut shared, mut reduced, mut named) =
+        (Vec::new(), Vec::new(), Vec::new(), Vec::new(), None);
     let counts = own.iter().any(|phase| matches!(phase, Own::ShareCounts));
     for phase in own {
         match phase {
@@ -262,7 +263,8 @@ fn joined(own: Vec<Own>) -> Phase {
             }
             Own::Exchange(open) => opens.push(open),
             Own::Share(bytes) => shared.push(bytes),
-            Own::AllReduce | Own::ShareCounts => {}
+            Own::AllReduce(bytes) => reduced.push(bytes),
+            Own::ShareCounts => {}
         }
     }
     if !shared.is_empty() {
@@ -274,7 +276,7 @@ fn joined(own: Vec<Own>) -> Phase {
     if let Some(name) = named {
         return Phase::Kernels(name, kernels);
     }
-    let Some(first) = opens.first() else { return Phase::AllReduce };
+    let Some(first) = opens.first() else { return Phase::AllReduce(reduced) };
     let kind = first.kind();
     let ranks = opens.len();
     let traffic = Traffic {

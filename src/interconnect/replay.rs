@@ -186,7 +186,7 @@ impl<'a> Builder<'a> {
                 self.exchange(&plan, &published);
             }
             Phase::Product(traffic, product) => self.product(traffic, product),
-            Phase::AllReduce | Phase::ShareCounts => self.all_reduce(),
+            Phase::AllReduce(_) | Phase::ShareCounts => self.all_reduce(),
             // As whole sub-vectors travel; what is told is contiguous, nothing to pack.
             Phase::Share(bytes) => {
                 let plan = self.whole.scaled(|owner| bytes[owner] / self.sub_vector_bytes());
@@ -424,7 +424,9 @@ fn stage_of(phase: &Phase) -> usize {
         Phase::Exchange(_) => 0,
         Phase::Kernels(EventName::Elements, _) => 1,
         Phase::Kernels(EventName::IndexFill | EventName::ValueFill | EventName::Precondition, _) => 2,
-        Phase::Kernels(EventName::VectorUpdate | EventName::Residual, _) | Phase::Product(..) | Phase::AllReduce => 3,
+        Phase::Kernels(EventName::VectorUpdate | EventName::Residual, _) | Phase::Product(..) | Phase::AllReduce(_) => {
+            3
+        }
         Phase::Kernels(EventName::Advance, _) => 4,
         Phase::Kernels(..) | Phase::Share(_) | Phase::ShareCounts => 5,
     }

@@ -16,6 +16,8 @@ pub struct Topology {
     links: Vec<Link>,
     gpus_forward: bool,
     routes: Routes,
+    /// By GPU: number of its host.
+    hosts: Vec<usize>,
 }
 
 impl Topology {
@@ -81,7 +83,8 @@ impl Topology {
                 .collect(),
             gpus_forward: self.gpus_forward,
         };
-        Topology::build(parts).map_err(|fault| TopologyError::Malformed {
+        let cut = Topology::build(parts).map(|cut| cut.with_hosts(self.hosts[..gpus].to_vec()));
+        cut.map_err(|fault| TopologyError::Malformed {
             file: format!("{} cut to {gpus} GPUs", self.name),
             line: None,
             message: fault.message,
@@ -114,12 +117,23 @@ impl Topology {
                 );
             }
         };
-        Ok(Topology { name, device, gpu_names, switch_names: switches, links, gpus_forward, routes })
+        let hosts = vec![0; gpu_names.len()];
+        Ok(Topology { name, device, gpu_names, switch_names: switches, links, gpus_forward, routes, hosts })
     }
 
     /// GPUs of the machine; the largest possible number of ranks.
     pub fn gpus(&self) -> usize {
         self.gpu_names.len()
+    }
+
+    /// By GPU: number of its host, all the same where the file names no hosts.
+    pub fn hosts(&self) -> &[usize] {
+        &self.hosts
+    }
+
+    /// The same machine with its GPUs on these hosts.
+    pub(super) fn with_hosts(self, hosts: Vec<usize>) -> Topology {
+        Topology { hosts, ..self }
     }
 
     /// Name of the machine.

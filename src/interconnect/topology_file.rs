@@ -10,6 +10,7 @@ use toml::Spanned;
 use super::parts::{DeviceModel, Duplex, Fault, Link, Parts, Place};
 use super::topology::Topology;
 use super::topology_error::TopologyError;
+use super::validate::check_name;
 
 /// Largest topology file that is read; the largest useful one is a few hundred lines.
 const MAX_FILE_BYTES: u64 = 1 << 20;
@@ -33,6 +34,7 @@ struct RawTopology {
 struct RawGpu {
     id: usize,
     name: String,
+    host: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -79,10 +81,39 @@ impl Topology {
             switches: raw.switches.iter().map(|switch| switch.span().start).collect(),
             links: raw.links.iter().map(|link| link.span().start).collect(),
         };
-        Topology::build(parts_of(raw)).map_err(|Fault { place, message }| {
+        let hosts = hosts_of(&raw);
+        let built = hosts.and_then(|hosts| Topology::build(parts_of(raw)).map(|built| built.with_hosts(hosts)));
+        built.map_err(|Fault { place, message }| {
             malformed(starts.of(place).map(|offset| line_of(bytes, offset)), message)
         })
     }
+}
+
+/// By id of the GPU: number of its host, in the order in which the file names them. GPUs without hosts share one.
+fn hosts_of(raw: &RawTopology) -> Result<Vec<usize>, Fault> {
+    let gpus: Vec<&RawGpu> = raw.gpus.iter().map(Spanned::get_ref).collect();
+    let mut names: Vec<&str> = Vec::new();
+    let mut hosts = vec![0; gpus.len()];
+    for (i, gpu) in gpus.iter().enumerate() {
+        let Some(host) = &gpu.host else { continue };
+        if let Some(without) = gpus.iter().position(|gpu| gpu.host.is_none()) {
+            let message = format!(
+                "GPU `{}` has no host, but `{}` has one: give all GPUs a host or none",
+                gpus[without].name, gpu.name
+            );
+            return Err(Fault { place: Place::Gpu(without), message });
+        }
+        check_name(host).map_err(|message| Fault { place: Place::Gpu(i), message: format!("host: {message}") })?;
+        let number = names.iter().position(|name| name == host).unwrap_or_else(|| {
+            names.push(host);
+            names.len() - 1
+        });
+        // A wrong id has a sentence of its own.
+        if let Some(of_gpu) = hosts.get_mut(gpu.id) {
+            *of_gpu = number;
+        }
+    }
+    Ok(hosts)
 }
 
 fn parts_of(raw: RawTopology) -> Parts {

@@ -20,6 +20,11 @@ pub fn chunk_rows(rows: usize) -> usize {
     rows.div_ceil(chunks).max(1)
 }
 
+/// Most ranks that can share `rows` rows: each owns at least a chunk.
+pub fn most_ranks(rows: usize) -> usize {
+    rows.div_ceil(chunk_rows(rows))
+}
+
 /// Rows of the global order, cut into chunks; every rank owns a contiguous range of chunks, hence of rows (its row
 /// block [Li et al. 2020, Eq. 4]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -30,13 +35,11 @@ pub struct RowPartition {
 }
 
 impl RowPartition {
-    /// Splits `rows` rows over `ranks` ranks. Panics unless `1 <= ranks <= rows` (callers check user input first).
+    /// Splits `rows` rows over `ranks` ranks. Panics unless `1 <= ranks <= most_ranks(rows)` (callers check user input
+    /// first).
     pub fn new(rows: usize, ranks: usize) -> RowPartition {
-        assert!(ranks >= 1 && ranks <= rows, "{ranks} ranks cannot share {rows} rows");
-        let chunk_rows = chunk_rows(rows);
-        // More than half the least number of chunks, or one per row: enough for every rank to own rows.
-        assert!(ranks <= CHUNKS.0 / 2, "{ranks} ranks are too many");
-        RowPartition { rows, chunk_rows, ranks }
+        assert!(ranks >= 1 && ranks <= most_ranks(rows), "{ranks} ranks cannot share {rows} rows");
+        RowPartition { rows, chunk_rows: chunk_rows(rows), ranks }
     }
 
     /// Rows of the whole system.
@@ -95,7 +98,9 @@ mod tests {
     #[test]
     fn row_blocks_cover_every_row_once_and_know_their_owner() {
         for rows in [1, 2, 7, 16, 121, 127, 128, 129, 1000, 5000, 99_856] {
-            for ranks in (1..=16).filter(|&n| n <= rows) {
+            let most = most_ranks(rows);
+            assert!(most == rows.min(128) || most > 64, "{rows} rows: {most}");
+            for ranks in (1..=16).chain([64, most - 1, most]).filter(|n| (1..=most).contains(n)) {
                 let p = RowPartition::new(rows, ranks);
                 let mut next = 0;
                 for rank in 0..ranks {

@@ -193,7 +193,7 @@ impl Pcg {
             // gamma = r.u; rho = r.r; delta = w.u: one all-reduce
             let start = rank.recorder.now();
             let [gamma, rho, delta] = sums.all_reduce(rank.transport)?;
-            rank.recorder.end(EventName::AllReduce, Activity::Wait, start, 24, 0);
+            rank.recorder.end(EventName::AllReduce, Activity::Wait, start, sums.message_bytes(), 0);
             if !(gamma.is_finite() && rho.is_finite() && delta.is_finite()) {
                 return Err(PcgError::NotFinite { iteration });
             }

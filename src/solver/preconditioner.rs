@@ -58,6 +58,11 @@ impl IterationSums {
     pub(super) fn all_reduce(&mut self, transport: &mut dyn Transport) -> Result<ChunkSums, TransportError> {
         self.tree.all_reduce_and_gather(transport, &self.scalars, &self.restricted, &mut self.all_restricted)
     }
+
+    /// Bytes of the own message of the last sum.
+    pub(super) fn message_bytes(&self) -> u64 {
+        self.tree.message_bytes()
+    }
 }
 
 /// Block Jacobi: the inverse 3x3 diagonal blocks, fused with the updates of the iteration.

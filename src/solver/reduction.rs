@@ -76,6 +76,11 @@ impl ReductionTree {
         Ok(self.finish(0..self.leaves, &mut streams))
     }
 
+    /// Bytes of the own message of the last sum.
+    pub fn message_bytes(&self) -> u64 {
+        size_of_val(&self.sent[..]) as u64
+    }
+
     /// Number of subtrees that the owner of the leaves `own` sends.
     fn roots(&self, node: Range<usize>, own: &Range<usize>) -> usize {
         if node.end <= own.start || node.start >= own.end {

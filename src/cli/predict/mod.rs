@@ -15,6 +15,7 @@ use crate::interconnect::{
     KernelTimes, Plan, ProductExchange, Replay, ReplayedStep, STAGES, ScheduleKind, Topology, plan,
 };
 use crate::output::{Report, write_timeline};
+use recorded_run::BetweenHosts;
 pub(super) use recorded_run::RecordedRun;
 
 /// Arguments of `loomtree predict`.
@@ -109,6 +110,7 @@ struct Prediction {
     /// Largest memory of every rank, bytes.
     memory: Vec<u64>,
     measured: Option<Measured>,
+    between_hosts: Option<BetweenHosts>,
     assumptions: Vec<String>,
 }
 
@@ -132,6 +134,7 @@ impl Prediction {
         };
         let how = Replay { topology: &topology, plan: &plan, exchange, kernels, rows };
         let steps = recorded.replay(&how)?;
+        let between_hosts = recorded.between(topology.hosts(), exchange)?;
         let report = recorded.report;
         let mut memory = vec![0u64; ranks];
         for record in &report.steps {
@@ -148,6 +151,7 @@ impl Prediction {
             steps,
             memory,
             measured: None,
+            between_hosts,
             assumptions: Vec::new(),
         };
         prediction.measured = prediction.find_measured(args)?;
@@ -198,6 +202,14 @@ impl Prediction {
         all.push(
             "what collisions tell all ranks travels like whole sub-vectors, and waits for it are modelled anew".into(),
         );
+        if self.between_hosts.is_some() {
+            all.push(
+                "between hosts: rows to each reader, whole-cloth lists once per host; packets of TCP over Ethernet: \
+                 40 B before a message, 66 B before each segment of 1448 B, every second one acknowledged; orders, \
+                 reports and states of frames not counted"
+                    .into(),
+            );
+        }
         all.push("transfers run beside kernels; no protocol overhead, no host work between kernels".into());
         all.push("one GPU: the same kernels added up over the ranks, border elements counted on both sides".into());
         let recorded = self.report.header.exchange.as_str();
@@ -297,6 +309,9 @@ impl Prediction {
         if let Some((link, share)) = self.busiest_link() {
             writeln!(out, "\nbusiest link: {link}, busy {:.1} % of the time", share * 100.0)?;
         }
+        if let Some(between) = &self.between_hosts {
+            writeln!(out, "between hosts: {}", between.sentence())?;
+        }
         writeln!(out, "{}", self.memory_sentence())?;
         match &self.measured {
             Some(measured) => writeln!(
@@ -370,6 +385,7 @@ impl Prediction {
             "idle_share": self.idle_share(),
             "stage_modelled_s": stages(&|i| self.stage_s(i)),
             "busiest_link": busiest,
+            "between_hosts": self.between_hosts,
             "memory_bytes_per_gpu": self.memory,
             "memory_limit_bytes": self.topology.device().memory_gb * 1e9,
             "measured": measured,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use crate::cli::CliError;
-use crate::interconnect::{ProductExchange, RecordedStep, Replay, ReplayedStep, replay};
+use crate::interconnect::{Crossing, ProductExchange, RecordedStep, Replay, ReplayedStep, crossing, replay};
 use crate::output::{Report, read_trace};
 use crate::telemetry::Event;
 
@@ -66,17 +66,68 @@ impl RecordedRun {
 
     /// All recorded steps on another machine, ascending; the first one with its tasks.
     pub(crate) fn replay(&self, how: &Replay<'_>) -> Result<Vec<ReplayedStep>, CliError> {
-        let (first, ranks) = (self.events.keys().next().copied(), self.ranks);
-        let fault = |error: &dyn std::fmt::Display| CliError::bad_input(format!("{}: {error}", self.trace.display()));
+        let first = self.events.keys().next().copied();
         self.events
             .par_iter()
             .map(|(step, events)| {
-                if events.len() != ranks {
-                    return Err(fault(&format_args!("step {step} has events of {} ranks of {ranks}", events.len())));
-                }
-                let recorded = RecordedStep::of_events(*step, events).map_err(|error| fault(&error))?;
+                let recorded = self.recorded(*step, events)?;
                 replay(&recorded, how, Some(*step) == first).map_err(|error| CliError::failed(error.to_string()))
             })
             .collect()
+    }
+
+    /// What the recorded steps send between `hosts` (by rank), if there are several.
+    pub(crate) fn between(&self, hosts: &[usize], exchange: ProductExchange) -> Result<Option<BetweenHosts>, CliError> {
+        if hosts.iter().all(|host| *host == hosts[0]) {
+            return Ok(None);
+        }
+        let each = |(step, events)| Ok(crossing(&self.recorded(step, events)?, hosts, exchange));
+        let steps: Vec<_> =
+            self.events.iter().map(|(&step, events)| each((step, events))).collect::<Result<_, CliError>>()?;
+        let (mut whole, mut products, mut count) = (Crossing::default(), Crossing::default(), 0);
+        for (of_step, of_products, number) in &steps {
+            (whole, products, count) = (whole.plus(*of_step), products.plus(*of_products), count + number);
+        }
+        let per_step = whole.over(steps.len());
+        Ok(Some(BetweenHosts {
+            per_step,
+            per_product: products.over(count),
+            products: count as f64 / steps.len() as f64,
+        }))
+    }
+
+    fn recorded(&self, step: u32, events: &[Vec<Event>]) -> Result<RecordedStep, CliError> {
+        let fault = |error: &dyn std::fmt::Display| CliError::bad_input(format!("{}: {error}", self.trace.display()));
+        if events.len() != self.ranks {
+            return Err(fault(&format_args!("step {step} has events of {} ranks of {}", events.len(), self.ranks)));
+        }
+        RecordedStep::of_events(step, events).map_err(|error| fault(&error))
+    }
+}
+
+/// What the hosts of a prediction send each other, all directions together.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub(crate) struct BetweenHosts {
+    per_step: Crossing,
+    per_product: Crossing,
+    /// Products of a step.
+    products: f64,
+}
+
+impl BetweenHosts {
+    /// For the user.
+    pub(crate) fn sentence(&self) -> String {
+        let BetweenHosts { per_step, per_product, products } = self;
+        let kb = |bytes: f64| bytes / 1e3;
+        format!(
+            "{:.1} kB per step in {:.0} messages, {:.1} kB on the wire; each of {products:.0} products {:.2} kB in \
+             {:.0} messages, {:.2} kB on the wire",
+            kb(per_step.payload_bytes),
+            per_step.messages,
+            kb(per_step.wire_bytes),
+            kb(per_product.payload_bytes),
+            per_product.messages,
+            kb(per_product.wire_bytes)
+        )
     }
 }

@@ -160,21 +160,22 @@ impl MpiTransport {
         Some(packed)
     }
 
-    /// Begins an all-gather with the ranks `others`: sends them `own`, and receives theirs.
-    pub(super) fn begin_gather(&mut self, own: &[f64], others: &[usize]) -> Result<Gather, TransportError> {
+    /// Begins an all-gather: sends `own` to the ranks `to`, and receives from the ranks `from`.
+    pub(super) fn begin_gather(&mut self, own: &[f64], to: &[usize], from: &[usize]) -> Result<Gather, TransportError> {
         if own.len() > ALL_GATHER_MAX {
             return Err(self.fail(format!("all-gather of {} values, at most {ALL_GATHER_MAX}", own.len())));
         }
         let contribution = Arc::new(own.to_vec());
-        let mut arriving = Vec::with_capacity(others.len());
-        for &other in others {
-            let (process, tag) = (self.processes[other], self.tags[1]);
+        let mut arriving = Vec::with_capacity(from.len());
+        for &other in from {
             let mut buffer = std::mem::take(&mut self.gathered[other]);
             buffer.resize(ALL_GATHER_MAX, 0.0);
-            let receiving = self.library.receive(process, tag, buffer).map_err(|message| self.fail(message))?;
-            arriving.push((other, receiving));
-            let sent = self.library.send(process, tag, &contribution).map_err(|message| self.fail(message))?;
-            self.ungathered.push(sent);
+            let receiving = self.library.receive(self.processes[other], self.tags[1], buffer);
+            arriving.push((other, receiving.map_err(|message| self.fail(message))?));
+        }
+        for &other in to {
+            let sent = self.library.send(self.processes[other], self.tags[1], &contribution);
+            self.ungathered.push(sent.map_err(|message| self.fail(message))?);
         }
         Ok(Gather { arriving })
     }
@@ -286,7 +287,7 @@ impl Transport for MpiTransport {
         out[rank].extend_from_slice(own);
         // Each rank has another order, so that not all send to the same one at once.
         let others: Vec<usize> = (1..ranks).map(|step| (rank + step) % ranks).collect();
-        let begun = self.begin_gather(own, &others)?;
+        let begun = self.begin_gather(own, &others, &others)?;
         self.end_gather(begun, out)
     }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::data::MpiTransport;
 use crate::transport::pattern::Pending;
-use crate::transport::{Counts, Message, Neighbor, Pattern, Rows, Transport, TransportError};
+use crate::transport::{ALL_GATHER_MAX, Counts, Message, Neighbor, Pattern, Rows, Transport, TransportError};
 
 /// Splits of patterns that are kept: a step uses a handful of patterns again and again.
 const SPLITS_KEPT: usize = 16;
@@ -126,6 +126,46 @@ impl HostedTransport {
         }
         self.splits.push(split.clone());
         split
+    }
+
+    /// Tells the ranks of this host the values in `out` of the ranks `taken`, and gets theirs.
+    fn pass_on(
+        &mut self,
+        taken: &[usize],
+        locals: &[usize],
+        gathered: &mut Vec<Vec<f64>>,
+        out: &mut [Vec<f64>],
+    ) -> Result<(), TransportError> {
+        // Each list after its length; before the first part, the length of all of them.
+        let mut packed = Vec::new();
+        for &source in taken {
+            packed.push(out[source].len() as f64);
+            packed.extend_from_slice(&out[source]);
+        }
+        let mut first = vec![packed.len() as f64];
+        let begun = packed.len().min(ALL_GATHER_MAX - 1);
+        first.extend_from_slice(&packed[..begun]);
+        self.inside.all_gather(&first, gathered).map_err(|error| self.named(error))?;
+        let lengths: Vec<usize> = gathered.iter().map(|values| values.first().map_or(0, |&n| n as usize)).collect();
+        let mut lists: Vec<Vec<f64>> = gathered.iter().map(|values| values[1.min(values.len())..].to_vec()).collect();
+        let rounds = lengths.iter().map(|&n| n.saturating_sub(ALL_GATHER_MAX - 1).div_ceil(ALL_GATHER_MAX)).max();
+        for round in 0..rounds.unwrap_or(0) {
+            let from = (begun + round * ALL_GATHER_MAX).min(packed.len());
+            let part = &packed[from..(from + ALL_GATHER_MAX).min(packed.len())];
+            self.inside.all_gather(part, gathered).map_err(|error| self.named(error))?;
+            lists.iter_mut().zip(gathered.iter()).for_each(|(list, values)| list.extend_from_slice(values));
+        }
+        for (place, list) in lists.iter().enumerate().filter(|(place, _)| locals[*place] != self.rank) {
+            let mut rest = &list[..];
+            for source in self.hosting.taken_by(place) {
+                let (Some(&length), values) = (rest.first(), rest.get(1..).unwrap_or_default()) else { break };
+                let (values, after) = values.split_at((length as usize).min(values.len()));
+                out[source].clear();
+                out[source].extend_from_slice(values);
+                rest = after;
+            }
+        }
+        Ok(())
     }
 
     /// An error of the inner transport, which numbers the ranks of this host.
@@ -276,21 +316,27 @@ impl Transport for HostedTransport {
         Ok(())
     }
 
-    /// One message from every rank to every rank of another host, at the same time as the all-gather inside.
+    /// One message from every rank to one rank of every other host, at the same time as the all-gather inside; then
+    /// all-gathers inside of what has come, one unless it is long.
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError> {
         let rank = self.rank;
         out.resize_with(self.ranks(), Vec::new);
-        let outside: Vec<usize> = (0..self.ranks()).filter(|&other| self.hosting.inside(other).is_none()).collect();
-        let begun = self.outside.begin_gather(own, &outside)?;
+        let others = (0..self.hosting.count()).filter(|&host| host != self.hosting.own);
+        let to: Vec<usize> = others.map(|host| self.hosting.taker(rank, host)).collect();
+        let from: Vec<usize> = self.hosting.taken_by(self.hosting.places[rank].1).collect();
+        let begun = self.outside.begin_gather(own, &to, &from)?;
         let mut gathered = std::mem::take(&mut self.gathered);
-        let inside = self.inside.all_gather(own, &mut gathered);
-        inside.map_err(|error| self.named(error))?;
-        for (values, &local) in gathered.iter().zip(self.hosting.locals()) {
+        self.inside.all_gather(own, &mut gathered).map_err(|error| self.named(error))?;
+        let locals = self.hosting.locals().to_vec();
+        for (values, &local) in gathered.iter().zip(&locals) {
             out[local].clone_from(values);
         }
+        self.outside.end_gather(begun, out)?;
+        if locals.len() > 1 {
+            self.pass_on(&from, &locals, &mut gathered, out)?;
+        }
         self.gathered = gathered;
-        debug_assert_eq!(out[rank], own);
-        self.outside.end_gather(begun, out)
+        Ok(())
     }
 
     fn alive(&mut self) -> Result<(), TransportError> {
