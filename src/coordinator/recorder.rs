@@ -311,7 +311,7 @@ impl Recorder {
         if let Some(report) = &mut self.report {
             let name = |obstacle: usize| self.obstacles.name(obstacle).to_string();
             let let_go = LetGoRecord::of(&state.let_go, name);
-            let beyond_limits = BeyondLimits::of(&plan.scene, state, time_s);
+            let beyond_limits = BeyondLimits::of(&plan.scene, &self.obstacles, state, time_s);
             let record = FrameRecord { frame, time_s, state_hash: state_hash.clone(), let_go, beyond_limits };
             report.frame(record).map_err(write_error)?;
         }

@@ -23,6 +23,7 @@ mod report;
 mod stretch;
 mod take_up;
 mod timeline;
+mod touching;
 mod trace;
 mod trace_read;
 
@@ -41,7 +42,7 @@ pub use report::{
     FrameRecord, LetGoRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, SeamRecord,
     SegmentRecord, Status, StepRecord,
 };
-pub use stretch::{BeyondLimits, beyond_limit, principal_stretches};
+pub use stretch::{BeyondLimits, TouchedObstacle, beyond_limit, principal_stretches};
 pub use take_up::take_up_formats;
 pub use timeline::{Timeline, TimelineBox, timeline_svg, write_timeline};
 pub use trace::{RankEvents, TraceWriter};

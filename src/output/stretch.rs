@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::touching::touched_obstacles;
 use crate::math::{DVec2, DVec3, Vec2, Vec3};
 use crate::model::{RestStretch, State, UNSTRETCHED};
-use crate::scene::{Scene, StrainLimit};
+use crate::scene::{Obstacles, Scene, StrainLimit};
 
 /// Strain beyond a limit from which on a triangle is counted in a report.
 const COUNTED_FROM: f64 = 0.005;
@@ -16,17 +17,30 @@ pub struct BeyondLimits {
     pub triangles: usize,
     /// Those of them with a corner that a pin holds.
     pub at_pins: usize,
+    /// Those of them that touch obstacles, by the nearest one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub at_obstacles: Vec<TouchedObstacle>,
     /// Largest strain beyond a limit.
     pub strain: f64,
     /// Triangle of the mesh where that is.
     pub triangle: usize,
-    /// A corner of it: one that a pin holds if there is one, and the pin is what asks for the stretch.
+    /// A corner of it: one that a pin holds if there is one, and the pin is what asks for the stretch; otherwise with
+    /// the obstacle that it touches, if it does.
     pub place: String,
+}
+
+/// Triangles beyond their strain limits that touch an obstacle.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TouchedObstacle {
+    /// Name of the obstacle.
+    pub obstacle: String,
+    /// Number of triangles.
+    pub triangles: usize,
 }
 
 impl BeyondLimits {
     /// What is beyond the limits in `state` at `time_s`; none if nothing is.
-    pub fn of(scene: &Scene, state: &State, time_s: f64) -> Option<BeyondLimits> {
+    pub fn of(scene: &Scene, obstacles: &Obstacles, state: &State, time_s: f64) -> Option<BeyondLimits> {
         if scene.fabrics.iter().all(|fabric| fabric.strain_limit.is_none()) {
             return None;
         }
@@ -34,6 +48,7 @@ impl BeyondLimits {
         let holds = |pin: &&crate::scene::Pin| (pin.start_s..pin.end_s).contains(&time_s);
         scene.pins.iter().filter(holds).for_each(|pin| held[pin.vertex as usize] = true);
         let mut found = BeyondLimits::default();
+        let (mut beyond, mut worst, mut worst_is_held) = (Vec::new(), 0, false);
         for (triangle, corners) in scene.mesh.triangles.iter().enumerate() {
             let Some(limit) = &scene.fabrics[usize::from(scene.fabric_of_triangle[triangle])].strain_limit else {
                 continue;
@@ -47,13 +62,26 @@ impl BeyondLimits {
             let pinned = corners.iter().find(|&&v| held[v as usize]);
             found.triangles += 1;
             found.at_pins += usize::from(pinned.is_some());
+            beyond.push(at);
             if strain > found.strain {
+                (worst, worst_is_held) = (beyond.len() - 1, pinned.is_some());
                 let place = match pinned {
                     Some(&v) => format!("{}, which a pin holds", scene.vertex_name(v)),
                     None => scene.vertex_name(corners[0]),
                 };
                 (found.strain, found.triangle, found.place) = (strain, triangle, place);
             }
+        }
+        // Contacts push within the thickness.
+        let touched = touched_obstacles(obstacles, time_s, &beyond, scene.settings.thickness_m as f32);
+        for (number, name) in (0..obstacles.len()).map(|number| (number, obstacles.name(number))) {
+            let triangles = touched.iter().filter(|&&obstacle| obstacle == Some(number)).count();
+            if triangles > 0 {
+                found.at_obstacles.push(TouchedObstacle { obstacle: name.to_string(), triangles });
+            }
+        }
+        if let Some(&Some(obstacle)) = touched.get(worst).filter(|_| !worst_is_held) {
+            found.place += &format!(", where the cloth touches `{}`", obstacles.name(obstacle));
         }
         (found.triangles > 0).then_some(found)
     }

@@ -4,7 +4,7 @@
 use loomtree::math::{DVec3, Vec3};
 use loomtree::model::State;
 use loomtree::output::{BeyondLimits, beyond_limit, principal_stretches};
-use loomtree::scene::{Fabric, Keyframe, Motion, Pin, Scene, StrainLimit};
+use loomtree::scene::{Fabric, Keyframe, Motion, Obstacles, Overrides, Pin, Scene, StrainLimit, read_str};
 use loomtree::solver::ExchangeMode;
 use support::physics::{ACROSS, DOWN, OneRank, strip, uniform_fabric};
 use support::{cpu, isotropic_fabric, scene, sheet, simulate};
@@ -233,11 +233,47 @@ fn impossible_limits_are_counted_and_named() {
     let columns = ACROSS as u32;
     scene.pins = (0..columns).map(|v| pin(v, None)).chain((last..last + columns).map(|v| pin(v, Some(0)))).collect();
     let mut cloth = OneRank::new(&scene);
+    let obstacles = Obstacles::new(&scene.obstacles);
     let state = |cloth: &OneRank| State { positions: cloth.positions(), ..State::start_of(&scene) };
-    assert_eq!(BeyondLimits::of(&scene, &state(&cloth), 0.0), None);
+    assert_eq!(BeyondLimits::of(&scene, &obstacles, &state(&cloth), 0.0), None);
     (0..200).for_each(|_| _ = cloth.step());
-    let found = BeyondLimits::of(&scene, &state(&cloth), 0.8).expect("20 % is beyond 5 %");
+    let found = BeyondLimits::of(&scene, &obstacles, &state(&cloth), 0.8).expect("20 % is beyond 5 %");
     assert!(found.triangles > 100 && found.at_pins > 4, "{found:?}");
     assert!(found.strain > 0.1 && found.strain < 0.4, "{found:?}");
     assert!(found.place.ends_with("which a pin holds") || found.at_pins < found.triangles, "{found:?}");
+    assert_eq!(found.at_obstacles, []);
+}
+
+/// A ball that grows into a sheet held at its rim makes the limit impossible, and the report names it.
+#[test]
+fn an_obstacle_that_makes_a_limit_impossible_is_named() {
+    let text = r#"
+        resolution = 400
+        [simulation]
+        step_s = 0.004
+        gravity_m_s2 = [0.0, 0.0, 0.0]
+        [[cloth]]
+        sheet = { size_m = [0.4, 0.4] }
+        plane = "xz"
+        strain_limit = [0.9, 1.02]
+        [[pin]]
+        edge = "left"
+        [[pin]]
+        edge = "right"
+        [[obstacle]]
+        name = "wall"
+        plane = { point_m = [0.0, -1.0, 0.0], size_m = [1.0, 1.0] }
+        [[obstacle]]
+        name = "ram"
+        sphere = { center_m = [0.2, -0.11, -0.2], radius_m = 0.1, triangles = 500 }
+        motion = [{ time_s = 0.0 }, { time_s = 0.3, translate_m = [0.0, 0.12, 0.0] }]
+    "#;
+    let scene = read_str(text, "ram.toml".as_ref()).unwrap().at(&Overrides::default()).unwrap();
+    let mut cloth = OneRank::new(&scene);
+    (0..75).for_each(|_| _ = cloth.step());
+    let state = State { positions: cloth.positions(), ..State::start_of(&scene) };
+    let found = BeyondLimits::of(&scene, &Obstacles::new(&scene.obstacles), &state, 0.3).expect("beyond 2 %");
+    let [touched] = &found.at_obstacles[..] else { panic!("the ram alone: {found:?}") };
+    assert!(touched.obstacle == "ram" && touched.triangles > 0, "{found:?}");
+    assert!(found.place.ends_with("`ram`") || found.place.ends_with("a pin holds") || found.at_pins > 0, "{found:?}");
 }
