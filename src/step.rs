@@ -79,8 +79,6 @@ enum Attempt {
 enum Again {
     /// Impacts took more rounds than allowed.
     Slow,
-    /// Impact zones have stretched cloth far beyond its strain limits.
-    Stretched,
     /// The end of the span is not free of penetrations.
     Squeezed(Vec<Imposed>),
     /// Vertices without room between obstacles that overlap have been let go: the same span again.
@@ -267,7 +265,6 @@ impl RankCloth {
                 Again::Slow => Failure::Squeezed { step: stats.step, imposed: Vec::new() },
                 Again::Squeezed(imposed) => Failure::Squeezed { step: stats.step, imposed },
                 Again::Unsolved => unreachable!("solves ask for at most {HALVINGS_FOR_SOLVE} halvings"),
-                Again::Stretched => unreachable!("after {HALVINGS_MAX} halvings cloth is taken as it is"),
                 Again::LetGo => unreachable!("the span was taken again"),
             });
         }
@@ -488,7 +485,6 @@ impl RankCloth {
         }
         let rounds_most = if halvings < HALVINGS_FOR_SPEED { ROUNDS_MOST } else { u32::MAX };
         let limits = Limits { rounds_most, at_last: halvings == HALVINGS_MAX };
-        let zones_before = stats.zones.zones;
         let moved = match collisions.resolve(rank, &own.positions, span, limits, stats)? {
             Resolved::Free(moved) => moved,
             Resolved::Slow => return Ok(Attempt::Again(Again::Slow)),
@@ -505,11 +501,6 @@ impl RankCloth {
                 positions[at..at + 3].copy_from_slice(&x);
             }
             self.state.set(rank.executor, Rc::new(RankState { positions, velocities, ..RankState::default() }));
-        }
-        let had_zones = stats.zones.zones > zones_before;
-        if had_zones && halvings < HALVINGS_MAX && self.is_stretched_by_zones(rank)? {
-            self.collisions.iter_mut().for_each(Collisions::undo);
-            return Ok(Attempt::Again(Again::Stretched));
         }
         Ok(Attempt::Done)
     }

@@ -484,11 +484,6 @@ impl Collisions {
         moved
     }
 
-    /// The state at the start of the step is the known one again.
-    pub(super) fn undo(&mut self) {
-        std::mem::swap(&mut self.x_t0, &mut self.x_t1);
-    }
-
     /// Impacts of all ranks, sorted, each once.
     fn impacts(
         &mut self,

@@ -107,12 +107,6 @@ impl LimitedTriangles {
         }
     }
 
-    /// Largest growth of a strain beyond a limit from where triangles were measured last to `positions`.
-    pub(super) fn worst_growth(&self, positions: &[f32]) -> f32 {
-        let growth = |(triangle, before): (usize, &f32)| self.strain(triangle, positions) - before;
-        self.strains.iter().enumerate().map(growth).fold(0.0, f32::max)
-    }
-
     fn watch(&mut self, triangle: u32) {
         if !std::mem::replace(&mut self.is_watched[triangle as usize], true) {
             self.watched.push(triangle);

@@ -11,8 +11,7 @@
 //! gives way as any spring does. In every round each triangle pulls its corners back by the shortest way in the norm of
 //! their masses [Mueller et al. 2007], which keeps the momentum, and vertices go on a part of the way that they went in
 //! the round before [Polyak 1964]. Velocities follow the moves. Each triangle comes back at a bounded rate. What pins
-//! leave no way back for stays where it is and is counted. Collisions come after this and have the last
-//! word; a step in which they stretch cloth far beyond its limit again is taken in halves.
+//! leave no way back for stays where it is and is counted. Collisions come after this and have the last word.
 
 use std::ops::Range;
 use std::rc::Rc;
@@ -40,8 +39,6 @@ const PULLED_1_S: f64 = 10.0;
 /// Maximum number of rounds, and rounds between two looks at what all ranks have.
 const ROUNDS_MOST: u32 = 60;
 const ROUNDS_BETWEEN: u32 = 4;
-/// Strain by which zones may stretch a triangle beyond its limit before the step is taken in halves.
-const BY_ZONES_MOST: f64 = 0.05;
 /// Part of a vertex's way in a round that it goes on in the next one.
 const GOES_ON: f32 = 0.8;
 
@@ -120,23 +117,6 @@ impl RankCloth {
         let largest = |i: usize| all.iter().map(|of_rank| of_rank[i]).fold(0.0, f64::max);
         let sum = |i: usize| all.iter().map(|of_rank| of_rank[i]).sum::<f64>() as u64;
         Ok(Beyond { worst: largest(0), excess: largest(1), counted: sum(2), pulled: sum(3) })
-    }
-
-    /// True if impact zones have stretched a triangle of any rank far beyond its limit. They move vertices by their
-    /// masses and know nothing of cloth, so cloth that goes several cells in a step, as the tip of a flag that whips
-    /// does, comes out of them tangled, and stays so; in shorter steps contact forces turn it around before.
-    pub(super) fn is_stretched_by_zones(&mut self, rank: &mut RankContext<'_>) -> Result<bool, TransportError> {
-        if self.limited.is_none() {
-            return Ok(false);
-        }
-        self.state.exchange_positions(rank, self.solver.spmv.halo())?;
-        let positions = self.state.positions.host(rank.executor);
-        let own = self.limited.as_ref().map_or(0.0, |limited| f64::from(limited.worst_growth(&positions)));
-        let start = rank.recorder.now();
-        let mut all = Vec::new();
-        rank.transport.all_gather(&[own], &mut all)?;
-        rank.recorder.end(EventName::AllReduce, Activity::Wait, start, size_of::<f64>() as u64, 0);
-        Ok(all.iter().flatten().any(|&growth| growth > BY_ZONES_MOST))
     }
 
     /// Own rows among the local ones.
