@@ -20,6 +20,9 @@
 //! notice. Their order is the flow of the data and the order of imports: a module uses only modules above it
 //! (`tests/tidy/` fails on an upward import). `ARCHITECTURE.md` describes each.
 
+// Whether a thread of the page's server may own what it does is decided through all types of wgpu, more than 128 deep.
+#![recursion_limit = "256"]
+
 pub mod math;
 pub mod os;
 pub mod telemetry;

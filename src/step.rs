@@ -195,11 +195,12 @@ impl RankCloth {
             pins_move,
             stiffness_ratio,
             plastic,
+            closing,
             collision,
             mut arrays,
         } = model;
         let columns = ColumnOrder::new(&partition, exchange);
-        let elements = Elements::new(executor, &arrays, plastic);
+        let elements = Elements::new(executor, &arrays, plastic, closing);
         let matrix = Assembled::new(executor, &arrays, &elements, &columns.numbering(&plan))?;
         let threads = host_threads(executor, partition.ranks());
         let collisions = collision

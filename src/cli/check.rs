@@ -8,6 +8,7 @@ use crate::mesh::{
     FileMesh, Group, GroupKind, MaterialSource, MeshReadError, Part, TriangleMesh, crossings, first_at_place, hinges,
     read_mesh, read_obstacle,
 };
+use crate::model::Sewn;
 use crate::scene::{
     DEFAULT_THICKNESS_M, Movement, Overrides, Scene, load, load_fabric, load_untangled, read_body, size_warning,
 };
@@ -241,6 +242,17 @@ fn scene_summary(scene: &Scene) -> String {
         false => "none (collisions = false)".into(),
     };
     text += &format!("  contacts    {contacts}\n");
+    if let (Some(sewing), Some((sewn, _))) = (&scene.sewing, Sewn::of(scene)) {
+        let at = |v: u32| scene.mesh.positions[v as usize];
+        let widest_m = sewing.pairs.iter().map(|&[a, b]| at(a).distance(at(b))).fold(0.0, f32::max);
+        text += &format!(
+            "  seams       {}; {} pairs up to {widest_m:.3} m apart; sewn: {} vertices, {} triangles\n",
+            sewing.names.len(),
+            sewing.pairs.len(),
+            sewn.mesh.positions.len(),
+            sewn.mesh.triangles.len()
+        );
+    }
     let seconds = settings.step_s * f64::from(settings.steps_per_frame) * f64::from(settings.frames);
     text += &format!(
         "  frames      {} of {} steps of {} s ({seconds:.3} s)\n",

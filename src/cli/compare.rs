@@ -10,7 +10,7 @@ use super::{CliError, print};
 use crate::math::Vec3;
 use crate::output::checkpoint::Checkpoint;
 use crate::output::plot::{Series, line_chart};
-use crate::output::{FrameSource, Report, RunDirectory, check_writable, write_atomically};
+use crate::output::{FrameMesh, FrameSource, Report, RunDirectory, check_writable, write_atomically};
 use crate::time_parallel::{Comparison, rms};
 
 /// Compare two runs of one mesh frame by frame.
@@ -104,12 +104,16 @@ impl Run {
         Ok(self.frames.read(first).map_err(CliError::bad_input)?.triangles)
     }
 
-    /// Positions of a frame; a mesh that changed within the run is refused.
+    fn read(&self, frame: u32) -> Result<FrameMesh, CliError> {
+        self.frames.read(frame).map_err(CliError::bad_input)
+    }
+
+    /// Positions of a frame; another mesh than that of the first run at this frame is refused.
     fn positions(&self, frame: u32, mesh: &[[u32; 3]]) -> Result<Vec<Vec3>, CliError> {
-        let read = self.frames.read(frame).map_err(CliError::bad_input)?;
+        let read = self.read(frame)?;
         if read.triangles != mesh {
             let place = self.directory.path().display();
-            return Err(CliError::bad_input(format!("{place}: frame {frame} has another mesh than the first frame")));
+            return Err(CliError::bad_input(format!("{place}: frame {frame} has another mesh than in the first run")));
         }
         Ok(read.positions)
     }
@@ -167,13 +171,20 @@ fn compare(a: &Run, b: &Run, floor: Option<&Run>) -> Result<Findings, CliError> 
             }));
         }
     }
-    let comparison = Comparison::new(mesh.clone());
+    let mut mesh = mesh;
+    let mut comparison = Comparison::new(mesh.clone());
     let (ours, theirs) = (a.frames.numbers(), b.frames.numbers());
     let lacking = |have: &[u32], other: &[u32]| have.iter().find(|n| other.binary_search(n).is_err()).copied();
     let mut first_difference = [lacking(&ours, &theirs), lacking(&theirs, &ours)].into_iter().flatten().min();
     let mut frames = Vec::new();
     for frame in ours.into_iter().filter(|n| theirs.binary_search(n).is_ok()) {
-        let [x, y] = [a.positions(frame, &mesh)?, b.positions(frame, &mesh)?];
+        let FrameMesh { positions: x, triangles } = a.read(frame)?;
+        // A run that sews has another mesh from some frame on.
+        if triangles != mesh {
+            mesh = triangles;
+            comparison = Comparison::new(mesh.clone());
+        }
+        let y = b.positions(frame, &mesh)?;
         if x.len() != y.len() {
             let (a, b) = (a.directory.path().display(), b.directory.path().display());
             let text = format!("frame {frame} has {} vertices in {a} and {} in {b}", x.len(), y.len());

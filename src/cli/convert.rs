@@ -8,6 +8,7 @@ use clap::Args;
 use super::{CliError, print};
 use crate::coordinator::RunOptions;
 use crate::math::DVec3;
+use crate::model::Sewn;
 use crate::os::console::note;
 use crate::output::export::{
     Animation, ExportError, Track, plain_names, write_glb, write_mdd, write_pvd, write_usda, write_vtu,
@@ -75,9 +76,18 @@ impl FromStr for Target {
 pub fn run(args: ConvertArgs) -> Result<(), CliError> {
     let directory = RunDirectory::open(&args.run_dir).map_err(CliError::bad_input)?;
     let report = Report::load(&directory.report()).map_err(CliError::bad_input)?;
-    let source = FrameSource::open(&directory).map_err(CliError::bad_input)?;
+    let mut source = FrameSource::open(&directory).map_err(CliError::bad_input)?;
+    if let Some(stage) = report.header.stages.last() {
+        let first = stage.first_frame;
+        source = source.since(first);
+        if source.numbers().is_empty() {
+            let what = format!("no frame of the sewn cloth is there yet (it begins with frame {first})");
+            return Err(CliError::bad_input(what));
+        }
+        note(format_args!("written are the frames from {first} on; those before have the mesh of the panels"));
+    }
     let frame_s = report.header.step_s * f64::from(report.header.steps_per_frame);
-    let tracks = tracks(&directory, &source)?;
+    let tracks = tracks(&directory, &source, !report.header.stages.is_empty())?;
     let animation = Animation {
         source,
         folder: args.run_dir.clone(),
@@ -103,11 +113,16 @@ fn rounded(rate: f64) -> f64 {
 }
 
 /// Pieces and obstacles by the run's own scene; where its files are gone, all cloth and all obstacles as one each.
-fn tracks(directory: &RunDirectory, source: &FrameSource) -> Result<Vec<Track>, CliError> {
+/// `sewn`: the frames are those of sewn cloth.
+fn tracks(directory: &RunDirectory, source: &FrameSource, sewn: bool) -> Result<Vec<Track>, CliError> {
     let first = source.numbers()[0];
     let cloth = source.read(first).map_err(CliError::failed)?;
     let obstacles = source.read_obstacle(first).map_err(CliError::failed)?;
-    match scene_of(directory) {
+    let scene = scene_of(directory).map(|scene| match Sewn::of(&scene).filter(|_| sewn) {
+        Some((scene, _)) => as_one(scene),
+        None => scene,
+    });
+    match scene {
         Ok(scene) if scene.mesh.triangles.len() == cloth.triangles.len() => Ok(tracks_of(&scene, obstacles.is_some())),
         other => {
             let why = other.err().unwrap_or_else(|| "its frames are of another resolution".into());
@@ -123,6 +138,15 @@ fn tracks(directory: &RunDirectory, source: &FrameSource) -> Result<Vec<Track>, 
             Ok(std::iter::once(whole("cloth", false, &cloth)).chain(obstacles).collect())
         }
     }
+}
+
+/// Cloths that are sewn to each other share vertices, so they are one.
+fn as_one(mut scene: Scene) -> Scene {
+    if let [first, _, ..] = &scene.cloths[..] {
+        let (vertices, triangles) = (0..scene.mesh.positions.len() as u32, 0..scene.mesh.triangles.len() as u32);
+        scene.cloths = vec![crate::scene::Cloth { name: "cloth".into(), vertices, triangles, ..first.clone() }];
+    }
+    scene
 }
 
 fn scene_of(directory: &RunDirectory) -> Result<Scene, String> {

@@ -12,6 +12,7 @@ use super::let_go::{LeftOut, LetGo};
 use super::narrow::{ContactSink, Findings, ImpactSink, contact_of};
 use super::rules::{ContactParams, DetectorError, Rules, WIDER};
 use super::search::{RunsOn, Searches};
+use super::sewn_sides::SewnSides;
 use super::{Candidate, Impact};
 use crate::forces::ContactElement;
 use crate::gpu::CpuExecutor;
@@ -46,6 +47,7 @@ pub struct Detector {
     /// Candidates of this rank's share that may come near on the way that the last query for contacts looked at.
     near: Vec<Candidate>,
     let_go: LetGo,
+    sewn_sides: SewnSides,
 }
 
 impl Detector {
@@ -62,12 +64,19 @@ impl Detector {
             memory_limit_bytes: None,
             near: Vec::new(),
             let_go: LetGo::default(),
+            sewn_sides: SewnSides::default(),
         })
     }
 
     /// Pairs of cloth and obstacles that later queries leave out, instead of those before.
     pub fn leave_out(&mut self, pairs: Vec<LeftOut>) {
         self.let_go = LetGo::new(pairs, self.mesh().cloth_vertices);
+    }
+
+    /// Pairs of vertices that become one: later queries for contacts leave out what lies within one ring of them on
+    /// both sides. Impacts are found all the same.
+    pub fn sew(&mut self, pairs: &[[u32; 2]]) {
+        self.sewn_sides = SewnSides::new(self.searches.native.mesh(), &self.around, pairs);
     }
 
     /// Corners of the triangles around a vertex, in the order of the mesh.
@@ -141,7 +150,7 @@ impl Detector {
         out: &mut Vec<ContactElement>,
     ) -> Result<DetectionStats, BroadError> {
         out.clear();
-        let Detector { searches, around, rules, memory_limit_bytes, near, let_go } = self;
+        let Detector { searches, around, rules, memory_limit_bytes, near, let_go, sewn_sides } = self;
         near.clear();
         let mesh = searches.native.mesh().clone();
         let surfaces = Surfaces { mesh: &mesh, around, x };
@@ -156,8 +165,11 @@ impl Detector {
             memory_limit_bytes: *memory_limit_bytes,
         };
         let ahead = (!std::ptr::eq(x, ahead)).then_some(ahead);
-        let (surfaces, let_go) = (&surfaces, &*let_go);
-        let start = || ContactSink { surfaces, ahead, rules, let_go, found: Findings::new(), near: Vec::new() };
+        let (surfaces, let_go, sewn_sides) = (&surfaces, &*let_go, &*sewn_sides);
+        let start = || {
+            let (found, near) = (Findings::new(), Vec::new());
+            ContactSink { surfaces, ahead, rules, let_go, sewn_sides, found, near }
+        };
         let mut all = Findings { items: std::mem::take(out), ..Findings::new() };
         let finish = &mut |mut sink: ContactSink| {
             all.append(sink.found);
@@ -229,7 +241,10 @@ impl Detector {
             smallest_gap_m: all.smallest_gap_m,
             narrow_ns: all.ns,
             bytes: broad.bytes + size_of_val(&all.items[..]) as u64,
-            replicated_bytes: self.searches.mesh_bytes() + self.around.bytes() + self.rules.bytes(),
+            replicated_bytes: self.searches.mesh_bytes()
+                + self.around.bytes()
+                + self.rules.bytes()
+                + self.sewn_sides.bytes(),
         }
     }
 }

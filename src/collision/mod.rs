@@ -15,9 +15,12 @@ mod narrow;
 #[allow(clippy::neg_cmp_op_on_partial_ord)]
 mod rules;
 mod search;
+mod sewn_sides;
+mod way;
 
 pub use candidate::{Candidate, CandidateKind, Impact};
 pub use detector::{DetectionStats, Detector, merge_contacts, merge_impacts, smallest_altitudes};
 pub use let_go::LeftOut;
 pub use rules::{ContactParams, DetectorError};
 pub use search::RunsOn;
+pub use way::StraightWay;

@@ -9,6 +9,7 @@ use super::elementary::lanes::{Lanes, undecided, undecided_at_rest};
 use super::elementary::{CandidateKind, ccd};
 use super::let_go::LetGo;
 use super::rules::Rules;
+use super::sewn_sides::SewnSides;
 use super::{Candidate, Impact};
 use crate::forces::ContactElement;
 use crate::math::Vec3;
@@ -146,6 +147,7 @@ pub(super) struct ContactSink<'a> {
     pub ahead: Option<&'a [f32]>,
     pub rules: &'a Rules,
     pub let_go: &'a LetGo,
+    pub sewn_sides: &'a SewnSides,
     pub found: Findings<ContactElement>,
     /// Candidates that may come near on the way.
     pub near: Vec<Candidate>,
@@ -155,10 +157,10 @@ impl Sink for ContactSink<'_> {
     fn take(&mut self, found: &[Candidate]) {
         let started = Instant::now();
         let (surfaces, ahead, rules, own) = (self.surfaces, self.ahead, self.rules, &mut self.found);
-        let let_go = self.let_go;
+        let (let_go, sewn_sides) = (self.let_go, self.sewn_sides);
         for_each_group(
             found,
-            |candidate| !let_go.leaves_out(candidate),
+            |candidate| !let_go.leaves_out(candidate) && !sewn_sides.leaves_out(candidate),
             |kind, group, count| {
                 let reach = Vec4::from_array(group.each_ref().map(|candidate| rules.reach_m(candidate)));
                 let start = gather(surfaces.x, group);

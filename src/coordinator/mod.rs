@@ -20,6 +20,7 @@ mod seams;
 pub mod session;
 pub mod shot;
 pub mod solve;
+mod stages;
 mod start_from;
 mod time_job;
 mod time_options;
@@ -41,7 +42,8 @@ use progress::Progress;
 use recorder::Recorder;
 pub use recorder::{RecordError, RunPlaces};
 pub use session::{Session, SessionError, SessionPlace};
-use shot::{Ended, News, Segment, ShotError, Told};
+use shot::{Ended, News, ShotError, Told};
+use stages::{StageSource, Stages};
 pub use start_from::StartFrom;
 pub use time_job::Scope;
 pub use time_options::{PartitionRule, Recovery, SeamRule, TimeOptions};
@@ -50,7 +52,7 @@ pub use time_split::run_split;
 
 use crate::model::State;
 use crate::os::console::note;
-use crate::output::{Checkpoint, Status};
+use crate::output::{Checkpoint, SeamGap, Status};
 use crate::step::StepStats;
 use crate::transport::MachineError;
 
@@ -109,13 +111,17 @@ pub struct RunSummary {
 
 /// Runs a plan to its end, as one segment on one session.
 pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
-    launch.machine().check_transfers(plan.partition.ranks(), plan.message_values())?;
-    let (recorder, resumed) = Recorder::open(&plan, options, places)?;
+    let stages = Stages::new(plan, options)?;
+    for plan in &stages.plans {
+        launch.machine().check_transfers(plan.partition.ranks(), plan.message_values())?;
+    }
+    let (recorder, resumed) = Recorder::open_stages(&stages.plans, options, places)?;
     // The scene stays as it is at time 0, because the order of vertices and the pins come from it.
     let (start, first_step) = match &resumed {
         Some(Checkpoint { state, step, .. }) => (Some(state), *step as u32),
         None => (None, 0),
     };
+    let plan = &stages.plans[recorder.stage()];
     let settings = &plan.scene.settings;
     let last_step = settings.frames * settings.steps_per_frame;
     if let Some(from) = resumed.as_ref().filter(|_| first_step >= last_step) {
@@ -128,12 +134,11 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
         let keep = options.keep_states.is_some_and(|keep| keep.wants(step, settings.steps_per_frame));
         step.is_multiple_of(settings.steps_per_frame) || keep
     };
-    let trace_steps = options.trace_steps;
-    let start = start.cloned().map(Arc::new);
-    let wants_state = Arc::new(wants_state);
-    let segment = Segment { start, first_step, trace_steps, wants_state, ..Segment::plain(&plan, last_step) };
+    let begin = stages.begin(recorder.stage(), first_step, last_step, start.cloned()).map_err(RunError::Failed)?;
+    let source = StageSource::new(&stages, begin, last_step, options.trace_steps, Arc::new(wants_state));
     let mut listener = Listener {
-        plan: &plan,
+        stages: &stages,
+        stage: recorder.stage(),
         options,
         recorder,
         progress: None,
@@ -143,8 +148,18 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
         done: StepStats { step: first_step, ..StepStats::default() },
         substeps: 0,
         seconds: 0.0,
+        gap: None,
     };
-    let played = shot::play(&[segment], 1, &options.session(), launch, &mut |told| listener.hear(told));
+    let session = options.session();
+    let played = shot::play_from(&source, 1, &session, launch, &mut |told| listener.hear(told));
+    if let Some(gap) = listener.gap.filter(|_| played.is_ok()) {
+        note(format_args!(
+            "the seams are not sewn: {} pairs are farther apart than weld_m, the widest by {:.2} mm",
+            gap.open,
+            1e3 * gap.widest_m
+        ));
+    }
+    let plan = &stages.plans[listener.stage];
     let Listener { mut recorder, progress, done: StepStats { step: done, .. }, substeps, seconds, .. } = listener;
     let played = played.and_then(|ended| recorder.keep_last_state().map(|_| ended).map_err(ShotError::Listener));
     let error = match played {
@@ -184,7 +199,9 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
 
 /// Records the events of a run.
 struct Listener<'a> {
-    plan: &'a RunPlan,
+    stages: &'a Stages,
+    /// The stage that is under way.
+    stage: usize,
     options: &'a RunOptions,
     recorder: Recorder,
     progress: Option<Progress>,
@@ -197,27 +214,34 @@ struct Listener<'a> {
     /// Of all steps done.
     substeps: u64,
     seconds: f64,
+    /// How far the seams of the last frame are open; none without seams or once they are sewn.
+    gap: Option<SeamGap>,
 }
 
 impl Listener<'_> {
     fn hear(&mut self, told: Told) -> Result<(), RecordError> {
-        let settings = &self.plan.scene.settings;
+        let plan = &self.stages.plans[told.segment];
+        let settings = &plan.scene.settings;
         match told.news {
-            News::Ready(ready) => {
-                self.recorder.begin(self.plan, told.session, &ready)?;
+            News::Ready(ready) if self.progress.is_none() => {
+                // The first states and the report are those of the stage that the run had come to.
+                self.recorder.begin(&self.stages.plans[self.stage], told.session, &ready)?;
                 if self.is_new {
-                    self.recorder.state(self.plan, 0, State::start_of(&self.plan.scene))?;
+                    let panels = &self.stages.plans[0];
+                    self.state(panels, 0, State::start_of(&panels.scene))?;
                 }
                 self.progress = Some(Progress::new(settings.frames, self.first_step / settings.steps_per_frame));
+                self.begin_stage(told.segment)?;
             }
+            News::Ready(_) => self.begin_stage(told.segment)?,
             News::Step(done) => {
                 (self.done, self.seconds) = (done.ranks[0], self.seconds + done.wall_s);
                 self.substeps += u64::from(self.done.substeps);
-                self.recorder.step(self.plan, told.session, &done)?;
+                self.recorder.step(plan, told.session, &done)?;
             }
             News::Ended => {}
             News::State { step, state } => {
-                let hash = self.recorder.state(self.plan, step, state)?;
+                let hash = self.state(plan, step, state)?;
                 let (frame, every) = (step / settings.steps_per_frame, self.options.checkpoint_every);
                 if let (Some(hash), Some(progress)) = (hash, &self.progress) {
                     if every > 0 && frame.is_multiple_of(every) && step != self.last_step {
@@ -228,6 +252,29 @@ impl Listener<'_> {
                 }
             }
         }
+        Ok(())
+    }
+
+    fn state(&mut self, plan: &RunPlan, step: u32, state: State) -> Result<Option<String>, RecordError> {
+        let gap = self.stages.gap(self.stage, &state);
+        self.gap = gap;
+        self.recorder.state_with(plan, step, state, gap)
+    }
+
+    /// A segment of a later stage has begun.
+    fn begin_stage(&mut self, stage: usize) -> Result<(), RecordError> {
+        if stage == self.stage {
+            return Ok(());
+        }
+        (self.stage, self.gap) = (stage, None);
+        let (plan, step) = (&self.stages.plans[stage], self.done.step);
+        self.recorder.begin_stage(plan, stage, step)?;
+        let mesh = &plan.scene.mesh;
+        note(format_args!(
+            "the seams are closed after step {step}: sewn to {} vertices, {} triangles",
+            mesh.positions.len(),
+            mesh.triangles.len()
+        ));
         Ok(())
     }
 }

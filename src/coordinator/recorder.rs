@@ -14,8 +14,8 @@ use crate::model::State;
 use crate::os::console::note;
 use crate::output::{
     BeyondLimits, Checkpoint, Existing, FrameRecord, FrameWriter, LetGoRecord, QueryRecord, RankEvents, ReportHeader,
-    ReportWriter, RunDirectory, RunManifest, Status, StepRecord, TraceWriter, checkpoint, scene_fingerprint,
-    take_up_formats,
+    ReportWriter, RunDirectory, RunManifest, SeamGap, StageRecord, Status, StepRecord, TraceWriter, checkpoint,
+    scene_fingerprint, take_up_formats,
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
@@ -52,7 +52,10 @@ pub(super) struct Recorder {
     made: MadeFolders,
     manifest: Option<RunManifest>,
     options: RunOptions,
-    fingerprint: u64,
+    /// By stage.
+    fingerprints: Vec<u64>,
+    /// The stage of later states.
+    stage: usize,
     first: Option<Checkpoint>,
     frames: Option<FrameWriter>,
     obstacles: Obstacles,
@@ -73,10 +76,21 @@ impl Recorder {
         options: &RunOptions,
         places: &RunPlaces,
     ) -> Result<(Recorder, Option<Checkpoint>), RecordError> {
+        Recorder::open_stages(std::slice::from_ref(plan), options, places)
+    }
+
+    /// As [`Recorder::open`] for a run of several stages; it continues in the one that [`Recorder::stage`] says.
+    pub(super) fn open_stages(
+        plans: &[RunPlan],
+        options: &RunOptions,
+        places: &RunPlaces,
+    ) -> Result<(Recorder, Option<Checkpoint>), RecordError> {
+        let plan = &plans[0];
+        let fingerprints: Vec<u64> = plans.iter().map(|plan| scene_fingerprint(&plan.scene)).collect();
+        let mut stage = 0;
         let made = MadeFolders::for_run(&places.out);
         let directory = RunDirectory::create(&places.out, places.existing)
             .map_err(|error| RecordError::BadInput(error.to_string()))?;
-        let fingerprint = scene_fingerprint(&plan.scene);
         let (mut resumed, mut manifest) = (None, None);
         if places.existing == Existing::Resume {
             let latest = checkpoint::latest(&directory.checkpoints());
@@ -87,7 +101,13 @@ impl Recorder {
                     directory.checkpoints().display()
                 )));
             };
-            if found.fingerprint != fingerprint || found.state.positions.len() != plan.scene.mesh.positions.len() {
+            let vertices = found.state.positions.len();
+            let fits = |stage: &usize| {
+                fingerprints[*stage] == found.fingerprint && plans[*stage].scene.mesh.positions.len() == vertices
+            };
+            if let Some(of_checkpoint) = (0..plans.len()).find(fits) {
+                stage = of_checkpoint;
+            } else {
                 return Err(RecordError::BadInput(format!(
                     "{} belongs to another scene, resolution or setting; resume with those of run.toml",
                     path.display()
@@ -108,7 +128,8 @@ impl Recorder {
             made,
             manifest,
             options: options.clone(),
-            fingerprint,
+            fingerprints,
+            stage,
             first: resumed.clone(),
             frames: None,
             obstacles: Obstacles::new(&plan.scene.obstacles),
@@ -125,6 +146,11 @@ impl Recorder {
     /// Whether the run does not go on from a checkpoint.
     pub(super) fn is_new(&self) -> bool {
         self.first.is_none()
+    }
+
+    /// The stage that the run continues in.
+    pub(super) fn stage(&self) -> usize {
+        self.stage
     }
 
     /// For a segment of a shot: frames up to the one at or before `step`, where it starts, are made by others.
@@ -144,7 +170,7 @@ impl Recorder {
         }
         let scene = &plan.scene;
         if self.is_new() && self.options.start_from.is_some() {
-            let (fingerprint, state) = (self.fingerprint, State::start_of(scene));
+            let (fingerprint, state) = (self.fingerprints[0], State::start_of(scene));
             let start = Checkpoint { fingerprint, state, ..Checkpoint::default() };
             checkpoint::write_to(&self.directory.start(), &start).map_err(write_error)?;
         }
@@ -156,26 +182,47 @@ impl Recorder {
         };
         self.report = Some(report.map_err(write_error)?);
         let first_frame = self.first.as_ref().map_or(0, |from| from.frame + 1);
+        let since = (self.stage > 0).then(|| self.stage_since(first_frame));
         if first_frame > 0 {
-            let sentences = take_up_formats(&self.directory, &self.options.formats.0, &scene.mesh, first_frame)
-                .map_err(write_error)?;
+            let formats = &self.options.formats.0;
+            let sentences =
+                take_up_formats(&self.directory, formats, &scene.mesh, since, first_frame).map_err(write_error)?;
             sentences.iter().for_each(note);
         }
-        self.frames = Some(
-            FrameWriter::with_parts(
-                &self.directory,
-                &self.options.formats.0,
-                &scene.mesh,
-                &scene.parts,
-                scene.origin_m,
-                first_frame,
-            )
-            .map_err(write_error)?,
-        );
+        self.frames = Some(self.writer(plan, since, first_frame)?);
         if self.options.keep_states.is_some() {
             std::fs::create_dir_all(self.directory.states()).map_err(write_error)?;
         }
         self.begin_trace(session, ready)
+    }
+
+    /// Call it when a session holds another level of the run: `plan` is that of stage `stage`, which goes on from the
+    /// state after `step`.
+    pub(super) fn begin_stage(&mut self, plan: &RunPlan, stage: usize, step: u32) -> Result<(), RecordError> {
+        let scene = &plan.scene;
+        let first_frame = step / scene.settings.steps_per_frame + 1;
+        self.stage = stage;
+        let (triangles, vertices) = (scene.mesh.triangles.len(), scene.mesh.positions.len());
+        let record = StageRecord { step: u64::from(step), first_frame, triangles, vertices };
+        if let Some(report) = &mut self.report {
+            report.stage(stage - 1, record);
+        }
+        self.frames = Some(self.writer(plan, Some(first_frame), first_frame)?);
+        Ok(())
+    }
+
+    /// The writer of the frames of a mesh. `since`: as [`FrameWriter::of_stage`] takes it.
+    fn writer(&self, plan: &RunPlan, since: Option<u32>, first_frame: u32) -> Result<FrameWriter, RecordError> {
+        let (scene, formats) = (&plan.scene, &self.options.formats.0);
+        let (mesh, parts) = (&scene.mesh, &scene.parts);
+        FrameWriter::of_stage(&self.directory, formats, mesh, parts, scene.origin_m, since, first_frame)
+            .map_err(write_error)
+    }
+
+    /// The first frame of the second stage, of which `first_frame` is the next one to be written.
+    fn stage_since(&self, first_frame: u32) -> u32 {
+        let stages = self.report.as_ref().map(|report| &report.report().header.stages);
+        stages.and_then(|stages| stages.first()).map_or(first_frame, |stage| stage.first_frame)
     }
 
     /// Tracks for the ranks of a session.
@@ -276,18 +323,30 @@ impl Recorder {
     /// Accepts the state after a step, in any order. It writes the state as a frame if one ends there (then it returns
     /// the hash), keeps it if requested, and stores it as the last good state if no earlier frame is missing.
     pub(super) fn state(&mut self, plan: &RunPlan, step: u32, state: State) -> Result<Option<String>, RecordError> {
+        self.state_with(plan, step, state, None)
+    }
+
+    /// As [`Recorder::state`], with how far the seams are open.
+    pub(super) fn state_with(
+        &mut self,
+        plan: &RunPlan,
+        step: u32,
+        state: State,
+        seams: Option<SeamGap>,
+    ) -> Result<Option<String>, RecordError> {
         let settings = &plan.scene.settings;
         let frame = step / settings.steps_per_frame;
         let time_s = step as f64 * settings.step_s;
         let mut hash = None;
         if step.is_multiple_of(settings.steps_per_frame) {
-            hash = Some(self.frame(plan, frame, time_s, &state)?);
+            hash = Some(self.frame(plan, frame, time_s, &state, seams)?);
             self.ahead.insert(frame);
             while self.ahead.remove(&self.next_frame) {
                 self.next_frame += 1;
             }
         }
-        let reached = Checkpoint { frame, step: step as u64, time_s, fingerprint: self.fingerprint, state };
+        let fingerprint = self.fingerprints[self.stage];
+        let reached = Checkpoint { frame, step: step as u64, time_s, fingerprint, state };
         if self.options.keep_states.is_some_and(|keep| keep.wants(step, settings.steps_per_frame)) {
             checkpoint::keep(&self.directory.states(), &reached).map_err(write_error)?;
         }
@@ -297,7 +356,14 @@ impl Recorder {
         Ok(hash)
     }
 
-    fn frame(&mut self, plan: &RunPlan, frame: u32, time_s: f64, state: &State) -> Result<String, RecordError> {
+    fn frame(
+        &mut self,
+        plan: &RunPlan,
+        frame: u32,
+        time_s: f64,
+        state: &State,
+        seams: Option<SeamGap>,
+    ) -> Result<String, RecordError> {
         let state_hash = state.hash();
         if let Some(frames) = &mut self.frames {
             frames.write(frame, &plan.scene.mesh, &state.positions).map_err(write_error)?;
@@ -312,7 +378,7 @@ impl Recorder {
             let name = |obstacle: usize| self.obstacles.name(obstacle).to_string();
             let let_go = LetGoRecord::of(&state.let_go, name);
             let beyond_limits = BeyondLimits::of(&plan.scene, &self.obstacles, state, time_s);
-            let record = FrameRecord { frame, time_s, state_hash: state_hash.clone(), let_go, beyond_limits };
+            let record = FrameRecord { frame, time_s, state_hash: state_hash.clone(), let_go, beyond_limits, seams };
             report.frame(record).map_err(write_error)?;
         }
         Ok(state_hash)
@@ -357,7 +423,8 @@ pub(super) fn report_header(plan: &RunPlan, options: &RunOptions, ready: &[Worke
         untangled: plan.untangled,
         ..ReportHeader::now()
     };
-    header.set_gravity(scene.settings.gravity_m_s2.to_array().map(f64::from));
+    let sewn = scene.sewing.as_ref().map(|sewing| sewing.gravity_m_s2);
+    header.set_gravity(sewn.unwrap_or(scene.settings.gravity_m_s2).to_array().map(f64::from));
     header
 }
 

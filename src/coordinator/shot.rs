@@ -37,11 +37,17 @@ pub struct Segment<'a> {
     pub tells_start: bool,
     /// Whether the state after a step is requested.
     pub wants_state: Arc<dyn Fn(u32) -> bool + Send + Sync + 'a>,
+    /// Whether the segment ends with the state after a step, which is one of those that are requested; none: it does
+    /// not before its last step. An error is a sentence that ends the shot.
+    pub ends_at: Option<Arc<EndsAt<'a>>>,
     /// How the steps get to their ends; none: as the forces have it.
     pub way: Option<Arc<dyn FindWay + 'a>>,
     /// What is done to the start state first.
     pub preparation: Option<Arc<dyn Prepare + 'a>>,
 }
+
+/// As [`Segment::ends_at`].
+pub type EndsAt<'a> = dyn Fn(u32, &State) -> Result<bool, String> + Send + Sync + 'a;
 
 /// Prepares the start state of a segment: its last step before is made again and again.
 pub trait Prepare: Send + Sync {
@@ -74,6 +80,7 @@ impl<'a> Segment<'a> {
             trace_steps: 0,
             tells_start: false,
             wants_state: Arc::new(|_| false),
+            ends_at: None,
             way: None,
             preparation: None,
         }
@@ -285,9 +292,19 @@ impl<'a> Player<'_, 'a> {
                 return Ok(Ended::Done);
             }
         }
-        let mut watcher =
-            Watcher { segment, halt: self.halt, sender: &self.sender, whose: &whose, last: start, stopped: false };
+        let mut watcher = Watcher {
+            segment,
+            halt: self.halt,
+            sender: &self.sender,
+            whose: &whose,
+            last: start,
+            stopped: false,
+            fault: None,
+        };
         session.advance(segment.last_step, &mut watcher)?;
+        if let Some(fault) = watcher.fault {
+            return Err(SessionError::Way(fault));
+        }
         if watcher.stopped || self.halt.load(Ordering::Relaxed) {
             return Ok(if watcher.stopped { Ended::Stopped } else { Ended::Done });
         }
@@ -338,6 +355,8 @@ struct Watcher<'a> {
     /// Of a segment whose steps are led.
     last: Option<Arc<State>>,
     stopped: bool,
+    /// Why the end of the segment could not be decided.
+    fault: Option<String>,
 }
 
 impl Watcher<'_> {
@@ -372,7 +391,18 @@ impl Watch for Watcher<'_> {
         if self.segment.way.is_some() {
             self.last = Some(Arc::new(state.clone()));
         }
+        let ends = match &self.segment.ends_at {
+            Some(ends_at) if !self.stopped => ends_at(step, &state),
+            _ => Ok(false),
+        };
         self.tell(News::State { step, state })?;
-        if self.stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        match ends {
+            Ok(false) if !self.stopped => ControlFlow::Continue(()),
+            Ok(_) => ControlFlow::Break(()),
+            Err(fault) => {
+                self.fault = Some(fault);
+                ControlFlow::Break(())
+            }
+        }
     }
 }

@@ -226,7 +226,7 @@ impl TimePlan {
 }
 
 /// Cloth and obstacles of a state as one surface.
-fn surface(scene: &Scene, state: &State, step: u32) -> (Vec<crate::math::Vec3>, Vec<[u32; 3]>, Vec<Group>) {
+pub(super) fn surface(scene: &Scene, state: &State, step: u32) -> (Vec<crate::math::Vec3>, Vec<[u32; 3]>, Vec<Group>) {
     let (mut positions, mut triangles) = (state.positions.clone(), scene.mesh.triangles.clone());
     let cloth = |range: std::ops::Range<u32>| Group {
         triangles: range.start as usize..range.end as usize,

@@ -41,7 +41,7 @@ pub fn element(triangle: &TriangleElement) -> HingeElement {
 }
 
 /// Fills the records of the fibers of `elements`: those of `records` from `first` on, on a device a multiple of
-/// [`crate::gpu::WINDOW_STEP`].
+/// [`crate::gpu::WINDOW_STEP`]; others may follow.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
 pub fn apply(
     executor: &Executor,
@@ -53,7 +53,8 @@ pub fn apply(
     first: usize,
     records: &mut DeviceVec<f32>,
 ) {
-    assert_eq!(records.len(), (first + elements.len()) * HINGE_RECORD_FLOATS);
+    let range = first * HINGE_RECORD_FLOATS..(first + elements.len()) * HINGE_RECORD_FLOATS;
+    assert!(range.end <= records.len(), "a record per triangle from the first one on");
     match executor {
         Executor::Cpu(cpu) => fiber_cpu::fiber(
             cpu,
@@ -62,7 +63,7 @@ pub fn apply(
             elements.as_slice(),
             positions.as_slice(),
             velocities.as_slice(),
-            &mut records.as_mut_slice()[first * HINGE_RECORD_FLOATS..],
+            &mut records.as_mut_slice()[range],
         ),
         Executor::Gpu(gpu) => {
             for window in gpu.windows(elements.len(), HINGE_RECORD_FLOATS * 4) {

@@ -18,6 +18,8 @@ mod fiber_cpu;
 mod overstretch;
 pub mod plastic_stretch;
 mod plastic_stretch_cpu;
+pub mod stitch;
+mod stitch_cpu;
 pub mod stretch;
 mod stretch_cpu;
 

@@ -5,8 +5,8 @@ use std::path::Path;
 use crate::math::{DVec3, Vec3};
 
 use super::{
-    MeshFault, Part, Refinement, Surface, TextureFit, TriangleMesh, VertexProperty, coarser, flatten_triangles,
-    material, validate, weld, winding,
+    FileSeam, MeshFault, Part, Refinement, Surface, TextureFit, TriangleMesh, VertexProperty, coarser,
+    flatten_triangles, material, validate, weld, winding,
 };
 
 /// Source of the material (rest) coordinates of a mesh file.
@@ -54,7 +54,7 @@ impl Surface {
     /// flipped if that makes the winding consistent.
     pub fn into_mesh(self, options: impl Into<MeshOptions>) -> Result<FileMesh, MeshFault> {
         let options = options.into();
-        let Surface { base, mut positions, mut triangles, mut texture_uv, parts, properties } = self;
+        let Surface { base, mut positions, mut triangles, mut texture_uv, parts, properties, edges, seams } = self;
         let mut joined = None;
         if let Some(distance) = options.weld {
             validate::check_triangles(&positions, &triangles)?;
@@ -118,6 +118,8 @@ impl Surface {
             mesh,
             parts,
             properties,
+            edges,
+            seams,
             mesh_vertices,
             added: Vec::new(),
             dropped,
@@ -141,9 +143,14 @@ pub struct FileMesh {
     pub parts: Vec<Part>,
     /// Further numbers of the vertices of the file.
     pub properties: Vec<VertexProperty>,
+    /// Edges that the file names: vertices of the file from end to end.
+    pub edges: Vec<(String, Vec<u32>)>,
+    /// Seams of the file: name, and the vertices of the file along both sides.
+    pub seams: Vec<FileSeam>,
     /// The mesh vertex of every vertex of the file; none if they are equal.
     mesh_vertices: Option<Vec<u32>>,
-    /// The ends of the edge that each vertex halves which was added after those of the file ([`FileMesh::divide`]).
+    /// The ends of the edge of each vertex that was added after those of the file ([`FileMesh::divide`],
+    /// [`FileMesh::cut_edges`]).
     added: Vec<[u32; 2]>,
     /// Vertices of the file in no triangle. They are dropped, because they have no mass.
     pub dropped: usize,
@@ -164,6 +171,8 @@ impl From<TriangleMesh> for FileMesh {
             mesh,
             parts: Vec::new(),
             properties: Vec::new(),
+            edges: Vec::new(),
+            seams: Vec::new(),
             mesh_vertices: None,
             added: Vec::new(),
             dropped: 0,
@@ -185,6 +194,35 @@ impl FileMesh {
         }
     }
 
+    /// The number in the file of a mesh vertex; of several joined ones the first. Vertices that were added have the
+    /// numbers after those of the file.
+    pub fn file_vertex(&self, vertex: u32) -> u32 {
+        match &self.mesh_vertices {
+            None => vertex,
+            Some(numbers) => {
+                let first = self.mesh.positions.len() - self.added.len();
+                let after = || numbers.len() + (vertex as usize).saturating_sub(first);
+                numbers.iter().position(|&number| number == vertex).unwrap_or_else(after) as u32
+            }
+        }
+    }
+
+    /// The vertices of the file along a named edge, from end to end.
+    pub fn edge_named(&self, name: &str) -> Option<Vec<u32>> {
+        self.edges.iter().find(|(known, _)| known == name).map(|(_, vertices)| vertices.clone())
+    }
+
+    /// Names of all edges.
+    pub fn edge_names(&self) -> Vec<String> {
+        self.edges.iter().map(|(name, _)| name.clone()).collect()
+    }
+
+    /// The group, or without one the object, of a triangle.
+    pub fn part_of(&self, triangle: u32) -> Option<&str> {
+        let part = self.parts.iter().find(|part| part.triangles.contains(&triangle))?;
+        Some(if part.group.is_empty() { &part.object } else { &part.group })
+    }
+
     /// Divides every triangle into four flat ones, this many times. The vertices of the file stay the first ones.
     pub(crate) fn divide(&mut self, times: u32) {
         for _ in 0..times {
@@ -194,6 +232,11 @@ impl FileMesh {
                 part.triangles = 4 * part.triangles.start..4 * part.triangles.end;
             }
         }
+    }
+
+    /// Notes that a vertex was added on the edge with these ends.
+    pub(super) fn note_added(&mut self, ends: [u32; 2]) {
+        self.added.push(ends);
     }
 
     /// The mesh whose triangles are divided into four in this one, if there is one.

@@ -4,6 +4,7 @@
 //! file. Counts in a file are not trusted before that many bytes have been read.
 
 mod adjacency;
+mod border;
 mod crossings;
 mod file_mesh;
 mod intersect;
@@ -14,14 +15,18 @@ mod nearest;
 mod nested;
 mod obj;
 mod order;
+mod panel;
 mod ply;
 mod polygon;
 mod refinement;
+mod sewn;
 pub mod shapes;
+mod stitches;
 mod untangle;
 mod validate;
 mod weld;
 mod winding;
+mod words;
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -30,6 +35,8 @@ use crate::input::{Input, Streams};
 use crate::math::{DVec3, FAR_M, Vec2, Vec3, bounds, local_origin};
 
 pub use adjacency::{Hinge, hinges, pieces, unique_edges};
+pub(crate) use border::ascending;
+pub use border::{Border, BorderEdge, EdgeCut, Meeting, match_sides};
 pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection, triangles_meet};
 pub use file_mesh::{FileMesh, MaterialSource, MeshOptions, extent};
 pub use intersect::edge_crosses_triangle;
@@ -39,9 +46,11 @@ pub use nested::{LEVELS_MAX, NestedSheet, Outline};
 pub use obj::parse_obj;
 pub(crate) use obj::parse_obj_far;
 pub use order::{locality_order, middle, vertex_order};
+pub use panel::{PanelMesh, panel_mesh};
 pub use ply::parse_ply;
 pub(crate) use ply::parse_ply_far;
 pub use refinement::{Refinement, coarser};
+pub use sewn::{SewnFault, SewnMesh};
 pub use untangle::{Tangle, Untangled};
 pub(crate) use validate::needles;
 pub use validate::{MeshFault, check_obstacle, validate};
@@ -170,7 +179,15 @@ pub struct Surface {
     pub parts: Vec<Part>,
     /// Further numbers of the vertices.
     pub properties: Vec<VertexProperty>,
+    /// Named edges: vertices from end to end.
+    pub edges: Vec<(String, Vec<u32>)>,
+    /// Seams between borders.
+    pub seams: Vec<FileSeam>,
 }
+
+/// A seam of a mesh file: its name, and the vertices of the file along both sides. The first vertex of one side meets
+/// that of the other.
+pub type FileSeam = (String, [Vec<u32>; 2]);
 
 /// A number that a file gives to every vertex, such as a selection that was painted.
 #[derive(Clone, Debug, Default, PartialEq)]

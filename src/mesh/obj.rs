@@ -1,4 +1,6 @@
-//! OBJ reader: `v`, `vt`, `f`, `o` and `g` lines. All others (normals, materials, ARCSim's `e`, `nv`, ..) are skipped.
+//! OBJ reader: `v`, `vt`, `f`, `l`, `o` and `g` lines, and the `seam` and `stitch` lines of Codim-IPC's garments.
+//! A line (`l`) in a group names an edge of a panel. All others (normals, materials, ARCSim's `e`, `nv`, ..) are
+//! skipped.
 //!
 //! The crate `tobj` is not used because it renumbers vertices by first use (pins and results name vertices by their
 //! number in the file), replaces a missing texture index by the previous one, and reports no line in errors.
@@ -8,6 +10,8 @@ use std::io::BufRead;
 use crate::math::{DVec3, Vec2};
 
 use super::polygon::Faces;
+use super::stitches::Stitches;
+use super::words::{numbers, shown};
 use super::{ParseFault, Part, Surface, rounded};
 
 /// Indices must fit 31 bits, see `validate`.
@@ -78,6 +82,9 @@ struct Obj {
     face: Vec<(u32, u32)>,
     /// First face, object and groups of each part.
     parts: Vec<(usize, String, String)>,
+    /// Lines in groups or objects, with the name.
+    edges: Vec<(String, Vec<u32>)>,
+    stitches: Stitches,
 }
 
 impl Obj {
@@ -97,7 +104,29 @@ impl Obj {
             }
             Some(b"f") => self.face(words, number)?,
             Some(kind @ (b"o" | b"g")) => self.part(kind == b"o", &line[..comment(line).unwrap_or(line.len())]),
+            Some(b"l") => self.polyline(words)?,
+            Some(b"stitch") => self.stitches.stitch(words)?,
+            Some(b"seam") => self.stitches.seam(words)?,
             _ => {}
+        }
+        Ok(())
+    }
+
+    /// `l a b ..` in a group or object with a name: an edge of this name. Lines without a name are skipped.
+    fn polyline<'a>(&mut self, words: impl Iterator<Item = &'a [u8]>) -> Result<(), String> {
+        let named = self.parts.last().map(|(_, object, group)| if group.is_empty() { object } else { group });
+        let Some(name) = named.filter(|name| !name.is_empty()).cloned() else { return Ok(()) };
+        let mut vertices = Vec::new();
+        for word in words.take_while(|word| word[0] != b'#') {
+            let vertex = word.split(|&c| c == b'/').next().unwrap_or_default();
+            vertices.push(index(vertex, self.positions.len(), "vertex")?);
+        }
+        match self.edges.last_mut() {
+            // A line may come in pieces.
+            Some((last, before)) if *last == name && before.last() == vertices.first() => {
+                before.extend(vertices.iter().skip(1));
+            }
+            _ => self.edges.push((name, vertices)),
         }
         Ok(())
     }
@@ -175,21 +204,10 @@ impl Obj {
             }
         }
         let triangles = cut.triangles.iter().map(|t| t.map(|corner| self.faces.corners[corner as usize])).collect();
-        Ok(Surface { base, positions, triangles, texture_uv, parts, properties: Vec::new() })
+        let seams = self.stitches.seams(positions.len()).map_err(ParseFault::whole)?;
+        let edges = self.edges;
+        Ok(Surface { base, positions, triangles, texture_uv, parts, edges, seams, properties: Vec::new() })
     }
-}
-
-fn numbers<'a, const N: usize>(words: &mut impl Iterator<Item = &'a [u8]>, form: &str) -> Result<[f64; N], String> {
-    let mut values = [0.0f64; N];
-    for (i, value) in values.iter_mut().enumerate() {
-        let word = words.next().ok_or_else(|| format!("{form}, this one has {i}; is the file cut off?"))?;
-        let text = shown(word);
-        *value = text.parse().map_err(|_| format!("`{text}` is not a number; {form}"))?;
-        if !(*value as f32).is_finite() {
-            return Err(format!("`{text}` is not a finite number; {form}"));
-        }
-    }
-    Ok(values)
 }
 
 /// Converts an OBJ index (from 1, or negative = counted back from the last element) to an index from 0. A positive
@@ -204,11 +222,6 @@ fn index(word: &[u8], count: usize, noun: &str) -> Result<u32, String> {
         _ if zero_based >= MOST_VERTICES as i64 => Err(format!("{noun} index {number} is above {MOST_VERTICES}")),
         _ => Ok(zero_based as u32),
     }
-}
-
-/// At most 40 bytes of a word, for a message.
-fn shown(word: &[u8]) -> std::borrow::Cow<'_, str> {
-    String::from_utf8_lossy(&word[..word.len().min(40)])
 }
 
 #[cfg(test)]

@@ -133,7 +133,7 @@ impl TriangleMesh {
     }
 
     /// The ends of the edges that the vertices halve which [`TriangleMesh::divided`] adds, in their order.
-    pub(super) fn halved_edges(&self) -> Vec<[u32; 2]> {
+    pub(crate) fn halved_edges(&self) -> Vec<[u32; 2]> {
         divide(self.positions.len(), &self.triangles).parents
     }
 }

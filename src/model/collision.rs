@@ -7,6 +7,9 @@ use super::GlobalModel;
 use crate::integrator::pins::{RankPin, is_held};
 use crate::scene::{ObstacleHeader, Obstacles};
 
+/// Distance that impact zones leave over the last length of threads, while cloth is sewn.
+const SEWN_MARGIN: f64 = 0.08;
+
 /// Time span in which a row is pinned.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PinSpan {
@@ -26,6 +29,8 @@ pub struct CollisionModel {
     pub thickness_m: f64,
     /// Stiffness of contacts in effective masses per step^2.
     pub stiffness: f64,
+    /// Distance that impact zones leave per hit, meters, if it is less than that of the thickness.
+    pub margin_m: Option<f64>,
     /// Pins of all ranks.
     pub pins: Vec<PinSpan>,
     /// Byte limit of the tables of a query on a rank; queries that need more are split into batches.
@@ -51,6 +56,8 @@ pub struct CollisionArrays {
     pub obstacle_positions: Vec<f32>,
     /// Obstacle triangles, numbered over the obstacles.
     pub obstacle_triangles: Vec<[u32; 3]>,
+    /// Rows that seams make one.
+    pub sewn: Vec<[u32; 2]>,
 }
 
 impl CollisionModel {
@@ -65,10 +72,13 @@ impl CollisionModel {
             friction: model.friction.clone(),
             obstacle_positions: positions.to_vec(),
             obstacle_triangles: model.obstacles.welded_triangles(),
+            sewn: model.stitches.iter().map(|stitch| stitch.vertices).collect(),
         };
         CollisionModel {
             thickness_m: model.settings.thickness_m,
             stiffness: model.settings.contact_stiffness,
+            // Threads draw sides together in every step; what zones leave between them must not hold a seam open.
+            margin_m: model.closing.map(|closing| SEWN_MARGIN * closing.last_m),
             pins: model
                 .pins
                 .iter()
@@ -100,7 +110,7 @@ impl CollisionModel {
 
 impl CollisionArrays {
     /// The arrays as bytes, in a fixed order.
-    pub fn to_bytes(&self) -> [&[u8]; 6] {
+    pub fn to_bytes(&self) -> [&[u8]; 7] {
         [
             bytemuck::cast_slice(&self.triangles),
             bytemuck::cast_slice(&self.altitudes_m),
@@ -108,6 +118,7 @@ impl CollisionArrays {
             bytemuck::cast_slice(&self.friction),
             bytemuck::cast_slice(&self.obstacle_positions),
             bytemuck::cast_slice(&self.obstacle_triangles),
+            bytemuck::cast_slice(&self.sewn),
         ]
     }
 }

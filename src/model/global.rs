@@ -3,12 +3,13 @@
 
 use super::grips::Grips;
 use super::state::{PlasticElements, RankState, RestStretch, State, UNSTRETCHED, creases_of, stretches_of};
+use crate::forces::stitch::StitchElement;
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
 use crate::integrator::pins::RankPin;
 use crate::math::Vec2;
 use crate::mesh::{Hinge, hinges, vertex_order};
 use crate::partition::chunk_rows;
-use crate::scene::{Motion, Obstacles, Scene, Settings};
+use crate::scene::{Closing, Motion, Obstacles, Scene, Settings};
 
 /// The cloth in global order.
 pub struct GlobalModel {
@@ -30,6 +31,10 @@ pub struct GlobalModel {
     pub original_triangle: Vec<u32>,
     /// Rest stretch of every triangle here at the start; empty if no fabric stays stretched.
     pub stretches: Vec<RestStretch>,
+    /// Threads of seams, ascending smallest vertex; vertices are global rows.
+    pub stitches: Vec<StitchElement>,
+    /// How they shorten; none without seams.
+    pub closing: Option<Closing>,
     /// Fabrics.
     pub fabrics: Vec<FabricTable>,
     /// Pins; `row` is a global row.
@@ -104,6 +109,8 @@ impl GlobalModel {
             original_hinge,
             stretches: vec![UNSTRETCHED; original_triangle.len()],
             original_triangle,
+            stitches: stitches(scene, map),
+            closing: scene.sewing.as_ref().map(|sewing| sewing.closing),
             fabrics: scene.fabrics.iter().map(FabricTable::from).collect(),
             pins: scene
                 .pins
@@ -161,6 +168,29 @@ pub fn stiffness_ratio(scene: &Scene) -> f64 {
         warp.max(weft).max(shear) / fabric.density_kg_m2 * steps_per_cell.powi(2)
     };
     scene.fabric_of_triangle.iter().zip(&scene.mesh.material_uv).map(of_triangle).fold(0.0, f64::max)
+}
+
+/// A thread for every pair of a scene's seams, as stiff as the cloth beside its ends.
+fn stitches(scene: &Scene, map: impl Fn(u32) -> u32) -> Vec<StitchElement> {
+    let Some(sewing) = &scene.sewing else { return Vec::new() };
+    let mut stiffness = vec![0.0f64; scene.mesh.positions.len()];
+    for (corners, &fabric) in scene.mesh.triangles.iter().zip(&scene.fabric_of_triangle) {
+        let [warp, _, weft, _] = scene.fabrics[usize::from(fabric)].stretching_n_m[0];
+        corners.iter().for_each(|&v| stiffness[v as usize] = stiffness[v as usize].max(warp.max(weft)));
+    }
+    let thread = |pair: &[u32; 2]| {
+        let [a, b] = pair.map(|v| scene.mesh.positions[v as usize].as_dvec3());
+        let [ka, kb] = pair.map(|v| stiffness[v as usize]);
+        let [a_row, b_row] = pair.map(&map);
+        StitchElement {
+            vertices: [a_row.min(b_row), a_row.max(b_row)],
+            stiffness_n_m: (0.5 * (ka + kb)) as f32,
+            first_m: a.distance(b) as f32,
+        }
+    };
+    let mut stitches: Vec<StitchElement> = sewing.pairs.iter().map(thread).collect();
+    stitches.sort_by_key(|stitch| stitch.vertices);
+    stitches
 }
 
 fn rest_area(uv: &[Vec2; 3]) -> f64 {

@@ -6,11 +6,13 @@ mod collision;
 mod global;
 mod grips;
 mod rank;
+mod sewn;
 mod state;
 
 pub use collision::{CollisionArrays, CollisionModel, PinSpan};
 pub use global::{GlobalModel, stiffness_ratio};
 pub use rank::{RankArrays, RankModel, RankModelError};
+pub use sewn::Sewn;
 pub use state::{
     Crease, LetGo, NotFinite, PlasticCounts, PlasticElements, RankState, RankStateError, RestStretch, State,
     UNSTRETCHED, hash_words,

@@ -5,10 +5,11 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{CollisionArrays, CollisionModel, GlobalModel, PlasticElements, RestStretch};
+use crate::forces::stitch::StitchElement;
 use crate::forces::{FabricTable, HingeElement, TriangleElement};
 use crate::integrator::pins::RankPin;
 use crate::partition::{HaloPlan, RowPartition, halo_plans};
-use crate::scene::{Motion, ObstacleHeader, Settings};
+use crate::scene::{Closing, Motion, ObstacleHeader, Settings};
 
 /// All data that a worker needs to simulate its rows. Vertices are local indices of `plan`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -33,6 +34,8 @@ pub struct RankModel {
     pub stiffness_ratio: f64,
     /// True if folds of a fabric of the scene stay. Then the state has creases.
     pub plastic: bool,
+    /// How the threads of seams shorten; none without seams.
+    pub closing: Option<Closing>,
     /// Collision data of the whole scene; none if the scene disables collisions.
     pub collision: Option<CollisionModel>,
     /// Bulk data; sent unserialized after the header.
@@ -59,6 +62,8 @@ pub struct RankArrays {
     pub fabrics: Vec<FabricTable>,
     /// Positions of the followed vertices, as [`crate::scene::Obstacles::arrays`] gives them.
     pub followed: Vec<f32>,
+    /// Threads of seams that touch own rows, in global order.
+    pub stitches: Vec<StitchElement>,
 }
 
 /// Error of bytes that are not the arrays of a model.
@@ -90,9 +95,10 @@ impl RankModel {
     /// Halo rows that the ranks read of each other without contacts.
     pub fn halo_plans(model: &GlobalModel, partition: &RowPartition) -> Vec<HaloPlan> {
         let mut halos = vec![Vec::new(); partition.ranks()];
-        for corners in
-            model.triangles.iter().map(|e| &e.vertices[..]).chain(model.hinges.iter().map(|e| &e.vertices[..]))
-        {
+        let triangles = model.triangles.iter().map(|e| &e.vertices[..]);
+        let hinges = model.hinges.iter().map(|e| &e.vertices[..]);
+        let stitches = model.stitches.iter().map(|e| &e.vertices[..]);
+        for corners in triangles.chain(hinges).chain(stitches) {
             collect_halo(partition, corners, &mut halos);
         }
         for halo in &mut halos {
@@ -143,6 +149,12 @@ impl RankModel {
             .filter(|e| e.vertices.iter().any(owned))
             .map(|e| HingeElement { vertices: e.vertices.map(local), ..*e })
             .collect();
+        let stitches = model
+            .stitches
+            .iter()
+            .filter(|e| e.vertices.iter().any(owned))
+            .map(|e| StitchElement { vertices: e.vertices.map(local), ..*e })
+            .collect();
         let mut pins: Vec<RankPin> = model
             .pins
             .iter()
@@ -159,6 +171,7 @@ impl RankModel {
             stretches,
             fabrics: model.fabrics.clone(),
             followed: followed.arrays().0.to_vec(),
+            stitches,
         };
         RankModel {
             partition: *partition,
@@ -170,6 +183,7 @@ impl RankModel {
             pins_move,
             stiffness_ratio: model.stiffness_ratio,
             plastic: !model.original_hinge.is_empty(),
+            closing: model.closing,
             collision: None,
             arrays,
             plan,
@@ -223,11 +237,11 @@ impl RankModel {
 
     /// Sets the bulk arrays from bytes in the order of [`RankModel::to_bytes`].
     pub fn set_arrays(&mut self, bytes: &[&[u8]]) -> Result<(), RankModelError> {
-        let expected = if self.collision.is_some() { 14 } else { 8 };
+        let expected = if self.collision.is_some() { 16 } else { 9 };
         if bytes.len() != expected {
             return Err(RankModelError::Arrays(format!("{} arrays instead of {expected}", bytes.len())));
         }
-        let (own, all) = bytes.split_at(8);
+        let (own, all) = bytes.split_at(9);
         self.arrays = RankArrays {
             positions: cast(own[0])?,
             velocities: cast(own[1])?,
@@ -237,6 +251,7 @@ impl RankModel {
             stretches: cast(own[5])?,
             fabrics: cast(own[6])?,
             followed: cast(own[7])?,
+            stitches: cast(own[8])?,
         };
         if let Some(collision) = &mut self.collision {
             collision.arrays = CollisionArrays {
@@ -246,6 +261,7 @@ impl RankModel {
                 friction: cast(all[3])?,
                 obstacle_positions: cast(all[4])?,
                 obstacle_triangles: cast(all[5])?,
+                sewn: cast(all[6])?,
             };
         }
         Ok(())
@@ -253,7 +269,7 @@ impl RankModel {
 }
 
 impl RankArrays {
-    fn to_bytes(&self) -> [&[u8]; 8] {
+    fn to_bytes(&self) -> [&[u8]; 9] {
         [
             bytemuck::cast_slice(&self.positions),
             bytemuck::cast_slice(&self.velocities),
@@ -263,6 +279,7 @@ impl RankArrays {
             bytemuck::cast_slice(&self.stretches),
             bytemuck::cast_slice(&self.fabrics),
             bytemuck::cast_slice(&self.followed),
+            bytemuck::cast_slice(&self.stitches),
         ]
     }
 }

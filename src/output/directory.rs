@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! RUN_DIR/report.json  report.html  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
+//!         rest_2.obj  cloth_2.pc2  (the second mesh of a run that sews)
 //!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc
 //!         states/step_%08d.ltc  pictures/*.png
 //!         preview/  segments/%03d/  segments/%03d/seam/  segments/%03d/sweep_%03d/
@@ -67,7 +68,7 @@ pub struct RunDirectory {
 }
 
 /// Files at the top level of a run directory.
-const FILES: [&str; 9] = [
+const FILES: [&str; 11] = [
     "report.json",
     "run.toml",
     "run_scene.toml",
@@ -75,6 +76,8 @@ const FILES: [&str; 9] = [
     "trace.json",
     "cloth.pc2",
     "rest.obj",
+    "cloth_2.pc2",
+    "rest_2.obj",
     "report.html",
     "start.ltc",
 ];
@@ -143,6 +146,14 @@ impl RunDirectory {
     /// `cloth.pc2`: the whole animation in one file.
     pub fn point_cache(&self) -> PathBuf {
         self.path.join("cloth.pc2")
+    }
+    /// `cloth_2.pc2`: the frames of the second stage of a run that sews.
+    pub fn second_point_cache(&self) -> PathBuf {
+        self.path.join("cloth_2.pc2")
+    }
+    /// `rest_2.obj`: the mesh that `cloth_2.pc2` moves.
+    pub fn second_rest_mesh(&self) -> PathBuf {
+        self.path.join("rest_2.obj")
     }
     /// `rest.obj`: the mesh that `cloth.pc2` moves.
     pub fn rest_mesh(&self) -> PathBuf {

@@ -170,6 +170,20 @@ impl FrameWriter {
         origin_m: DVec3,
         first_frame: u32,
     ) -> Result<FrameWriter, FrameError> {
+        FrameWriter::of_stage(directory, formats, mesh, parts, origin_m, None, first_frame)
+    }
+
+    /// Like [`FrameWriter::with_parts`] for the frames of the second stage of a run that sews. `since`: the first of
+    /// them; none for the first stage. The second stage has a point cache and a rest mesh of its own.
+    pub fn of_stage(
+        directory: &RunDirectory,
+        formats: &[FrameFormat],
+        mesh: &TriangleMesh,
+        parts: &[Part],
+        origin_m: DVec3,
+        since: Option<u32>,
+        first_frame: u32,
+    ) -> Result<FrameWriter, FrameError> {
         let texture = formats
             .iter()
             .any(|format| *format != FrameFormat::Ply)
@@ -177,11 +191,15 @@ impl FrameWriter {
         let files = formats.iter().copied().filter(|format| *format != FrameFormat::Pc2).collect();
         let mut point_cache = None;
         if formats.contains(&FrameFormat::Pc2) {
-            let rest = directory.rest_mesh();
+            let (rest, cache) = match since {
+                None => (directory.rest_mesh(), directory.point_cache()),
+                Some(_) => (directory.second_rest_mesh(), directory.second_point_cache()),
+            };
             write_atomically(&rest, |out| {
                 obj::write(out, &mut Vec::new(), origin_m, &mesh.positions, &mesh.triangles, texture.as_ref(), parts)
             })?;
-            point_cache = Some(Pc2Writer::open(&directory.point_cache(), mesh.positions.len(), first_frame)?);
+            let points = mesh.positions.len();
+            point_cache = Some(Pc2Writer::open_from(&cache, points, since.unwrap_or(0), first_frame)?);
         }
         let vertices = mesh.positions.len();
         let (folder, parts) = (directory.frames(), parts.to_vec());

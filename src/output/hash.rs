@@ -45,6 +45,10 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
             &scene.origin_m.to_array().map(f64::to_bits).map(|bits| [bits as u32, (bits >> 32) as u32]),
         );
     }
+    if let Some(sewing) = &scene.sewing {
+        hash_words(&mut hasher, &sewing.pairs);
+        let _ = write!(TextSink(&mut hasher), "{:?} {} {}", sewing.closing, sewing.weld_m, sewing.refine);
+    }
     hasher.digest()
 }
 

@@ -39,8 +39,8 @@ pub use machine::Machine;
 pub use manifest::{Input, ManifestError, RunManifest};
 pub use read::{FrameSource, FramesError};
 pub use report::{
-    FrameRecord, LetGoRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, SeamRecord,
-    SegmentRecord, Status, StepRecord,
+    FrameRecord, LetGoRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, SeamGap,
+    SeamRecord, SegmentRecord, StageRecord, Status, StepRecord,
 };
 pub use stretch::{BeyondLimits, TouchedObstacle, beyond_limit, principal_stretches};
 pub use take_up::take_up_formats;

@@ -56,6 +56,8 @@ pub enum Pc2Error {
 /// Content of the header.
 struct Header {
     points: u32,
+    /// Number of the first frame.
+    start: u32,
     samples: u32,
 }
 
@@ -75,7 +77,11 @@ fn read_header(file: &mut File, path: &Path) -> Result<Header, Pc2Error> {
     if u64::from(samples) > length {
         return Err(unfit(&format!("its header counts {samples} frames in a file of {length} bytes")));
     }
-    Ok(Header { points, samples })
+    let start = f32::from_bits(word(20));
+    if !(0.0..=16_777_216.0).contains(&start) || start.fract() != 0.0 {
+        return Err(unfit(&format!("its first frame is {start}")));
+    }
+    Ok(Header { points, start: start as u32, samples })
 }
 
 /// Appends frames to a point cache.
@@ -83,7 +89,9 @@ pub struct Pc2Writer {
     path: PathBuf,
     file: File,
     points: usize,
-    /// Number of frames in the header, which is the number of the first missing frame.
+    /// Number of the first frame of the cache.
+    start: u32,
+    /// Number of frames in the header; added to the first one it is the number of the first missing frame.
     samples: u32,
     /// Frames already written after the first missing one.
     ahead: BTreeSet<u32>,
@@ -93,15 +101,20 @@ pub struct Pc2Writer {
 impl Pc2Writer {
     /// Creates a cache (`first_frame` = 0), or continues one after its first `first_frame` frames.
     pub fn open(path: &Path, points: usize, first_frame: u32) -> Result<Pc2Writer, Pc2Error> {
+        Pc2Writer::open_from(path, points, 0, first_frame)
+    }
+
+    /// Like [`Pc2Writer::open`] for a cache whose first frame is `start`: created if that is `first_frame`.
+    pub fn open_from(path: &Path, points: usize, start: u32, first_frame: u32) -> Result<Pc2Writer, Pc2Error> {
         let unfit = |problem: String| Pc2Error::Unfit { path: path.to_path_buf(), problem };
         let count = i32::try_from(points).map_err(|_| unfit(format!("{points} points are more than PC2 can count")))?;
-        if first_frame == 0 {
+        if first_frame == start {
             let create = || -> io::Result<File> {
                 let mut file = File::create(path)?;
                 let mut header = MAGIC.to_vec();
                 header.extend(1i32.to_le_bytes());
                 header.extend(count.to_le_bytes());
-                header.extend(0f32.to_le_bytes());
+                header.extend((start as f32).to_le_bytes());
                 header.extend(1f32.to_le_bytes());
                 header.extend(0i32.to_le_bytes());
                 file.write_all(&header)?;
@@ -112,6 +125,7 @@ impl Pc2Writer {
                 path: path.to_path_buf(),
                 file,
                 points,
+                start,
                 samples: 0,
                 ahead: BTreeSet::new(),
                 buffer: Vec::new(),
@@ -122,13 +136,15 @@ impl Pc2Writer {
         if header.points as usize != points {
             return Err(unfit(format!("it holds {} points, the mesh has {points} vertices", header.points)));
         }
-        if header.samples < first_frame {
-            return Err(Pc2Error::Gap { path: path.to_path_buf(), frame: first_frame, samples: header.samples });
+        let end = header.start.saturating_add(header.samples);
+        if header.start != start || end < first_frame {
+            return Err(Pc2Error::Gap { path: path.to_path_buf(), frame: first_frame, samples: end });
         }
         Ok(Pc2Writer {
             path: path.to_path_buf(),
             file,
             points,
+            start,
             samples: header.samples,
             ahead: BTreeSet::new(),
             buffer: Vec::new(),
@@ -142,8 +158,12 @@ impl Pc2Writer {
             let problem = format!("it holds {} points, frame {frame} has {}", self.points, positions.len());
             return Err(Pc2Error::Unfit { path: self.path.clone(), problem });
         }
-        let offset = HEADER_BYTES + u64::from(frame) * self.points as u64 * 12;
-        self.ahead.insert(frame);
+        let Some(sample) = frame.checked_sub(self.start) else {
+            let problem = format!("it begins with frame {}, which is after frame {frame}", self.start);
+            return Err(Pc2Error::Unfit { path: self.path.clone(), problem });
+        };
+        let offset = HEADER_BYTES + u64::from(sample) * self.points as u64 * 12;
+        self.ahead.insert(sample);
         let mut samples = self.samples;
         while self.ahead.remove(&samples) {
             samples += 1;
@@ -168,7 +188,13 @@ pub fn samples(path: &Path) -> Result<u32, Pc2Error> {
     Ok(read_header(&mut file, path)?.samples)
 }
 
-/// Positions of frame `frame`.
+/// Number of the first frame of a point cache.
+pub fn start(path: &Path) -> Result<u32, Pc2Error> {
+    let mut file = open(path)?;
+    Ok(read_header(&mut file, path)?.start)
+}
+
+/// Positions of sample `frame`, counted from the first frame of the cache.
 pub fn read(path: &Path, frame: u32) -> Result<Vec<Vec3>, Pc2Error> {
     let unfit = |problem: String| Pc2Error::Unfit { path: path.to_path_buf(), problem };
     let mut file = open(path)?;

@@ -64,8 +64,8 @@ pub struct FrameSource {
     folder: PathBuf,
     files: BTreeMap<u32, FrameFormat>,
     obstacles: BTreeMap<u32, FrameFormat>,
-    /// Point cache and its mesh.
-    point_cache: Option<(PathBuf, FrameMesh)>,
+    /// Point caches with their first frames and their meshes, ascending: of a run that sews there are two.
+    point_caches: Vec<(u32, PathBuf, FrameMesh)>,
     /// Frames of the coarse run of a shot that is split in time, for those that are not there yet.
     coarse: Option<Box<FrameSource>>,
     /// Positions are read relative to it.
@@ -79,16 +79,23 @@ impl FrameSource {
         let folder = directory.frames();
         let mut files = numbered(&folder, "frame_");
         let obstacles = numbered(&folder, "obstacle_");
-        let mut point_cache = None;
-        let cache = directory.point_cache();
-        if files.is_empty() && cache.is_file() {
-            files = (0..pc2::samples(&cache)?).map(|frame| (frame, FrameFormat::Pc2)).collect();
-            point_cache = Some((cache, read_mesh(&directory.rest_mesh(), FrameFormat::Obj, DVec3::ZERO)?));
+        let mut point_caches = Vec::new();
+        if files.is_empty() {
+            let caches = [
+                (directory.point_cache(), directory.rest_mesh()),
+                (directory.second_point_cache(), directory.second_rest_mesh()),
+            ];
+            for (cache, rest) in caches.into_iter().filter(|(cache, _)| cache.is_file()) {
+                let start = pc2::start(&cache)?;
+                let end = start.saturating_add(pc2::samples(&cache)?);
+                files.extend((start..end).map(|frame| (frame, FrameFormat::Pc2)));
+                point_caches.push((start, cache, read_mesh(&rest, FrameFormat::Obj, DVec3::ZERO)?));
+            }
         }
         if files.is_empty() {
             return Err(FramesError::None(directory.path().to_path_buf()));
         }
-        Ok(FrameSource { folder, files, obstacles, point_cache, coarse: None, origin_m: DVec3::ZERO })
+        Ok(FrameSource { folder, files, obstacles, point_caches, coarse: None, origin_m: DVec3::ZERO })
     }
 
     /// Like [`FrameSource::open`]; frames that a shot split in time does not have yet are those of its coarse run.
@@ -101,7 +108,7 @@ impl FrameSource {
                 folder: directory.frames(),
                 files: BTreeMap::new(),
                 obstacles: BTreeMap::new(),
-                point_cache: None,
+                point_caches: Vec::new(),
                 coarse: None,
                 origin_m: DVec3::ZERO,
             }),
@@ -128,6 +135,13 @@ impl FrameSource {
         FrameSource { origin_m, coarse, ..self }
     }
 
+    /// The frames from this one on.
+    pub fn since(mut self, first: u32) -> FrameSource {
+        self.files.retain(|frame, _| *frame >= first);
+        self.obstacles.retain(|frame, _| *frame >= first);
+        self
+    }
+
     /// Numbers of the frames, ascending.
     pub fn numbers(&self) -> Vec<u32> {
         let mut numbers: Vec<u32> = self.files.keys().copied().collect();
@@ -143,9 +157,9 @@ impl FrameSource {
         if let Some(coarse) = self.coarse_of(frame) {
             return coarse.read(frame);
         }
-        match &self.point_cache {
-            Some((path, rest)) => {
-                let positions = relative(pc2::read(path, frame)?, self.origin_m);
+        match self.point_caches.iter().rev().find(|(start, ..)| *start <= frame) {
+            Some((start, path, rest)) => {
+                let positions = relative(pc2::read(path, frame - start)?, self.origin_m);
                 if positions.len() != rest.positions.len() {
                     let (cached, vertices) = (positions.len(), rest.positions.len());
                     return Err(FramesError::RestDiffers { path: path.clone(), cached, vertices });

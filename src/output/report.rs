@@ -112,6 +112,9 @@ pub struct ReportHeader {
     pub status: Status,
     /// Points at which the run was resumed.
     pub resumed: Vec<Resumption>,
+    /// Meshes after the first one, in a run that sews; omitted if there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub stages: Vec<StageRecord>,
     /// Figures of the untangling of the start state, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub untangled: Option<Untangling>,
@@ -169,6 +172,31 @@ pub struct FrameRecord {
     /// Triangles more than 0.5 % of strain beyond their limits; omitted if there are none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub beyond_limits: Option<BeyondLimits>,
+    /// How far the seams are open; omitted without seams, and once they are sewn.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seams: Option<SeamGap>,
+}
+
+/// A stage that begins with another mesh: panels have been sewn.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StageRecord {
+    /// The last step of the stage before.
+    pub step: u64,
+    /// The first frame with the new mesh.
+    pub first_frame: u32,
+    /// Triangles of the mesh.
+    pub triangles: usize,
+    /// Vertices of the mesh.
+    pub vertices: usize,
+}
+
+/// How far the seams of a state are open.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SeamGap {
+    /// The largest distance that vertices have to go to each other, meters.
+    pub widest_m: f64,
+    /// Pairs that are farther apart than `weld_m`.
+    pub open: usize,
 }
 
 /// Vertices that pass through an obstacle, because they had no room between it and one that overlaps it.
@@ -459,6 +487,7 @@ impl ReportWriter {
         steps.retain(|record| record.step <= step);
         let resumption = Resumption { step, frame, workers: header.workers, unix_s: header.started_unix_s };
         header.resumed = old.resumed;
+        header.stages = old.stages.into_iter().filter(|stage| stage.step <= step).collect();
         header.resumed.push(resumption);
         if old.started_unix_s > 0 {
             header.started_unix_s = old.started_unix_s;
@@ -466,6 +495,13 @@ impl ReportWriter {
         let report = Report { header, frames, steps, ..Report::default() };
         report.save(path)?;
         Ok(ReportWriter { path: path.to_path_buf(), report, written: Instant::now() })
+    }
+
+    /// Notes that a stage begins, after the `before` first ones of the list.
+    pub fn stage(&mut self, before: usize, record: StageRecord) {
+        let stages = &mut self.report.header.stages;
+        stages.truncate(before);
+        stages.push(record);
     }
 
     /// Adds a step. Steps can come in any order.

@@ -1,13 +1,16 @@
 //! Prepares a resumed run for frame formats that it has not written before. A point cache is filled from the existing
 //! frames; other formats start at the first new frame.
 
+use std::path::Path;
+
 use super::atomic::WriteError;
 use super::frames::FrameFormat;
 use super::pc2::{self, Pc2Error, Pc2Writer};
 use super::{FrameSource, FramesError, RunDirectory};
 use crate::mesh::TriangleMesh;
 
-/// Prepares `directory` for frames of `mesh` from `first_frame` on in `formats`. Returns one sentence for each format
+/// Prepares `directory` for frames of `mesh` from `first_frame` on in `formats`. `since`: the first frame of this mesh
+/// in a run that has sewn another one before. Returns one sentence for each format
 /// that will lack earlier frames.
 ///
 /// # Errors
@@ -16,14 +19,19 @@ pub fn take_up_formats(
     directory: &RunDirectory,
     formats: &[FrameFormat],
     mesh: &TriangleMesh,
+    since: Option<u32>,
     first_frame: u32,
 ) -> Result<Vec<String>, FramesError> {
     let mut sentences = Vec::new();
-    let mut cached = pc2::samples(&directory.point_cache()).unwrap_or(0);
+    let start = since.unwrap_or(0);
+    let path = if since.is_some() { directory.second_point_cache() } else { directory.point_cache() };
+    let there = pc2::start(&path).ok().filter(|&found| found == start).and_then(|_| pc2::samples(&path).ok());
+    let mut cached = start + there.unwrap_or(0);
     if formats.contains(&FrameFormat::Pc2) && cached < first_frame {
-        fill_point_cache(directory, mesh, first_frame)?;
+        fill_point_cache(directory, mesh, &path, start, first_frame)?;
         cached = first_frame;
-        sentences.push(format!("cloth.pc2: frames 0 to {} converted from those in frames/", first_frame - 1));
+        let (name, last) = (path.file_name().unwrap_or_default().display(), first_frame - 1);
+        sentences.push(format!("{name}: frames {start} to {last} converted from those in frames/"));
     }
     let last = first_frame - 1;
     let there = |format: FrameFormat| match format {
@@ -43,27 +51,34 @@ pub fn take_up_formats(
     Ok(sentences)
 }
 
-/// Writes frames 0 to `frames - 1` into the point cache, which replaces an existing one only when it is complete.
-fn fill_point_cache(directory: &RunDirectory, mesh: &TriangleMesh, frames: u32) -> Result<(), FramesError> {
+/// Writes frames `start` to `end - 1` into the point cache `path`, which replaces an existing one only when it is
+/// complete.
+fn fill_point_cache(
+    directory: &RunDirectory,
+    mesh: &TriangleMesh,
+    path: &Path,
+    start: u32,
+    end: u32,
+) -> Result<(), FramesError> {
     let source = FrameSource::open(directory)?;
     let numbers = source.numbers();
-    let path = directory.point_cache();
-    let whole = (0..).zip(&numbers).take_while(|(expected, number)| expected == *number).count() as u32;
-    if whole < frames {
-        return Err(Pc2Error::Gap { path, frame: frames, samples: whole }.into());
+    let from_start = numbers.iter().skip_while(|&&number| number < start);
+    let samples = start + (start..).zip(from_start).take_while(|(expected, number)| expected == *number).count() as u32;
+    if samples < end {
+        return Err(Pc2Error::Gap { path: path.into(), frame: end, samples }.into());
     }
     // A killed conversion leaves a file that the next start sweeps.
     let new = path.with_file_name(".cloth.pc2.part");
     let fill = || -> Result<(), FramesError> {
-        let mut cache = Pc2Writer::open(&new, mesh.positions.len(), 0)?;
-        for frame in 0..frames {
+        let mut cache = Pc2Writer::open_from(&new, mesh.positions.len(), start, start)?;
+        for frame in start..end {
             let there = source.read(frame)?;
             if there.positions.len() != mesh.positions.len() || there.triangles != mesh.triangles {
                 return Err(FramesError::OtherMesh { folder: directory.frames(), frame });
             }
             cache.write(frame, &there.positions)?;
         }
-        std::fs::rename(&new, &path).map_err(|error| Pc2Error::from(WriteError::at(&path)(error)).into())
+        std::fs::rename(&new, path).map_err(|error| Pc2Error::from(WriteError::at(path)(error)).into())
     };
     fill().inspect_err(|_| drop(std::fs::remove_file(&new)))
 }

@@ -20,6 +20,7 @@ use super::model::CONTACT_STIFFNESS;
 use super::parsed::ParsedScene;
 use super::pins::{PinSource, Selection};
 use super::placement::unplaced_mesh;
+use super::seam_file::SewingSource;
 use super::{Fabric, Motion, Plasticity, SceneError, Settings, StrainLimit, load_fabric};
 
 use common::{UNMOVED, find, placement};
@@ -75,12 +76,15 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         origin_m,
         cloths,
         pins,
+        seams: Vec::new(),
+        sewing: SewingSource::default(),
         motions,
         followed: Vec::new(),
         obstacles,
         settings,
         warnings,
         left_out: left_out.lines,
+        seams_at: list.place(),
         cloths_at: list.place(),
         pins_at: root.get("handles").unwrap_or(root).place(),
     };

@@ -6,11 +6,15 @@ use std::path::{Path, PathBuf};
 use crate::math::{DQuat, DVec3};
 use crate::mesh::{FileMesh, MaterialSource, Outline};
 
-use super::cloth_source::{ClothSource, GarmentSource, Shape, SheetKind, SheetSource, StartVelocity, UnplacedCloth};
+use super::cloth_source::{
+    ClothSource, GarmentSource, PatternSource, Shape, SheetKind, SheetSource, StartVelocity, UnplacedCloth,
+};
 use super::fields::{Fields, Value};
 use super::files::find;
+use super::pattern::{Pattern, is_pattern};
 use super::person::{Garment, KINDS};
 use super::placement::{Placement, unplaced_mesh};
+use super::seam_file::read_seams;
 use super::{Fabric, Plasticity, RESOLUTIONS, SceneError, StrainLimit};
 
 pub(super) const FABRIC_FIELDS: [&str; 11] = [
@@ -99,7 +103,7 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 21] = [
+pub(super) const CLOTH_FIELDS: [&str; 22] = [
     "name",
     "sheet",
     "garment",
@@ -107,6 +111,7 @@ pub(super) const CLOTH_FIELDS: [&str; 21] = [
     "material",
     "weld_m",
     "subdivide",
+    "seams",
     "plane",
     "origin_m",
     "rotate_deg",
@@ -131,9 +136,9 @@ pub(super) const SHEET_FIELDS: [&str; 4] = ["size_m", "radius_m", "triangles", "
 pub(super) const GARMENT_FIELDS: [&str; 8] =
     ["kind", "ease_m", "hem_m", "width_m", "pleats", "pleat_depth_m", "open", "triangles"];
 
-/// Triangles of every cloth's sheet or garment (0 for a mesh). Without a count of its own, it gets a share of the
-/// scene's resolution in proportion to its area.
-pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<f64>, SceneError> {
+/// Triangles of every cloth's sheet, garment or pattern (0 for a mesh). Without a count of its own, it gets a share of
+/// the scene's resolution in proportion to its area.
+pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields], path: &Path) -> Result<Vec<f64>, SceneError> {
     let mut areas = Vec::new();
     let mut given = Vec::new();
     for cloth in cloths {
@@ -148,7 +153,14 @@ pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields]) -> Result<Vec<
             Some(_) if count.is_none() => garment(&worn)?.area(),
             _ => None,
         };
-        areas.push(rectangle.or(disc).or(garment).unwrap_or(0.0));
+        let pattern = match cloth.get("mesh") {
+            Some(file) if file.is_text() && is_pattern(file.text()?) => {
+                let found = find(path, file.text()?).map_err(|what| file.error(what))?;
+                Some(Pattern::read(&found)?.area_m2())
+            }
+            _ => None,
+        };
+        areas.push(rectangle.or(disc).or(garment).or(pattern).unwrap_or(0.0));
         given.push(count);
     }
     let area: f64 = areas.iter().sum();
@@ -182,11 +194,25 @@ pub(super) fn cloth(
     let shape = match (fields.get("sheet"), fields.get("garment"), fields.get("mesh")) {
         (Some(_), None, None) => Shape::Sheet(sheet(fields, triangles, placement)?),
         (None, Some(_), None) => {
-            if let Some(key) = ["material", "weld_m", "plane"].into_iter().find(|key| fields.get(key).is_some()) {
+            if let Some(key) =
+                ["material", "weld_m", "plane", "seams"].into_iter().find(|key| fields.get(key).is_some())
+            {
                 return Err(fields.error_at(key, "does not belong to a cloth with a `garment`"));
             }
             let garment = garment(&fields.table("garment", &GARMENT_FIELDS)?)?;
             Shape::Garment(GarmentSource { garment, placement, triangles, at: fields.place_at("garment") })
+        }
+        (None, None, Some(file)) if file.is_text() && is_pattern(file.text()?) => {
+            if let Some(key) =
+                ["material", "weld_m", "subdivide", "plane"].into_iter().find(|key| fields.get(key).is_some())
+            {
+                return Err(fields.error_at(key, "does not belong to a cloth whose `mesh` is a pattern"));
+            }
+            let pattern = Pattern::read(&find(path, file.text()?).map_err(|what| file.error(what))?)?;
+            if fields.or("seams", true, Value::boolean)? && !pattern.has_seams() && fields.get("seams").is_some() {
+                return Err(fields.error_at("seams", "the pattern has no stitches"));
+            }
+            Shape::Pattern(PatternSource { pattern, placement, triangles, at: file.place() })
         }
         (None, None, Some(file)) => {
             let (mesh, path) = mesh(fields, &file, placement, path, remarks)?;
@@ -241,6 +267,7 @@ fn mesh(
         return Err(fields.error_at("subdivide", format!("makes more than {} triangles of the mesh", i32::MAX)));
     }
     mesh.divide(times);
+    take_seams(fields, &mut mesh, &found, path, remarks)?;
     remarks.left_out.extend(mesh.left_out(&found));
     remarks.warnings.extend(mesh.warnings(&found, placement.scale));
     if source == MaterialSource::TextureOrShape && mesh.fit.is_none() {
@@ -251,8 +278,42 @@ fn mesh(
     Ok((mesh, found))
 }
 
+/// Seams beside the mesh: those of a file, or those that the mesh's own file has.
+fn take_seams(
+    fields: &Fields,
+    mesh: &mut FileMesh,
+    found: &Path,
+    path: &Path,
+    remarks: &mut Remarks,
+) -> Result<(), SceneError> {
+    match fields.get("seams") {
+        Some(value) if value.is_text() => {
+            let file = find(path, value.text()?).map_err(|what| value.error(what))?;
+            mesh.seams = read_seams(&file)?;
+        }
+        Some(value) => {
+            let wanted = value.boolean()?;
+            if wanted && mesh.seams.is_empty() {
+                return Err(value.error(format!("{} has no seams (`stitch` records)", found.display())));
+            }
+            if !wanted {
+                mesh.seams.clear();
+            }
+        }
+        None if !mesh.seams.is_empty() => {
+            let count = std::mem::take(&mut mesh.seams).len();
+            let what = format!("{}: its {count} seams are not sewn; `seams = true` sews them", found.display());
+            remarks.left_out.push(what);
+        }
+        None => {}
+    }
+    Ok(())
+}
+
 fn sheet(fields: &Fields, triangles: f64, placement: Placement) -> Result<SheetSource, SceneError> {
-    if let Some(key) = ["material", "scale", "weld_m", "subdivide"].into_iter().find(|key| fields.get(key).is_some()) {
+    if let Some(key) =
+        ["material", "scale", "weld_m", "subdivide", "seams"].into_iter().find(|key| fields.get(key).is_some())
+    {
         return Err(fields.error_at(key, "belongs to a cloth with a `mesh`; this one has a `sheet`"));
     }
     let sheet = fields.table("sheet", &SHEET_FIELDS)?;

@@ -8,6 +8,7 @@ use crate::mesh::{FileMesh, Outline};
 use super::SceneError;
 use super::error::Place;
 use super::fabric::Fabric;
+use super::pattern::Pattern;
 use super::person::Garment;
 use super::placement::{Placement, place_mesh};
 
@@ -30,6 +31,8 @@ pub(super) enum Shape {
     Sheet(SheetSource),
     /// A garment of a person, meshed at the requested resolution.
     Garment(GarmentSource),
+    /// The panels of a sewing pattern, meshed at the requested resolution.
+    Pattern(PatternSource),
     /// A mesh from a file, placed relative to the scene's local origin; the same at every resolution.
     Mesh(FileMesh),
 }
@@ -52,6 +55,17 @@ pub(super) struct SheetSource {
 #[derive(Clone, Debug)]
 pub(super) struct GarmentSource {
     pub garment: Garment,
+    /// In coordinates relative to the scene's local origin.
+    pub placement: Placement,
+    /// Triangles at the scene's own resolution.
+    pub triangles: f64,
+    pub at: Place,
+}
+
+/// A sewing pattern.
+#[derive(Clone, Debug)]
+pub(super) struct PatternSource {
+    pub pattern: Pattern,
     /// In coordinates relative to the scene's local origin.
     pub placement: Placement,
     /// Triangles at the scene's own resolution.
@@ -82,6 +96,7 @@ impl ClothSource {
         match &self.shape {
             Shape::Sheet(sheet) => Some(sheet.triangles),
             Shape::Garment(garment) => Some(garment.triangles),
+            Shape::Pattern(pattern) => Some(pattern.triangles),
             Shape::Mesh(_) => None,
         }
     }
@@ -103,6 +118,7 @@ impl UnplacedCloth {
         match &self.source.shape {
             Shape::Mesh(file) => self.placement.bounds(&file.mesh.positions, file.base),
             Shape::Garment(source) => self.placement.box_of(source.garment.bounds()),
+            Shape::Pattern(source) => self.placement.box_of(source.pattern.bounds()),
             Shape::Sheet(sheet) => {
                 let [low, high] = sheet.outline.bounds();
                 let corners = [[low.x, low.y], [high.x, low.y], [low.x, high.y], [high.x, high.y]];
@@ -118,6 +134,7 @@ impl UnplacedCloth {
             Shape::Mesh(mesh) => place_mesh(mesh, &self.file.unwrap_or_default(), &placement)?,
             Shape::Sheet(sheet) => sheet.placement = placement,
             Shape::Garment(garment) => garment.placement = placement,
+            Shape::Pattern(pattern) => pattern.placement = placement,
         }
         Ok(source)
     }

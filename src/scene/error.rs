@@ -27,6 +27,18 @@ pub enum SceneError {
     Mesh(#[from] MeshReadError),
 }
 
+impl SceneError {
+    /// What is wrong, without the place.
+    pub(super) fn what(&self) -> String {
+        match self {
+            SceneError::File { what, .. } | SceneError::Syntax { what, .. } | SceneError::Field { what, .. } => {
+                what.clone()
+            }
+            other => other.to_string(),
+        }
+    }
+}
+
 fn line_suffix(line: Option<usize>) -> String {
     line.map(|line| format!(", line {line}")).unwrap_or_default()
 }

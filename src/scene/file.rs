@@ -11,6 +11,7 @@ use super::model::RESOLUTIONS;
 use super::obstacle_file::{OBSTACLE_FIELDS, is_from_file, obstacle};
 use super::parsed::ParsedScene;
 use super::pin_file::{PIN_FIELDS, Paths, pin};
+use super::seam_file::{SEAM_FIELDS, seam, seams_of_cloth, sewing};
 use super::settings_file::settings;
 use super::time_table::time_table;
 use super::{Fabric, SceneError, TimeTable};
@@ -18,8 +19,8 @@ use super::{Fabric, SceneError, TimeTable};
 /// Triangles of all sheets together if neither the scene nor the command line gives a resolution.
 const DEFAULT_RESOLUTION: u64 = 10_000;
 
-const ROOT_FIELDS: [&str; 9] =
-    ["name", "resolution", "simulation", "time", "air", "fabric", "cloth", "pin", "obstacle"];
+const ROOT_FIELDS: [&str; 11] =
+    ["name", "resolution", "simulation", "time", "air", "fabric", "cloth", "seam", "sewing", "pin", "obstacle"];
 
 /// Reads `[time]` alone.
 pub(super) fn read_time_table(text: &str, path: &Path) -> Result<TimeTable, SceneError> {
@@ -50,7 +51,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         return Err(root.error_at("cloth", "a scene needs at least one `[[cloth]]`"));
     }
     let resolution = root.or("resolution", DEFAULT_RESOLUTION, |value| value.whole(RESOLUTIONS))?;
-    let triangles = sheet_triangles(resolution, &tables)?;
+    let triangles = sheet_triangles(resolution, &tables, path)?;
     let (mut cloths, mut warnings, mut left_out) = (Vec::with_capacity(tables.len()), Vec::new(), Vec::new());
     for (i, table) in tables.iter().enumerate() {
         cloths.push(cloth(
@@ -75,12 +76,26 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
     for fields in root.tables("pin", &PIN_FIELDS)? {
         pins.push(pin(&fields, &cloths, &obstacles, origin_m, &mut paths)?);
     }
+    let mut seams = Vec::new();
+    for (i, table) in tables.iter().enumerate() {
+        seams.extend(seams_of_cloth(table, i, &cloths[i])?);
+    }
+    for (i, fields) in root.tables("seam", &SEAM_FIELDS)?.iter().enumerate() {
+        seams.push(seam(fields, i, &cloths)?);
+    }
+    let sewing = sewing(&root, !seams.is_empty())?;
+    let seams_at = match root.get("seam") {
+        Some(_) => root.place_at("seam"),
+        None => root.place_at("cloth"),
+    };
     let scene = ParsedScene {
         path: path.into(),
         name,
         origin_m,
         cloths,
         pins,
+        seams,
+        sewing,
         motions: paths.motions,
         followed: paths.followed,
         obstacles,
@@ -89,6 +104,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         left_out,
         cloths_at: root.place_at("cloth"),
         pins_at: root.place_at("pin"),
+        seams_at,
     };
     Ok(scene.warn_of_sizes(|obstacle| from_file[obstacle]))
 }

@@ -7,6 +7,7 @@ use super::fabric::Fabric;
 use super::motion::Motion;
 use super::obstacle::Obstacle;
 use super::preconditioner::PreconditionerKind;
+use super::sewing::Sewing;
 use super::substeps::Substeps;
 
 /// Values from the command line that replace those of a scene.
@@ -57,6 +58,8 @@ pub struct Scene {
     pub obstacles: Vec<Obstacle>,
     /// Objects and groups of the pieces' mesh files, as triangles of the scene, ascending.
     pub parts: Vec<Part>,
+    /// What its seams sew; none if it has no seams, or once they are sewn.
+    pub sewing: Option<Sewing>,
     /// Settings of the run.
     pub settings: Settings,
     /// One sentence for every repair and for every value that is probably a mistake.

@@ -5,15 +5,24 @@
 
 use std::path::PathBuf;
 
-use crate::math::DVec3;
-use crate::mesh::{Refinement, extent};
+use crate::math::{DVec3, Vec3};
+use crate::mesh::{Refinement, SewnMesh, extent};
 
 use super::cloth_source::{ClothSource, Shape};
 use super::error::Place;
-use super::pieces::{Piece, merge, obstacle_warning, size_warning};
+use super::pieces::{Merged, Piece, merge, obstacle_warning, size_warning};
 use super::pins::{self, PinSource};
+use super::seam::{Joint, Joints, SeamSource, sew};
+use super::seam_fault::{fault_sentence, panel_of};
+use super::seam_file::SewingSource;
 use super::start::{GivenStart, Start, StartState};
-use super::{Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Untangling};
+use super::{
+    Closing, Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Sewing, Untangling,
+};
+
+/// Last length of a thread over `weld_m`. A thread that shrank to nothing would draw the sides through each other, and
+/// what keeps them apart would work against it in every step.
+const LAST_LENGTH: f64 = 0.25;
 
 /// A scene file that was read and checked, before a resolution is chosen.
 ///
@@ -26,6 +35,8 @@ pub struct ParsedScene {
     pub(super) origin_m: DVec3,
     pub(super) cloths: Vec<ClothSource>,
     pub(super) pins: Vec<PinSource>,
+    pub(super) seams: Vec<SeamSource>,
+    pub(super) sewing: SewingSource,
     pub(super) motions: Vec<Motion>,
     /// Obstacles that pins follow.
     pub(super) followed: Vec<u32>,
@@ -37,6 +48,8 @@ pub struct ParsedScene {
     pub(super) cloths_at: Place,
     /// Position of the field that lists the pins.
     pub(super) pins_at: Place,
+    /// Position of the field that lists the seams.
+    pub(super) seams_at: Place,
 }
 
 impl ParsedScene {
@@ -118,22 +131,37 @@ impl ParsedScene {
         coarsenings: usize,
         start: &mut StartState,
     ) -> Result<(Scene, Vec<Refinement>), SceneError> {
-        let pieces = self.pieces(overrides, coarsenings)?;
-        let scene = self.build(overrides, &pieces, start)?;
+        if !self.seams.is_empty() && coarsenings > 0 {
+            return Err(self.seams_at.error("cloth that is sewn has no coarser level (--segments)"));
+        }
+        let (pieces, joints) = self.pieces(overrides, coarsenings)?;
+        let scene = self.build(overrides, &pieces, &joints, start)?;
         Ok((scene, pieces.into_iter().map(|piece| piece.refinement).collect()))
     }
 
-    fn pieces(&self, overrides: &Overrides, coarsenings: usize) -> Result<Vec<Piece<'_>>, SceneError> {
+    /// The pieces with the vertices that seams add, and what the seams join.
+    fn pieces(&self, overrides: &Overrides, coarsenings: usize) -> Result<(Vec<Piece<'_>>, Joints), SceneError> {
         let factor = self.resolution_factor(overrides.resolution)?;
-        self.cloths.iter().map(|cloth| Piece::new(cloth, factor, coarsenings)).collect()
+        let piece = |cloth| Piece::new(cloth, factor, coarsenings);
+        let mut pieces: Vec<Piece<'_>> = self.cloths.iter().map(piece).collect::<Result<_, _>>()?;
+        let joints = if self.seams.is_empty() { Joints::default() } else { sew(&mut pieces, &self.seams)? };
+        Ok((pieces, joints))
     }
 
     fn build_finest(&self, overrides: &Overrides, start: &mut StartState) -> Result<Scene, SceneError> {
-        self.build(overrides, &self.pieces(overrides, 0)?, start)
+        let (pieces, joints) = self.pieces(overrides, 0)?;
+        self.build(overrides, &pieces, &joints, start)
     }
 
-    fn build(&self, overrides: &Overrides, pieces: &[Piece], start: &mut StartState) -> Result<Scene, SceneError> {
-        let settings = Settings { frames: overrides.frames.unwrap_or(self.settings.frames), ..self.settings.clone() };
+    fn build(
+        &self,
+        overrides: &Overrides,
+        pieces: &[Piece],
+        joints: &Joints,
+        start: &mut StartState,
+    ) -> Result<Scene, SceneError> {
+        let mut settings =
+            Settings { frames: overrides.frames.unwrap_or(self.settings.frames), ..self.settings.clone() };
         let mut merged = merge(pieces, settings.friction).map_err(|what| self.cloths_at.error(what))?;
         let mut held: Vec<Pin> = Vec::new();
         for pin in &self.pins {
@@ -146,8 +174,12 @@ impl ParsedScene {
             let what = "is held by two pins at the same time that move it differently";
             self.pins_at.error(format!("vertex {vertex} {what}"))
         })?;
+        let (sewing, not_sewn) = self.sewing_of(&merged, joints, &pins)?;
+        if sewing.is_some() && !self.sewing.gravity {
+            settings.gravity_m_s2 = Vec3::ZERO;
+        }
         // A sheet that starts as a sheet is flat.
-        let flat: Vec<bool> = pieces.iter().map(|piece| piece.sheet.is_some() && start.given.is_none()).collect();
+        let flat: Vec<bool> = pieces.iter().map(|piece| piece.is_flat() && start.given.is_none()).collect();
         Start {
             path: &self.path,
             resolution: overrides.resolution,
@@ -172,10 +204,82 @@ impl ParsedScene {
             cloths: merged.cloths,
             obstacles: self.obstacles.clone(),
             parts: merged.parts,
+            sewing,
             settings,
             warnings: self.warnings.clone(),
-            left_out: self.left_out.clone(),
+            left_out: self.left_out.iter().chain(&joints.left_out).chain(&not_sewn).cloned().collect(),
         })
+    }
+
+    /// What the joints of a scene sew, none without joints; and a sentence for every seam that does not make cloth.
+    fn sewing_of(
+        &self,
+        merged: &Merged,
+        joints: &Joints,
+        pins: &[Pin],
+    ) -> Result<(Option<Sewing>, Vec<String>), SceneError> {
+        let mesh = &merged.mesh;
+        let of_joint = |joint: &Joint| {
+            let [a, b] = joint.ends.map(|(cloth, vertex)| merged.cloths[cloth].vertices.start + vertex);
+            ([a.min(b), a.max(b)], joint.seam)
+        };
+        let number = |v: u32| {
+            let cloth = merged.cloths.iter().find(|cloth| cloth.vertices.contains(&v));
+            v - cloth.map_or(0, |cloth| cloth.vertices.start)
+        };
+        let panel = |triangle: u32| panel_of(&merged.parts, &merged.cloths, triangle);
+        let (mut left_out, mut dropped) = (Vec::new(), vec![false; joints.names.len()]);
+        let (pairs, seam_of_pair) = loop {
+            let sewn = joints.joints.iter().filter(|joint| !dropped[joint.seam as usize]);
+            let mut both: Vec<([u32; 2], u32)> = sewn.map(of_joint).collect();
+            both.retain(|([a, b], _)| a != b);
+            both.sort_unstable();
+            both.dedup_by_key(|(pair, _)| *pair);
+            let (pairs, seams): (Vec<[u32; 2]>, Vec<u32>) = both.into_iter().unzip();
+            let Err(fault) = SewnMesh::new(mesh, &pairs) else { break (pairs, seams) };
+            let at = |v: u32| pairs.iter().position(|pair| pair.contains(&v)).map(|pair| seams[pair]);
+            let seam_of = |v: u32| at(v).map(|seam| joints.names[seam as usize].clone());
+            let what = fault_sentence(fault, mesh, seam_of, panel, number);
+            let of_fault = fault.vertices().into_iter().filter_map(at);
+            match of_fault.into_iter().find(|&seam| joints.lenient[seam as usize]) {
+                Some(seam) => {
+                    dropped[seam as usize] = true;
+                    left_out.push(format!("seam `{}` is not sewn: {what}", joints.names[seam as usize]));
+                }
+                None => return Err(self.seams_at.error(what)),
+            }
+        };
+        if pairs.is_empty() {
+            return Ok((None, left_out));
+        }
+        let seam_name = |pair: usize| joints.names[seam_of_pair[pair] as usize].clone();
+        let held = |v: u32| pins.iter().find(|pin| pin.vertex == v);
+        for (i, &[a, b]) in pairs.iter().enumerate() {
+            let apart_m = mesh.positions[a as usize].as_dvec3().distance(mesh.positions[b as usize].as_dvec3());
+            if let (Some(one), Some(other)) = (held(a), held(b))
+                && (apart_m > 0.5 * self.sewing.weld_m || one.motion != other.motion)
+            {
+                let [a, b] = [a, b].map(|v| {
+                    let triangle = mesh.triangles.iter().position(|t| t.contains(&v)).unwrap_or_default() as u32;
+                    format!("vertex {} of {}", number(v), panel(triangle))
+                });
+                return Err(self.seams_at.error(format!(
+                    "seam `{}` joins {a} and {b}, but pins hold both, {apart_m:.3} m apart at the start",
+                    seam_name(i)
+                )));
+            }
+        }
+        let longest = |longest: f64, &[a, b]: &[u32; 2]| {
+            longest.max(mesh.positions[a as usize].as_dvec3().distance(mesh.positions[b as usize].as_dvec3()))
+        };
+        let longest_m = pairs.iter().fold(0.0, longest);
+        let SewingSource { close_s, close_speed_m_s, weld_m, refine, .. } = self.sewing;
+        let gravity_m_s2 = self.settings.gravity_m_s2;
+        let close_s = close_speed_m_s.map_or(close_s, |speed| (longest_m / speed).max(self.settings.step_s));
+        let closing = Closing { close_s, last_m: LAST_LENGTH * weld_m };
+        let names = joints.names.clone();
+        let sewing = Sewing { pairs, names, seam_of_pair, closing, weld_m, refine, gravity_m_s2 };
+        Ok((Some(sewing), left_out))
     }
 
     /// Adds a warning for every mesh whose size is implausible: that of a cloth for its thickness, that of an
@@ -192,6 +296,10 @@ impl ParsedScene {
                 }
                 Shape::Garment(source) => {
                     let (low, high) = source.placement.box_of(source.garment.bounds());
+                    (high - low).max_element()
+                }
+                Shape::Pattern(source) => {
+                    let (low, high) = source.placement.box_of(source.pattern.bounds());
                     (high - low).max_element()
                 }
                 Shape::Sheet(sheet) => {
@@ -221,7 +329,7 @@ impl ParsedScene {
         let mut shares = self.cloths.iter().filter_map(ClothSource::triangles).peekable();
         if shares.peek().is_none() {
             return Err(fault(
-                "the resolution of a scene can be chosen for sheets and garments only, and this scene has none",
+                "the resolution can be chosen for sheets, garments and patterns only, and this scene has none",
             ));
         }
         Ok(wanted as f64 / shares.sum::<f64>())

@@ -3,9 +3,9 @@
 use std::borrow::Cow;
 
 use crate::math::{DVec2, DVec3, Vec3};
-use crate::mesh::{FileMesh, NestedSheet, Outline, Part, Refinement, TriangleMesh, validate};
+use crate::mesh::{EdgeCut, FileMesh, NestedSheet, Outline, Part, Refinement, TriangleMesh, validate};
 
-use super::cloth_source::{ClothSource, GarmentSource, Shape, SheetKind, SheetSource, StartVelocity};
+use super::cloth_source::{ClothSource, GarmentSource, PatternSource, Shape, SheetKind, SheetSource, StartVelocity};
 use super::sheet::SheetMesh;
 use super::{Cloth, Fabric, SceneError, sheet_cells};
 
@@ -16,6 +16,8 @@ pub(super) struct Piece<'a> {
     pub cloth: Cow<'a, FileMesh>,
     /// Present if the piece is a generated sheet.
     pub sheet: Option<SheetMesh>,
+    /// True if seams have added vertices.
+    is_cut: bool,
     /// From this piece to the one that no coarsening was asked for.
     pub refinement: Refinement,
 }
@@ -31,12 +33,8 @@ impl<'a> Piece<'a> {
                     .map_or((Cow::Borrowed(mesh), same), |(mesh, refinement)| (Cow::Owned(mesh), refinement));
                 (cloth, None, refinement)
             }
-            // Its triangles are nested in no coarser ones.
-            Shape::Garment(source) => {
-                let mesh = garment_mesh(source, factor)?;
-                let same = Refinement::none(mesh.mesh.positions.len(), mesh.mesh.triangles.len());
-                (Cow::Owned(mesh), None, same)
-            }
+            Shape::Garment(source) => unnested(garment_mesh(source, factor)?),
+            Shape::Pattern(source) => unnested(pattern_mesh(source, factor)?),
             Shape::Sheet(sheet) => {
                 let cells = sheet_mesh(sheet, factor, coarsenings)?;
                 let uv = cells.coordinates();
@@ -53,16 +51,36 @@ impl<'a> Piece<'a> {
                 (Cow::Owned(FileMesh::from(mesh)), Some(cells), refinement)
             }
         };
-        Ok(Piece { source, cloth, sheet, refinement })
+        Ok(Piece { source, cloth, sheet, is_cut: false, refinement })
+    }
+
+    /// Adds vertices on edges of the piece, which has no coarser level from then on.
+    pub(super) fn cut_edges(&mut self, cuts: &[EdgeCut]) -> Vec<u32> {
+        let added = self.cloth.to_mut().cut_edges(cuts);
+        let mesh = &self.cloth.mesh;
+        self.refinement = Refinement::none(mesh.positions.len(), mesh.triangles.len());
+        self.is_cut = true;
+        added
+    }
+
+    /// True for a sheet of which every vertex lies exactly in one plane.
+    pub(super) fn is_flat(&self) -> bool {
+        self.sheet.is_some() && !self.is_cut
     }
 
     /// The mesh that pins select vertices of: a mesh from a file as the file has it, however coarse the piece is.
     pub(super) fn selected_from(&self) -> &FileMesh {
         match &self.source.shape {
-            Shape::Mesh(mesh) => mesh,
-            Shape::Sheet(_) | Shape::Garment(_) => &self.cloth,
+            Shape::Mesh(mesh) if !self.is_cut => mesh,
+            Shape::Mesh(_) | Shape::Sheet(_) | Shape::Garment(_) | Shape::Pattern(_) => &self.cloth,
         }
     }
+}
+
+/// A mesh whose triangles are nested in no coarser ones.
+fn unnested<'a>(mesh: FileMesh) -> (Cow<'a, FileMesh>, Option<SheetMesh>, Refinement) {
+    let same = Refinement::none(mesh.mesh.positions.len(), mesh.mesh.triangles.len());
+    (Cow::Owned(mesh), None, same)
 }
 
 /// The mesh that `fine` divides into four, `coarsenings` times; none if there is none.
@@ -81,6 +99,14 @@ fn coarser_mesh(fine: &FileMesh, coarsenings: usize) -> Option<(FileMesh, Refine
 fn garment_mesh(source: &GarmentSource, factor: f64) -> Result<FileMesh, SceneError> {
     let few = || source.at.error("cannot be made with so few triangles; give more, or a higher resolution");
     let mut mesh = source.garment.mesh(source.triangles * factor).ok_or_else(few)?;
+    source.placement.place(&mut mesh.mesh, DVec3::ZERO);
+    validate(&mesh.mesh).map_err(|fault| source.at.error(fault.to_string()))?;
+    Ok(mesh)
+}
+
+/// Meshes the panels of a pattern with `factor` times its triangles.
+fn pattern_mesh(source: &PatternSource, factor: f64) -> Result<FileMesh, SceneError> {
+    let mut mesh = source.pattern.mesh(source.triangles * factor).map_err(|what| source.at.error(what))?;
     source.placement.place(&mut mesh.mesh, DVec3::ZERO);
     validate(&mesh.mesh).map_err(|fault| source.at.error(fault.to_string()))?;
     Ok(mesh)

@@ -96,7 +96,11 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Resu
         return Err(pin.error_at(key, "belongs to a pin with an `edge`"));
     }
     if matches!(way, "corners" | "edge") && !matches!(cloth.shape, Shape::Sheet(_)) {
-        let what = if matches!(cloth.shape, Shape::Mesh(_)) { "mesh" } else { "garment" };
+        let what = match cloth.shape {
+            Shape::Mesh(_) => "mesh",
+            Shape::Pattern(_) => "pattern",
+            Shape::Sheet(_) | Shape::Garment(_) => "garment",
+        };
         return Err(value.error(format!("`{}` is a {what}; only a sheet has corners and edges", cloth.name)));
     }
     let select = match way {

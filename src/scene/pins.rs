@@ -152,6 +152,12 @@ fn edge(sheet: &SheetMesh, edge: Edge) -> Vec<u32> {
     }
 }
 
+/// The vertices along the edge of this name; none if there is no such edge.
+pub(super) fn sheet_edge(sheet: &SheetMesh, name: &str) -> Option<Vec<u32>> {
+    let (_, which) = EDGES.into_iter().find(|(known, _)| *known == name).filter(|_| sheet.has_sides())?;
+    Some(edge(sheet, which))
+}
+
 /// Selects `count` of the vertices, evenly spread and including the first and the last; all vertices if there are
 /// fewer.
 pub(super) fn evenly(vertices: &[u32], count: usize) -> Vec<u32> {

@@ -135,6 +135,7 @@ impl Collisions {
         let normal_forces = NormalForces::new(partition.rows_of(plan.rank), rows);
         let mut detector = Detector::new(mesh, params).map_err(|error| unfit(error.to_string()))?;
         detector.limit_memory(model.memory_limit_bytes);
+        detector.sew(&std::mem::take(&mut model.arrays.sewn));
         Ok(Collisions {
             detector,
             cpu,
@@ -412,7 +413,9 @@ impl Collisions {
         traced.finish(0);
         stats.state_bytes += 4 * (self.partition.rows() * 3 - own.len()) as u64;
         clock.lap(&mut stats.seconds.positions);
-        let mut zones = ImpactZones::new(ZoneSettings::for_thickness(self.model.thickness_m));
+        let mut settings = ZoneSettings::for_thickness(self.model.thickness_m);
+        settings.margin_m = self.model.margin_m.map_or(settings.margin_m, |margin_m| margin_m.min(settings.margin_m));
+        let mut zones = ImpactZones::new(settings);
         let mut touched: Option<Vec<bool>> = None;
         let (mut most, mut last) = (0, usize::MAX);
         loop {

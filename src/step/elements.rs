@@ -11,20 +11,22 @@ use crate::forces::bend::Bend;
 use crate::forces::crease;
 use crate::forces::fiber;
 use crate::forces::plastic_stretch::{self, NO_HINGE, PlasticTriangle};
+use crate::forces::stitch::{self, RECORDS_STITCH, StitchElement, StitchParams};
 use crate::forces::stretch::Stretch;
 use crate::forces::{
     FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement,
 };
 use crate::gpu::{DeviceVec, Executor, WINDOW_STEP};
 use crate::model::RankArrays;
-use crate::scene::Settings;
+use crate::scene::{Closing, Settings};
 
 /// Triangles and hinges that touch own rows.
 pub(super) struct Elements {
     fabrics: DeviceVec<FabricTable>,
     /// Local vertices.
     pub triangles: DeviceVec<TriangleElement>,
-    /// Local vertices: the hinges, and from `first_fiber` on a fiber per triangle if a fabric has a strain limit.
+    /// Local vertices: the hinges, from `first_fiber` on a fiber per triangle if a fabric has a strain limit, and from
+    /// `first_stitch` on three per thread of a seam.
     pub hinges: DeviceVec<HingeElement>,
     /// As `forces::stretch` lays them out.
     pub triangle_records: DeviceVec<f32>,
@@ -36,6 +38,10 @@ pub(super) struct Elements {
     bends: usize,
     /// First fiber in `hinges`; as many as there are if no fabric has a strain limit.
     first_fiber: usize,
+    fibers: usize,
+    stitches: DeviceVec<StitchElement>,
+    first_stitch: usize,
+    closing: Option<Closing>,
     /// Plastic curvature over yield curvature of every hinge; empty if the folds of no fabric stay.
     hinge_damage: DeviceVec<f32>,
     /// Of every triangle; empty if neither shapes at rest nor damage of triangles change.
@@ -47,26 +53,32 @@ pub(super) struct Elements {
 
 impl Elements {
     /// `creases`: the folds of a fabric of the scene stay.
-    pub(super) fn new(executor: &Executor, arrays: &RankArrays, creases: bool) -> Elements {
+    pub(super) fn new(executor: &Executor, arrays: &RankArrays, creases: bool, closing: Option<Closing>) -> Elements {
         let bends = arrays.hinges.len();
         let mut hinges = Cow::Borrowed(&arrays.hinges);
         let is_limited = arrays.fabrics.iter().any(FabricTable::has_fibers);
         if is_limited {
             let hinges = hinges.to_mut();
-            if let Executor::Gpu(_) = executor {
-                // Kernels see the fibers through bindings that begin at such places. What lies before the first fiber
-                // belongs to no row.
-                let nowhere = HingeElement { vertices: [u32::MAX; 4], ..HingeElement::zeroed() };
-                hinges.resize(bends.next_multiple_of(WINDOW_STEP), nowhere);
-            }
+            fill_window(executor, hinges);
             hinges.extend(arrays.triangles.iter().map(fiber::element));
         }
         let changes_triangles = arrays.fabrics.iter().any(FabricTable::changes_triangles);
         let plastic_triangles = if changes_triangles { plastic_triangles(arrays, creases) } else { Vec::new() };
         let first_fiber = if is_limited { hinges.len() - arrays.triangles.len() } else { bends };
+        let fibers = if is_limited { arrays.triangles.len() } else { 0 };
+        if !arrays.stitches.is_empty() {
+            let hinges = hinges.to_mut();
+            fill_window(executor, hinges);
+            hinges.extend(arrays.stitches.iter().flat_map(StitchElement::hinges));
+        }
+        let first_stitch = hinges.len() - RECORDS_STITCH * arrays.stitches.len();
         let mut elements = Elements {
             bends,
             first_fiber,
+            fibers,
+            stitches: DeviceVec::upload(executor, &arrays.stitches),
+            first_stitch,
+            closing,
             fabrics: DeviceVec::upload(executor, &arrays.fabrics),
             triangles: DeviceVec::upload(executor, &arrays.triangles),
             hinges: DeviceVec::upload(executor, &hinges),
@@ -106,12 +118,16 @@ impl Elements {
         self.stretch.apply(executor, &triangles, fabrics, &self.triangles, x, v, records);
         let records = &mut self.hinge_records;
         self.bend.apply(executor, &hinges, fabrics, &self.hinges, x, v, records);
-        if self.first_fiber < self.hinges.len() {
+        if self.fibers > 0 {
             fiber::apply(executor, &triangles, fabrics, &self.triangles, x, v, self.first_fiber, records);
+        }
+        if let (Some(closing), false) = (&self.closing, self.stitches.is_empty()) {
+            let params = StitchParams::new(span.length_s as f32, ahead_s as f32, closing, span.end_s);
+            stitch::apply(executor, &params, &self.stitches, x, v, self.first_stitch, records);
         }
     }
 
-    /// Number of hinges, fibers not counted.
+    /// Number of hinges, fibers and threads not counted.
     pub(super) fn bends(&self) -> usize {
         self.bends
     }
@@ -194,4 +210,13 @@ fn plastic_triangles(arrays: &RankArrays, creases: bool) -> Vec<PlasticTriangle>
     let mut triangles: Vec<PlasticTriangle> = arrays.triangles.iter().map(with_hinges).collect();
     triangles.iter_mut().zip(&arrays.stretches).for_each(|(triangle, &stretch)| triangle.set_state(stretch));
     triangles
+}
+
+/// Fills up a list of hinges, so that what follows begins where kernels can see it through a binding of its own. What
+/// it is filled with belongs to no row.
+fn fill_window(executor: &Executor, hinges: &mut Vec<HingeElement>) {
+    if let Executor::Gpu(_) = executor {
+        let nowhere = HingeElement { vertices: [u32::MAX; 4], ..HingeElement::zeroed() };
+        hinges.resize(hinges.len().next_multiple_of(WINDOW_STEP), nowhere);
+    }
 }

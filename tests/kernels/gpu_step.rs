@@ -2,10 +2,10 @@
 
 use loomtree::gpu::Executor;
 use loomtree::math::Vec3;
-use loomtree::scene::Scene;
+use loomtree::scene::{Closing, Scene};
 use loomtree::solver::{ExchangeMode, PreconditionerKind};
 use support::device;
-use support::{Outcome, cpu, isotropic_fabric, scene, sheet, simulate};
+use support::{Outcome, cpu, isotropic_fabric, scene, sewn_sheets, sheet, simulate};
 
 /// A sheet hung by two corners in the wind.
 fn hanging(n: usize) -> Scene {
@@ -51,6 +51,22 @@ fn a_device_follows_the_native_executor() {
         // Both solve to 1e-4 of the start; five steps add up to a few micrometres.
         let distance = largest_distance(&found, &expected);
         assert!(distance < 2e-5, "{mode:?}, {ranks} ranks: {distance} m apart");
+    }
+}
+
+#[test]
+fn a_device_sews_as_the_native_executor_does() {
+    if device::executor().is_none() {
+        return;
+    }
+    let mut scene = sewn_sheets(12, Closing { close_s: 0.1, last_m: 0.0 });
+    scene.settings.relative_tolerance = 1e-4;
+    let expected = simulate(&scene, 1, ExchangeMode::Halo, 6, cpu);
+    assert!(expected.positions[11].x > 0.203, "the sheets come closer");
+    for ranks in [1, 2] {
+        let found = simulate(&scene, ranks, ExchangeMode::Halo, 6, gpu);
+        let distance = largest_distance(&found, &expected);
+        assert!(distance < 2e-5, "{ranks} ranks: {distance} m apart");
     }
 }
 

@@ -17,4 +17,5 @@ mod scene_contact;
 mod scene_far;
 mod scene_files;
 mod scene_obstacles;
+mod seams;
 mod trace;

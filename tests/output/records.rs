@@ -227,6 +227,7 @@ fn scene() -> Scene {
         obstacles: Vec::new(),
         settings,
         parts: Vec::new(),
+        sewing: None,
         warnings: Vec::new(),
         left_out: Vec::new(),
     }

@@ -15,6 +15,7 @@ mod overlaps;
 mod pins;
 mod plates;
 mod rest;
+mod seams;
 mod stiff;
 mod stretches;
 mod substeps;

@@ -19,6 +19,7 @@ mod one_process;
 mod resume;
 mod same_bits;
 mod session;
+mod sewing;
 mod solve_command;
 mod start_from;
 mod streams;

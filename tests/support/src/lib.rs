@@ -16,7 +16,7 @@ use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::{GlobalModel, RankModel, RankState, State};
 use loomtree::partition::RowPartition;
-use loomtree::scene::{Fabric, Pin, Scene, Settings, Substeps};
+use loomtree::scene::{Closing, Fabric, Pin, Scene, Settings, Sewing, Substeps};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::{ExchangePlan, Simulation, StepStats};
 use loomtree::telemetry::{Activity, Event, EventName};
@@ -99,6 +99,7 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
             contact_stiffness: 8.0,
         },
         parts: Vec::new(),
+        sewing: None,
         warnings: Vec::new(),
         left_out: Vec::new(),
     }
@@ -178,4 +179,28 @@ pub fn whole_state<'a>(model: &GlobalModel, parts: impl ExactSizeIterator<Item =
 /// The native executor with one thread.
 pub fn cpu(_rank: usize) -> Executor {
     Executor::cpu(1)
+}
+
+/// Two square sheets of `n` x `n` vertices with a gap of 5 cm, drawn together along their facing edges. Nothing holds
+/// them.
+pub fn sewn_sheets(n: usize, closing: Closing) -> Scene {
+    let fabric = isotropic_fabric(200.0, 0.3, 2e-5, 0.15, 0.001);
+    let mut mesh = sheet(n, n, [0.2, 0.2], Vec3::ZERO, Vec3::X, Vec3::Y);
+    let other = sheet(n, n, [0.2, 0.2], Vec3::new(0.25, 0.01, 0.02), Vec3::X, Vec3::Y);
+    let first = mesh.positions.len() as u32;
+    mesh.positions.extend(other.positions);
+    mesh.triangles.extend(other.triangles.iter().map(|t| t.map(|v| v + first)));
+    mesh.material_uv.extend(other.material_uv);
+    let mut scene = scene(mesh, fabric, &[], 0.004, Vec3::ZERO);
+    let row = |j: usize| (j * n) as u32;
+    scene.sewing = Some(Sewing {
+        pairs: (0..n).map(|j| [row(j) + n as u32 - 1, first + row(j)]).collect(),
+        names: vec!["middle".into()],
+        seam_of_pair: vec![0; n],
+        closing,
+        weld_m: 0.001,
+        refine: 1,
+        gravity_m_s2: Vec3::ZERO,
+    });
+    scene
 }

@@ -1,0 +1,297 @@
+//! From panels to sewn cloth: the scene after its seams have closed, and a state of the panels as a state of it.
+//!
+//! Paired vertices become one, whose mass is the sum of theirs, and which keeps their momentum; then triangles are
+//! divided into four as often as the scene asks. The scene that results follows from the panels' scene alone, so that a
+//! run can be resumed on either side of the change.
+
+use std::collections::HashMap;
+
+use super::state::creases_of;
+use super::{Crease, LetGo, State};
+use crate::math::{DVec3, Vec3};
+use crate::mesh::{Part, SewnMesh, TriangleMesh, ascending, hinges};
+use crate::scene::{Cloth, Pin, Scene, Settings};
+
+/// The way from a state of panels to one of the sewn cloth.
+pub struct Sewn {
+    /// Joined vertex of every vertex of the panels.
+    vertex_of: Vec<u32>,
+    /// The vertices of every joined vertex that has several.
+    sets: Vec<Vec<u32>>,
+    /// Masses of the panels' vertices, kg.
+    masses: Vec<f64>,
+    /// Vertices of the panels that a pin holds at some time.
+    is_pinned: Vec<bool>,
+    /// Ends of the edge that every added vertex halves, by level.
+    halved: Vec<Vec<[u32; 2]>>,
+    /// Vertex of the sewn scene of every vertex of the sewn and divided mesh.
+    place_of: Vec<u32>,
+    weld_m: f64,
+    /// Triangles of the sewn cloth in a triangle of the panels.
+    parts: usize,
+    /// Pairs of the panels, with their seams.
+    pairs: Vec<[u32; 2]>,
+    /// Edges in the order of the creases of the panels and of the sewn cloth; empty if no fabric is plastic.
+    hinges_before: Vec<[u32; 2]>,
+    hinges_after: Vec<[u32; 2]>,
+}
+
+impl Sewn {
+    /// The scene that `scene` becomes once it is sewn, and the way to it; none if it has no seams. The sewn scene has
+    /// no seams, and joined vertices lie at the mean of their places at the start.
+    pub fn of(scene: &Scene) -> Option<(Scene, Sewn)> {
+        let sewing = scene.sewing.as_ref()?;
+        let joined = SewnMesh::new(&scene.mesh, &sewing.pairs).ok()?;
+        let mut members: Vec<Vec<u32>> = vec![Vec::new(); joined.mesh.positions.len()];
+        for (v, &joined) in (0u32..).zip(&joined.vertex_of) {
+            members[joined as usize].push(v);
+        }
+        let mut is_pinned = vec![false; scene.mesh.positions.len()];
+        scene.pins.iter().for_each(|pin| is_pinned[pin.vertex as usize] = true);
+        let SewnMesh { mut mesh, vertex_of } = joined;
+        // A pin holds where it took hold.
+        for (joined, members) in members.iter().enumerate() {
+            if let Some(&pinned) = members.iter().find(|&&v| is_pinned[v as usize]) {
+                mesh.positions[joined] = scene.mesh.positions[pinned as usize];
+            }
+        }
+        let mut cloth_of: Vec<u32> = members.iter().map(|members| cloth_of_vertex(scene, members[0])).collect();
+        let mut pins: Vec<Pin> =
+            scene.pins.iter().map(|pin| Pin { vertex: vertex_of[pin.vertex as usize], ..*pin }).collect();
+        let mut halved = Vec::new();
+        for _ in 0..sewing.refine {
+            let edges = mesh.halved_edges();
+            pins.extend(pins_of_halves(&pins, &edges, mesh.positions.len() as u32));
+            let of_halves =
+                edges.iter().map(|&[a, b]| cloth_of[a as usize].min(cloth_of[b as usize])).collect::<Vec<_>>();
+            cloth_of.extend(of_halves);
+            mesh = mesh.divided();
+            halved.push(edges);
+        }
+        // The vertices of a cloth lie together.
+        let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+        order.sort_by_key(|&v| cloth_of[v as usize]);
+        let mut place_of = vec![0u32; order.len()];
+        (0u32..).zip(&order).for_each(|(place, &v)| place_of[v as usize] = place);
+        let mesh = TriangleMesh {
+            positions: order.iter().map(|&v| mesh.positions[v as usize]).collect(),
+            triangles: mesh.triangles.iter().map(|t| t.map(|v| place_of[v as usize])).collect(),
+            material_uv: mesh.material_uv,
+        };
+        pins.iter_mut().for_each(|pin| pin.vertex = place_of[pin.vertex as usize]);
+        pins.sort_by(|a, b| a.vertex.cmp(&b.vertex).then(a.start_s.total_cmp(&b.start_s)));
+        pins.dedup();
+        let parts = 1u32 << (2 * sewing.refine);
+        let range = |range: &std::ops::Range<u32>| range.start * parts..range.end * parts;
+        let cloths = scene.cloths.iter().enumerate().map(|(number, cloth)| {
+            let first = |cloth: u32| order.partition_point(|&v| cloth_of[v as usize] < cloth) as u32;
+            let vertices = first(number as u32)..first(number as u32 + 1);
+            Cloth { vertices, triangles: range(&cloth.triangles), ..cloth.clone() }
+        });
+        let is_plastic = creases_of(scene) > 0;
+        let edges_of = |mesh: &TriangleMesh| match is_plastic {
+            true => hinges(mesh).iter().map(|h| [h.vertices[0], h.vertices[1]]).collect(),
+            false => Vec::new(),
+        };
+        let sewn = Sewn {
+            masses: lumped_masses(scene),
+            sets: members.into_iter().filter(|members| members.len() > 1).collect(),
+            vertex_of,
+            is_pinned,
+            halved,
+            place_of,
+            weld_m: sewing.weld_m,
+            parts: parts as usize,
+            pairs: sewing.pairs.clone(),
+            hinges_before: edges_of(&scene.mesh),
+            hinges_after: edges_of(&mesh),
+        };
+        let velocities = sewn.vectors(&sewn.joined_velocities(&scene.velocities));
+        let after = Scene {
+            velocities,
+            fabric_of_triangle: scene.fabric_of_triangle.iter().flat_map(|&f| vec![f; parts as usize]).collect(),
+            pins,
+            cloths: cloths.collect(),
+            parts: scene.parts.iter().map(|part| Part { triangles: range(&part.triangles), ..part.clone() }).collect(),
+            settings: Settings { gravity_m_s2: sewing.gravity_m_s2, ..scene.settings.clone() },
+            sewing: None,
+            mesh,
+            ..scene.clone()
+        };
+        Some((after, sewn))
+    }
+
+    /// The largest distance that two vertices to be joined have from each other by way of the place where they meet,
+    /// meters, and where the vertices of the panels are once they have met: two in the middle, more at their mean, and
+    /// a pinned one stays.
+    pub fn ends(&self, positions: &[Vec3]) -> (f64, Vec<Vec3>) {
+        let mut ends = positions.to_vec();
+        let mut widest_m: f64 = 0.0;
+        for members in &self.sets {
+            let at = |v: u32| positions[v as usize].as_dvec3();
+            let mean = members.iter().map(|&v| at(v)).sum::<DVec3>() / members.len() as f64;
+            let pinned = members.iter().copied().find(|&v| self.is_pinned[v as usize]);
+            let end = pinned.map_or(mean.as_vec3(), |v| positions[v as usize]);
+            for &v in members {
+                widest_m = widest_m.max(2.0 * at(v).distance(end.as_dvec3()));
+                ends[v as usize] = end;
+            }
+        }
+        (widest_m, ends)
+    }
+
+    /// Number of pairs that are farther apart than [`Sewn::weld_m`].
+    pub fn open(&self, positions: &[Vec3]) -> usize {
+        let apart_m = |[a, b]: [u32; 2]| positions[a as usize].as_dvec3().distance(positions[b as usize].as_dvec3());
+        self.pairs.iter().filter(|&&pair| apart_m(pair) > self.weld_m).count()
+    }
+
+    /// Largest [`Sewn::ends`] at which seams count as closed, meters.
+    pub fn weld_m(&self) -> f64 {
+        self.weld_m
+    }
+
+    /// Whether vertices of two features of the panels become one.
+    pub fn joins(&self, one: &[u32], other: &[u32]) -> bool {
+        let joined = |v: &u32| self.vertex_of[*v as usize];
+        one.iter().any(|v| other.iter().any(|w| joined(v) == joined(w)))
+    }
+
+    /// The state of the sewn cloth that follows from a state of the panels whose vertices have met at `ends`.
+    pub fn state(&self, panels: &State, ends: &[Vec3]) -> State {
+        let mut joined = vec![Vec3::ZERO; self.joined()];
+        for (v, &place) in self.vertex_of.iter().enumerate() {
+            joined[place as usize] = ends[v];
+        }
+        State {
+            positions: self.vectors(&joined),
+            velocities: self.vectors(&self.joined_velocities(&panels.velocities)),
+            creases: self.creases(&panels.creases),
+            stretches: panels.stretches.iter().flat_map(|&stretch| vec![stretch; self.parts]).collect(),
+            let_go: self.let_go(&panels.let_go),
+        }
+    }
+
+    /// Number of vertices of the sewn cloth before it is divided.
+    fn joined(&self) -> usize {
+        self.place_of.len() - self.halved.iter().map(Vec::len).sum::<usize>()
+    }
+
+    /// Momentum over mass of every joined vertex.
+    fn joined_velocities(&self, velocities: &[Vec3]) -> Vec<Vec3> {
+        let mut sums = vec![(DVec3::ZERO, 0.0); self.joined()];
+        let mut first = vec![u32::MAX; self.joined()];
+        for (v, &place) in self.vertex_of.iter().enumerate() {
+            let (momentum, mass) = &mut sums[place as usize];
+            *momentum += velocities[v].as_dvec3() * self.masses[v];
+            *mass += self.masses[v];
+            first[place as usize] = match first[place as usize] {
+                u32::MAX => v as u32,
+                _ => u32::MAX - 1,
+            };
+        }
+        let velocity = |(&(momentum, mass), &only): (&(DVec3, f64), &u32)| match velocities.get(only as usize) {
+            Some(&velocity) => velocity,
+            None => (momentum / mass).as_vec3(),
+        };
+        sums.iter().zip(&first).map(velocity).collect()
+    }
+
+    /// Values of the vertices of the sewn scene from those of the joined ones: in the middle of an edge the mean of its
+    /// ends.
+    fn vectors(&self, joined: &[Vec3]) -> Vec<Vec3> {
+        let mut all = joined.to_vec();
+        for level in &self.halved {
+            for &[a, b] in level {
+                all.push(all[a as usize].midpoint(all[b as usize]));
+            }
+        }
+        let mut placed = vec![Vec3::ZERO; all.len()];
+        all.iter().zip(&self.place_of).for_each(|(value, &place)| placed[place as usize] = *value);
+        placed
+    }
+
+    /// A crease goes on to the parts of its edge; seams start flat.
+    fn creases(&self, panels: &[Crease]) -> Vec<Crease> {
+        if self.hinges_before.is_empty() {
+            return Vec::new();
+        }
+        let joined = |v: u32| self.vertex_of[v as usize];
+        let mut of_edge: HashMap<[u32; 2], Crease> = HashMap::new();
+        for (&[a, b], &crease) in self.hinges_before.iter().zip(panels) {
+            of_edge.insert(ascending([joined(a), joined(b)]), crease);
+        }
+        let mut middle = self.joined() as u32;
+        for level in &self.halved {
+            for &[a, b] in level {
+                if let Some(&crease) = of_edge.get(&ascending([a, b])) {
+                    of_edge.insert(ascending([a, middle]), crease);
+                    of_edge.insert(ascending([b, middle]), crease);
+                }
+                middle += 1;
+            }
+        }
+        let placed: HashMap<[u32; 2], Crease> = of_edge
+            .into_iter()
+            .map(|([a, b], crease)| (ascending([a, b].map(|v| self.place_of[v as usize])), crease))
+            .collect();
+        let crease = |&edge: &[u32; 2]| placed.get(&ascending(edge)).copied().unwrap_or_default();
+        self.hinges_after.iter().map(crease).collect()
+    }
+
+    /// What is let go goes on to every vertex of the edges and triangles around.
+    fn let_go(&self, panels: &[LetGo]) -> Vec<LetGo> {
+        let mut all: Vec<LetGo> =
+            panels.iter().map(|one| LetGo { vertex: self.vertex_of[one.vertex as usize], ..*one }).collect();
+        if all.is_empty() {
+            return all;
+        }
+        let mut middle = self.joined() as u32;
+        for level in &self.halved {
+            let before = all.clone();
+            for &[a, b] in level {
+                let of_ends = before.iter().filter(|one| one.vertex == a || one.vertex == b);
+                all.extend(of_ends.map(|one| LetGo { vertex: middle, ..*one }));
+                middle += 1;
+            }
+        }
+        all.iter_mut().for_each(|one| one.vertex = self.place_of[one.vertex as usize]);
+        all.sort_unstable();
+        all.dedup_by_key(|one| (one.vertex, one.obstacle));
+        all
+    }
+}
+
+/// Pins of the middles of edges whose ends are held alike; middles are numbered from `first` on.
+fn pins_of_halves(pins: &[Pin], edges: &[[u32; 2]], first: u32) -> Vec<Pin> {
+    let mut of_vertex: HashMap<u32, Vec<&Pin>> = HashMap::new();
+    pins.iter().for_each(|pin| of_vertex.entry(pin.vertex).or_default().push(pin));
+    let mut halves = Vec::new();
+    for (middle, [a, b]) in (first..).zip(edges) {
+        let (Some(of_a), Some(of_b)) = (of_vertex.get(a), of_vertex.get(b)) else { continue };
+        for pin in of_a {
+            let alike = |other: &&&Pin| Pin { vertex: pin.vertex, ..***other } == **pin;
+            halves.extend(of_b.iter().find(alike).map(|_| Pin { vertex: middle, ..**pin }));
+        }
+    }
+    halves
+}
+
+/// Number of the cloth of a vertex.
+fn cloth_of_vertex(scene: &Scene, vertex: u32) -> u32 {
+    scene.cloths.partition_point(|cloth| cloth.vertices.end <= vertex) as u32
+}
+
+/// Mass of every vertex: a third of those of its triangles, kg.
+fn lumped_masses(scene: &Scene) -> Vec<f64> {
+    let mut masses = vec![0.0; scene.mesh.positions.len()];
+    for ((corners, uv), &fabric) in
+        scene.mesh.triangles.iter().zip(&scene.mesh.material_uv).zip(&scene.fabric_of_triangle)
+    {
+        let [a, b, c] = uv.map(|p| p.as_dvec2());
+        let area_m2 = 0.5 * (b - a).perp_dot(c - a).abs();
+        let third = area_m2 * scene.fabrics[usize::from(fabric)].density_kg_m2 / 3.0;
+        corners.iter().for_each(|&v| masses[v as usize] += third);
+    }
+    masses
+}

@@ -1,0 +1,109 @@
+//! A run that sews, welds, refines and goes on: the same bits on any number of workers and across resumes, frames of
+//! both meshes, and what the report says.
+
+use std::fs;
+
+use support::process::Place;
+
+/// Two panels that face each other, sewn to a bag that hangs from a corner.
+const BAG: &str = r#"
+name = "bag"
+resolution = 128
+[simulation]
+step_s = 0.005
+steps_per_frame = 4
+frames = 14
+thickness_m = 0.001
+[sewing]
+close_s = 0.15
+refine = 1
+[[cloth]]
+name = "front"
+sheet = { size_m = [0.2, 0.16] }
+origin_m = [0, 0, 0.02]
+[[cloth]]
+name = "back"
+sheet = { size_m = [0.2, 0.16] }
+rotate_deg = [180, 0, 1, 0]
+origin_m = [0.2, 0, -0.02]
+[[seam]]
+name = "one side"
+a = { cloth = "front", edge = "left" }
+b = { cloth = "back", edge = "right" }
+[[seam]]
+name = "other side"
+a = { cloth = "front", edge = "right" }
+b = { cloth = "back", edge = "left" }
+[[seam]]
+name = "top"
+a = { cloth = "front", edge = "top" }
+b = { cloth = "back", edge = "top" }
+[[pin]]
+cloth = "front"
+corners = ["top-left"]
+"#;
+
+#[test]
+fn a_bag_is_sewn_welded_refined_and_hangs_with_the_same_bits_everywhere() {
+    let place = Place::new();
+    place.write("bag.toml", BAG);
+    let run = |workers: u32, out: &str, more: &str| {
+        place.run(&format!("run bag.toml --executor cpu --workers {workers} --out {out} {more}")).expect(0)
+    };
+    let ended = run(1, "one", "--format ply,pc2");
+    assert!(ended.stderr.contains("the seams are closed after step"), "{}", ended.story);
+    let report = place.report("one");
+    let stage = report["stages"][0].clone();
+    let (first_frame, step) = (stage["first_frame"].as_u64().unwrap(), stage["step"].as_u64().unwrap());
+    assert_eq!((step, stage["triangles"].as_u64().unwrap()), (4 * (first_frame - 1), 4 * 128));
+    assert!((4..=12).contains(&first_frame), "{first_frame}");
+    for frame in report["frames"].as_array().unwrap() {
+        let is_open = frame["seams"]["widest_m"].as_f64();
+        assert_eq!(is_open.is_some(), frame["frame"].as_u64().unwrap() < first_frame, "{frame}");
+    }
+    let widest = |frame: u64| report["frames"][frame as usize]["seams"]["widest_m"].as_f64().unwrap();
+    assert!(widest(first_frame - 1) <= 0.001 && widest(1) < widest(0) && widest(0) > 0.039);
+    // Frames before and after have their own meshes.
+    let triangles = |frame: u64| {
+        let bytes = fs::read(place.path(&format!("one/frames/frame_{frame:06}.ply"))).unwrap();
+        let head = String::from_utf8_lossy(&bytes[..400]).into_owned();
+        let line = head.lines().find_map(|line| line.strip_prefix("element face ")).unwrap().to_owned();
+        line.parse::<u64>().unwrap()
+    };
+    assert_eq!([triangles(first_frame - 1), triangles(first_frame), triangles(14)], [128, 512, 512]);
+    assert_eq!(loomtree::output::pc2::start(&place.path("one/cloth_2.pc2")).unwrap() as u64, first_frame);
+    assert_eq!(loomtree::output::pc2::samples(&place.path("one/cloth_2.pc2")).unwrap() as u64, 15 - first_frame);
+    assert_eq!(loomtree::output::pc2::samples(&place.path("one/cloth.pc2")).unwrap() as u64, first_frame);
+    let hashes = place.hashes("one");
+    for workers in [2, 3] {
+        run(workers, &format!("by{workers}"), "");
+        assert_eq!(place.hashes(&format!("by{workers}")), hashes, "{workers} workers");
+    }
+    // Stopped before the seams close, at the frame where they do, and after it.
+    for (i, frames) in [first_frame - 2, first_frame - 1, first_frame + 1].into_iter().enumerate() {
+        let out = format!("stopped{i}");
+        run(2, &out, &format!("--frames {frames} --format pc2"));
+        place.run(&format!("run --resume --out {out} --workers {} --frames 14", 1 + i)).expect(0);
+        assert_eq!(place.hashes(&out), hashes, "after frame {frames}");
+        let again = place.report(&out);
+        assert_eq!(again["stages"], report["stages"], "after frame {frames}");
+        assert_eq!(
+            loomtree::output::pc2::samples(&place.path(&format!("{out}/cloth_2.pc2"))).unwrap() as u64,
+            15 - first_frame
+        );
+    }
+    // Other commands read what such a run writes.
+    place.run("compare one by2").expect(0).says(&[]);
+    place.run("render one --size 64x64").expect(0);
+    place.run("render stopped2 --size 64x64").expect(0);
+}
+
+#[test]
+fn seams_that_do_not_close_are_said_and_a_split_shot_has_none() {
+    let place = Place::new();
+    place.write("bag.toml", BAG);
+    let ended = place.run("run bag.toml --executor cpu --frames 2 --out out").expect(0);
+    assert!(ended.stderr.contains("the seams are not sewn: "), "{}", ended.story);
+    let ended = place.run("run bag.toml --executor cpu --segments 2 --out split").expect(2);
+    assert!(ended.error().contains("cloth that is sewn has no coarser level"), "{}", ended.story);
+}
