@@ -58,6 +58,8 @@ enum Command {
     Schema(cli::init::SchemaArgs),
     /// Print a script that completes the command line for a shell
     Completions(cli::completions::CompletionsArgs),
+    /// Write manual pages of every command
+    Man(cli::man::ManArgs),
     /// The coordinator alone: prints the run's identifier and waits for its workers
     #[command(hide = true)]
     Coordinator(cli::run::RunArgs),
@@ -92,6 +94,7 @@ fn main() -> ExitCode {
         Command::Init(args) => cli::init::init(args),
         Command::Schema(args) => cli::init::schema(args),
         Command::Completions(args) => cli::completions::run(args, Arguments::command()),
+        Command::Man(args) => cli::man::run(&args, Arguments::command()),
         Command::Coordinator(args) => cli::run::run(args, Launch::Await),
         Command::Worker(args) => cli::worker::run(args),
     };

@@ -12,7 +12,7 @@ use crate::coordinator::{GivenOptions, Launch, PlanError, RunOptions, RunPlaces,
 use crate::os::console::note;
 use crate::os::signals;
 use crate::output::{Existing, RunDirectory, RunManifest};
-use crate::scene::{read, read_str, read_time_table};
+use crate::scene::{fields_of_fps, read, read_str, read_time_table};
 use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
@@ -37,6 +37,10 @@ pub struct RunArgs {
     /// `loomtree join`
     #[arg(long, value_name = "J", conflicts_with_all = ["resume", "overwrite"])]
     pub only_segment: Option<usize>,
+    /// Frames per second: as many steps in a frame as fit, as long as the scene's or a little shorter or longer, and as
+    /// many frames as keep the length of the shot
+    #[arg(long, value_name = "F", value_parser = frames_per_second, conflicts_with_all = ["resume", "only_segment"])]
+    pub fps: Option<f64>,
     /// Show the run in the browser while it goes on; the page stays until Ctrl-C
     #[arg(long)]
     pub view: bool,
@@ -136,6 +140,13 @@ fn share_ranks(ranks: usize, is_split: bool, given: &GivenOptions, options: &mut
     }
 }
 
+fn frames_per_second(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(fps) if (0.01..=1e5).contains(&fps) => Ok(fps),
+        _ => Err("expected a number of frames per second, for example 24".into()),
+    }
+}
+
 /// Resolved arguments of the command.
 struct Resolved {
     places: RunPlaces,
@@ -162,7 +173,15 @@ fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
             let sentence = "its name is not UTF-8, which run.toml needs: rename the file, or give a link to it";
             return Err(CliError::bad_input(format!("{}: {sentence}", scene.display())));
         }
-        let options = over_scene(&args.options, &scene)?;
+        let mut options = over_scene(&args.options, &scene)?;
+        if let Some(fps) = args.fps {
+            let wrong = |what: String| CliError::bad_input(format!("{}: {what}", scene.display()));
+            let text = scene_text(&scene, &options.set).map_err(CliError::bad_input)?;
+            if !scene.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+                return Err(wrong("--fps is for scenes in TOML".into()));
+            }
+            options.set.extend(fields_of_fps(&text, fps).map_err(wrong)?);
+        }
         let places = RunPlaces { scene, out, existing };
         return Ok(Resolved { places, options, recorded_scene: None });
     }

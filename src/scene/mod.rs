@@ -62,7 +62,7 @@ pub use playback::Playback;
 pub use preconditioner::PreconditionerKind;
 pub use rig::Rig;
 pub use schema::SCHEMA;
-pub use set_fields::set_fields;
+pub use set_fields::{fields_of_fps, set_fields};
 pub use sewing::{Closing, Sewing};
 pub use sheet::{Sheet, sheet_cells};
 pub use start::GivenStart;

@@ -2,6 +2,8 @@
 
 use toml::{Table, Value};
 
+use super::settings_file::{FRAMES, STEP_S, STEPS_PER_FRAME};
+
 /// The text of a scene with fields set, each as `path=value`: names of tables and fields, separated by dots, with
 /// numbers or names for one of several (`cloth.0.fabric=silk`, `obstacle.ball.friction=1`). A value is TOML, or else
 /// text.
@@ -24,6 +26,34 @@ pub fn set_fields(text: &str, fields: &[String]) -> Result<String, String> {
         set(&mut scene, &names, value_of(value.trim())).map_err(|what| wrong(&what))?;
     }
     toml::to_string(&scene).map_err(|error| error.to_string())
+}
+
+/// The fields, as [`set_fields`] takes them, that make the scene of `text` write `fps` frames per second: steps as long
+/// as now or a little shorter or longer, so that a frame is a whole number of them, and as many frames as last as long.
+///
+/// # Errors
+/// One sentence: the text is not TOML, or its steps are not numbers.
+pub fn fields_of_fps(text: &str, fps: f64) -> Result<Vec<String>, String> {
+    let scene: Table = text.parse().map_err(|error: toml::de::Error| error.message().replace('\n', ", "))?;
+    let simulation = scene.get("simulation").and_then(Value::as_table);
+    let number = |name: &str| -> Result<Option<f64>, String> {
+        let Some(value) = simulation.and_then(|simulation| simulation.get(name)) else { return Ok(None) };
+        let number = value.as_float().or(value.as_integer().map(|whole| whole as f64));
+        number.filter(|number| *number > 0.0).map(Some).ok_or(format!("simulation.{name} is no number above 0"))
+    };
+    if number("frame_s")?.is_some() {
+        let what = "--fps goes with `steps_per_frame`, and this scene has `frame_s`: use --set simulation.frame_s";
+        return Err(what.into());
+    }
+    let step_s = number("step_s")?.unwrap_or(STEP_S);
+    let frame_s = step_s * number("steps_per_frame")?.unwrap_or(f64::from(STEPS_PER_FRAME));
+    let steps = (1.0 / (fps * step_s)).round().max(1.0);
+    let frames = number("frames")?.unwrap_or(f64::from(FRAMES)) * frame_s * fps;
+    Ok(vec![
+        format!("simulation.step_s={:?}", 1.0 / (fps * steps)),
+        format!("simulation.steps_per_frame={}", steps as u64),
+        format!("simulation.frames={}", frames.round().max(1.0) as u64),
+    ])
 }
 
 /// A TOML value; what is none is text.
@@ -92,6 +122,27 @@ mod tests {
         let windy = format!("{SCENE}[air]\nwind_m_s = [1, 2, 3]\n");
         let scene: Table = set_fields(&windy, &["air.wind_m_s.0=3".to_string()]).unwrap().parse().unwrap();
         assert_eq!(scene["air"]["wind_m_s"][0].as_integer(), Some(3));
+    }
+
+    #[test]
+    fn frames_per_second_keep_the_length_of_a_shot_and_about_its_steps() {
+        let of = |simulation: &str, fps: f64| {
+            let text = format!("[simulation]\n{simulation}");
+            let scene: Table = set_fields(&text, &fields_of_fps(&text, fps).unwrap()).unwrap().parse().unwrap();
+            let simulation = scene["simulation"].as_table().unwrap().clone();
+            let whole = |name: &str| simulation[name].as_integer().unwrap();
+            (simulation["step_s"].as_float().unwrap(), whole("steps_per_frame"), whole("frames"))
+        };
+        let (step_s, steps, frames) = of("step_s = 0.004\nsteps_per_frame = 10\nframes = 50", 24.0);
+        assert_eq!((steps, frames), (10, 48));
+        assert!((step_s * 10.0 * 24.0 - 1.0).abs() < 1e-12);
+        assert_eq!(of("step_s = 0.004\nsteps_per_frame = 10", 25.0), (0.004, 10, 100));
+        // A frame shorter than a step makes shorter steps.
+        assert_eq!(of("step_s = 0.01\nsteps_per_frame = 4\nframes = 10", 1000.0), (0.001, 1, 400));
+        let (step_s, steps, _) = of("", 60.0);
+        assert!((step_s * steps as f64 * 60.0 - 1.0).abs() < 1e-12 && steps == (1.0 / 60.0 / STEP_S).round() as i64);
+        assert!(fields_of_fps("[simulation]\nframe_s = 0.04", 24.0).unwrap_err().contains("frame_s"));
+        assert!(fields_of_fps("[simulation]\nstep_s = \"a\"", 24.0).unwrap_err().contains("simulation.step_s"));
     }
 
     #[test]

@@ -39,7 +39,7 @@ pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Sett
         step_s,
         substeps: simulation.or("substeps", Substeps::Auto, substeps)?,
         steps_per_frame,
-        frames: simulation.or("frames", 100, |value| value.whole(0..=10_000_000))? as u32,
+        frames: simulation.or("frames", u64::from(FRAMES), |value| value.whole(0..=10_000_000))? as u32,
         gravity_m_s2: simulation.or("gravity_m_s2", Vec3::new(0.0, -9.81, 0.0), vector)?,
         wind_m_s: air.or("wind_m_s", Vec3::ZERO, vector)?,
         air_density_kg_m3: air.or("density_kg_m3", density, Value::not_negative)?,
@@ -64,7 +64,10 @@ fn substeps(value: &Value) -> Result<Substeps, SceneError> {
 }
 
 /// Step length if the scene does not give one, seconds.
-const STEP_S: f64 = 1.0 / 250.0;
+pub(super) const STEP_S: f64 = 1.0 / 250.0;
+/// Steps of a frame, and frames of a shot, of a scene that does not say.
+pub(super) const STEPS_PER_FRAME: u32 = 10;
+pub(super) const FRAMES: u32 = 100;
 
 /// Step length in seconds and number of steps per frame.
 fn step(simulation: &Fields, warnings: &mut Vec<String>) -> Result<(f64, u32), SceneError> {
@@ -73,7 +76,7 @@ fn step(simulation: &Fields, warnings: &mut Vec<String>) -> Result<(f64, u32), S
     let frame_s = simulation.optional("frame_s", Value::positive)?;
     let frame_s = match (steps_per_frame, frame_s) {
         (Some(_), Some(_)) => return Err(simulation.error_at("frame_s", "give either `frame_s` or `steps_per_frame`")),
-        (steps, None) => return Ok((step_s, steps.unwrap_or(10) as u32)),
+        (steps, None) => return Ok((step_s, steps.map_or(STEPS_PER_FRAME, |steps| steps as u32))),
         (None, Some(frame_s)) => frame_s,
     };
     let steps = (frame_s / step_s).round();

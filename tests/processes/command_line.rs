@@ -34,6 +34,33 @@ fn shells_can_complete_every_command() {
 }
 
 #[test]
+fn there_is_a_manual_page_of_every_command() {
+    let place = Place::new();
+    place.run("man pages").expect(0);
+    let page = |name: &str| std::fs::read_to_string(place.path("pages").join(name)).expect("a page");
+    assert!(page("loomtree.1").contains("loomtree\\-run"), "{}", page("loomtree.1"));
+    assert!(page("loomtree-run.1").contains("\\-\\-workers") && page("loomtree-bench-step.1").contains("rounds"));
+    place.write("file", "");
+    let ended = place.run("man file").expect(2);
+    assert!(ended.error().contains("file: "), "{}", ended.story);
+}
+
+#[test]
+fn frames_per_second_are_set_from_outside() {
+    let place = Place::new();
+    place.write("flag.toml", flag(256, 5, 10));
+    place.run("run flag.toml --fps 30 --frames 2 --out out").expect(0);
+    let report = place.report("out");
+    let frame_s = report["step_s"].as_f64().unwrap() * report["steps_per_frame"].as_f64().unwrap();
+    assert!((frame_s * 30.0 - 1.0).abs() < 1e-9, "{frame_s}");
+    // A run that goes on has the frames of before.
+    place.run("run --resume --out out --frames 3").expect(0);
+    assert_eq!(place.report("out")["step_s"], report["step_s"]);
+    let ended = place.run("run flag.toml --fps 0 --out other").expect(2);
+    assert!(ended.stderr.contains("frames per second"), "{}", ended.story);
+}
+
+#[test]
 fn a_scene_to_start_from_is_valid_and_is_not_overwritten() {
     let place = Place::new();
     place.run("init a.toml").expect(0);
