@@ -26,10 +26,10 @@ pub enum LauncherChoice {
 #[derive(Clone, Debug, clap::Args)]
 pub struct LauncherArgs {
     /// Who starts the workers; mpi = mpirun or srun have, one process per worker on one or several machines
-    #[arg(long, value_enum, default_value_t, value_name = "WHO")]
+    #[arg(long, value_enum, default_value_t, value_name = "WHO", global = true)]
     pub launcher: LauncherChoice,
     /// Under mpirun or srun: how ranks of one host send to each other; auto = shared memory
-    #[arg(long, value_enum, default_value_t, value_name = "WAY")]
+    #[arg(long, value_enum, default_value_t, value_name = "WAY", global = true)]
     pub transport: TransportChoice,
 }
 

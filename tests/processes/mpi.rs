@@ -212,6 +212,131 @@ fn any_number_of_ranks_gives_the_bits_of_one_worker() {
 }
 
 #[test]
+fn solves_topologies_and_benchmarks_run_on_ranks() {
+    let _alone = ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let place = Place::new();
+    let entries: String = (1..=300).map(|i| format!("{i} {i} 4\n")).collect();
+    let beside: String = (2..=300).map(|i| format!("{i} {} -1\n", i - 1)).collect();
+    let head = "%%MatrixMarket matrix coordinate real symmetric\n300 300 599\n";
+    place.write("chain.mtx", format!("{head}{entries}{beside}"));
+    let one = place.run("solve chain.mtx --solution one.mtx").expect(0);
+    assert!(one.story.contains("\"converged\": true"), "{}", one.story);
+    run(&place, 3, "solve chain.mtx --solution three.mtx");
+    let read = |name: &str| std::fs::read(place.path(name)).expect("a solution");
+    assert!(read("one.mtx") == read("three.mtx"), "the solutions differ");
+
+    run(&place, 3, "topology detect --bandwidth 20 --out found.toml");
+    let found = loomtree::interconnect::Topology::read(&place.path("found.toml")).expect("a topology");
+    assert_eq!((found.gpus(), found.hosts()), (3, &[0, 0, 0][..]));
+    assert!(found.links().iter().all(|link| link.bandwidth_gb_s > 0.01 && link.latency_us < 1e5));
+
+    place.write("flag.toml", flag(500, 2, 2));
+    let words = "bench step --scene flag.toml --resolution 500 --steps 2 --rounds 1 --workers 1,2,8";
+    let (code, text) = output(mpirun(2).arg(program("loomtree")).args(words.split(' ')).current_dir(place.path("")));
+    assert!(code == 0 && text.contains("2 processes were started, so [8] workers are left out"), "{text}");
+}
+
+/// Two hosts made of network namespaces, as long as it lives.
+struct TwoHosts {
+    script: std::path::PathBuf,
+}
+
+impl TwoHosts {
+    /// None where this machine does not allow them.
+    fn new() -> Option<TwoHosts> {
+        let script = repository("scripts/two_hosts.sh");
+        let call =
+            |what: &str| Command::new(&script).arg(what).stderr(Stdio::null()).status().is_ok_and(|s| s.success());
+        // What an earlier test has left.
+        call("down");
+        let made = call("up").then_some(TwoHosts { script });
+        if made.is_none() {
+            println!("skipped: two hosts need root, iproute2 and the right to make network namespaces");
+        }
+        made
+    }
+
+    fn call(&self, words: &[&str]) -> Command {
+        let mut command = Command::new(&self.script);
+        command.args(words).stdin(Stdio::null());
+        command
+    }
+}
+
+impl Drop for TwoHosts {
+    fn drop(&mut self) {
+        let _ = self.call(&["down"]).status();
+    }
+}
+
+#[test]
+fn two_hosts_give_the_bits_of_one_and_survive_a_cut_cable() {
+    let _alone = ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let Some(hosts) = TwoHosts::new() else { return };
+    let place = Place::new();
+    place.write("flag.toml", flag(1500, 3, 40));
+    shipped(&place, "sphere");
+    let sphere = "run sphere.toml --executor cpu --resolution 1000 --frames 8";
+    place.run(&format!("{sphere} --workers 2 --out one")).expect(0);
+    let loomtree = program("loomtree");
+    for (ranks, way) in [("2", "auto"), ("4", "auto"), ("3", "mpi")] {
+        let out = format!("two_{ranks}_{way}");
+        let words = format!("{sphere} --transport {way} --out {out}");
+        let mut command = hosts.call(&["run", ranks, &loomtree]);
+        let (code, text) = output(command.args(words.split(' ')).current_dir(place.path("")));
+        assert_eq!(code, 0, "{text}");
+        assert_eq!(place.hashes(&out), place.hashes("one"), "{ranks} ranks, {way}");
+    }
+
+    place.run("run flag.toml --executor cpu --workers 1 --out whole").expect(0);
+    let out = place.path("cut");
+    let mut command = hosts.call(&["run", "4", &loomtree, "run", "flag.toml", "--executor", "cpu"]);
+    command.args(["--checkpoint-every", "1", "--out"]).arg(&out).current_dir(place.path(""));
+    let log = std::fs::File::create(place.path("cut.log")).expect("a log");
+    let mut child = command.stdout(Stdio::null()).stderr(log).spawn().expect("mpirun starts");
+    wait_for_frame(&out, 5, &mut child);
+    assert!(hosts.call(&["cut"]).status().expect("ip").success());
+    let cut = Instant::now();
+    while !ranks_of(&out).is_empty() {
+        assert!(cut.elapsed() < Duration::from_secs(15), "ranks are left: {:?}", ranks_of(&out));
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(hosts.call(&["join"]).status().expect("ip").success());
+    let status = child.wait().expect("mpirun ends");
+    let log = std::fs::read_to_string(place.path("cut.log")).expect("a log");
+    assert!(!status.success() && log.contains("nothing was heard from it for 5 s"), "{log}");
+    assert!(log.contains("on loomhost2") && log.contains("this rank ends"), "{log}");
+    resume(&place, &out);
+    assert_eq!(place.hashes("cut").last(), place.hashes("whole").last());
+}
+
+/// Goes on with a run whose ranks were killed. The last of them may hold its folder for a moment longer.
+fn resume(place: &Place, out: &Path) {
+    let begun = Instant::now();
+    loop {
+        let ended = place.run(&format!("run --resume --workers 2 --out {}", out.display()));
+        let is_held = ended.stderr.contains("in use by another run");
+        if !is_held || begun.elapsed() > Duration::from_secs(10) {
+            ended.expect(0);
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Waits until a run under `child` has written a frame, or has ended.
+fn wait_for_frame(out: &Path, frame: u32, child: &mut std::process::Child) {
+    let begun = Instant::now();
+    while !out.join(format!("frames/frame_{frame:06}.ply")).exists() {
+        assert!(begun.elapsed() < PATIENT, "no frame {frame} in {}", out.display());
+        if child.try_wait().expect("a child").is_some() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
 fn what_does_not_fit_a_world_is_refused_in_words() {
     let _alone = ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let place = Place::new();
@@ -263,14 +388,7 @@ fn a_killed_rank_ends_all_and_the_run_can_be_resumed() {
         command.arg(program("loomtree")).args(["run", "flag.toml", "--executor", "cpu", "--checkpoint-every", "1"]);
         command.args(["--transport", way, "--out"]).arg(&out).current_dir(place.path(""));
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("mpirun starts");
-        let begun = Instant::now();
-        while !out.join("frames/frame_000005.ply").exists() {
-            assert!(begun.elapsed() < PATIENT, "no frame 5 in {}", out.display());
-            if child.try_wait().expect("a child").is_some() {
-                break;
-            }
-            std::thread::sleep(Duration::from_millis(10));
-        }
+        wait_for_frame(&out, 5, &mut child);
         let ranks = ranks_of(&out);
         assert_eq!(ranks.len(), 3, "{way}");
         support::process::signal(ranks[number + 1], support::process::Signal::KILL);
@@ -281,7 +399,7 @@ fn a_killed_rank_ends_all_and_the_run_can_be_resumed() {
             std::thread::sleep(Duration::from_millis(10));
         }
         assert!(!status.success());
-        place.run(&format!("run --resume --workers 2 --out {}", out.display())).expect(0);
+        resume(&place, &out);
         assert_eq!(place.hashes(&format!("killed_{way}")).last(), place.hashes("whole").last(), "{way}");
     }
 }
