@@ -153,11 +153,15 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
     let session = options.session();
     let played = shot::play_from(&source, 1, &session, launch, &mut |told| listener.hear(told));
     if let Some(gap) = listener.gap.filter(|_| played.is_ok()) {
-        note(format_args!(
-            "the seams are not sewn: {} pairs are farther apart than weld_m, the widest by {:.2} mm",
-            gap.open,
-            1e3 * gap.widest_m
-        ));
+        let widest_mm = 1e3 * gap.widest_m;
+        match gap.open {
+            0 => note(format_args!(
+                "the seams are closed to {widest_mm:.2} mm, but not sewn: the run ended, or something was in the way"
+            )),
+            open => note(format_args!(
+                "the seams are not sewn: {open} places are open by more than weld_m, the widest by {widest_mm:.2} mm"
+            )),
+        }
     }
     let plan = &stages.plans[listener.stage];
     let Listener { mut recorder, progress, done: StepStats { step: done, .. }, substeps, seconds, .. } = listener;

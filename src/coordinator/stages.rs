@@ -77,8 +77,8 @@ impl Stages {
     /// How far the seams of a state of the first stage are open; none without seams.
     pub(super) fn gap(&self, stage: usize, state: &State) -> Option<SeamGap> {
         let sewn = self.sewn.as_ref().filter(|_| stage == 0)?;
-        let (widest_m, _) = sewn.ends(&state.positions);
-        Some(SeamGap { widest_m, open: sewn.open(&state.positions) })
+        let (widest_m, ends) = sewn.ends(&state.positions);
+        Some(SeamGap { widest_m, open: sewn.open(&state.positions, &ends) })
     }
 
     /// Sews a state of the first stage after `step`, if its seams are closed.

@@ -29,8 +29,6 @@ pub struct Sewn {
     weld_m: f64,
     /// Triangles of the sewn cloth in a triangle of the panels.
     parts: usize,
-    /// Pairs of the panels, with their seams.
-    pairs: Vec<[u32; 2]>,
     /// Edges in the order of the creases of the panels and of the sewn cloth; empty if no fabric is plastic.
     hinges_before: Vec<[u32; 2]>,
     hinges_after: Vec<[u32; 2]>,
@@ -102,7 +100,6 @@ impl Sewn {
             place_of,
             weld_m: sewing.weld_m,
             parts: parts as usize,
-            pairs: sewing.pairs.clone(),
             hinges_before: edges_of(&scene.mesh),
             hinges_after: edges_of(&mesh),
         };
@@ -140,10 +137,11 @@ impl Sewn {
         (widest_m, ends)
     }
 
-    /// Number of pairs that are farther apart than [`Sewn::weld_m`].
-    pub fn open(&self, positions: &[Vec3]) -> usize {
-        let apart_m = |[a, b]: [u32; 2]| positions[a as usize].as_dvec3().distance(positions[b as usize].as_dvec3());
-        self.pairs.iter().filter(|&&pair| apart_m(pair) > self.weld_m).count()
+    /// Number of places where vertices to be joined have farther to go than half of [`Sewn::weld_m`], on their way to
+    /// `ends`.
+    pub fn open(&self, positions: &[Vec3], ends: &[Vec3]) -> usize {
+        let way_m = |&v: &u32| positions[v as usize].as_dvec3().distance(ends[v as usize].as_dvec3());
+        self.sets.iter().filter(|members| members.iter().any(|v| 2.0 * way_m(v) > self.weld_m)).count()
     }
 
     /// Largest [`Sewn::ends`] at which seams count as closed, meters.

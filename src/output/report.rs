@@ -195,7 +195,7 @@ pub struct StageRecord {
 pub struct SeamGap {
     /// The largest distance that vertices have to go to each other, meters.
     pub widest_m: f64,
-    /// Pairs that are farther apart than `weld_m`.
+    /// Places where they have farther to go than half of `weld_m`.
     pub open: usize,
 }
 

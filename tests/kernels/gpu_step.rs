@@ -60,7 +60,8 @@ fn a_device_sews_as_the_native_executor_does() {
         return;
     }
     let mut scene = sewn_sheets(12, Closing { close_s: 0.1, last_m: 0.0 });
-    scene.settings.relative_tolerance = 1e-4;
+    // Loose solves differ by more: the threads draw both sheets along by centimeters.
+    scene.settings.relative_tolerance = 1e-6;
     let expected = simulate(&scene, 1, ExchangeMode::Halo, 6, cpu);
     assert!(expected.positions[11].x > 0.203, "the sheets come closer");
     for ranks in [1, 2] {
