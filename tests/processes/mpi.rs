@@ -129,6 +129,8 @@ fn mpirun(ranks: usize) -> Command {
     command.args(["-n", &ranks.to_string()]);
     command.env("OMPI_ALLOW_RUN_AS_ROOT", "1").env("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1");
     command.env("OMPI_MCA_rmaps_base_oversubscribe", "1").env("OMPI_MCA_mpi_yield_when_idle", "1");
+    // Looked for even where it is not used, and a bare machine has no ssh.
+    command.env("OMPI_MCA_plm_rsh_agent", "sh");
     command.env("PRTE_MCA_rmaps_default_mapping_policy", ":oversubscribe");
     command.env("OMPI_MCA_btl_vader_single_copy_mechanism", "none").env("OMPI_MCA_hwloc_base_binding_policy", "none");
     command.stdin(Stdio::null());
