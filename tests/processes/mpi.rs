@@ -158,15 +158,15 @@ fn suite(inside: &str, hosts: &[usize]) {
 
 #[test]
 fn the_transport_suite_passes_within_a_host() {
-    suite("mpi", &[0; 5]);
+    suite("mpi", &[0; 8]);
 }
 
 #[test]
 fn the_transport_suite_passes_between_hosts() {
-    suite("mpi", &[0, 1, 2, 3, 4]);
-    // Three ranks here, two there, in turn; and a host with one rank.
-    suite("mpi", &[0, 1, 0, 1, 0]);
-    suite("shared-memory", &[0, 0, 2, 2, 4]);
+    suite("mpi", &[0, 1, 2, 3, 4, 5, 6, 7]);
+    // Two hosts whose ranks come in turn; and hosts of two, three, one and two ranks.
+    suite("mpi", &[0, 1, 0, 1, 0, 0, 0, 1]);
+    suite("shared-memory", &[0, 0, 2, 2, 4, 2, 6, 6]);
 }
 
 /// A run of `words` on `ranks` ranks, which must end well.

@@ -241,7 +241,7 @@ pub(crate) fn wrong_calls<G: Group>() {
 
 /// Lists of uneven lengths, some empty, reach every rank whole and once, between exchanges of other kinds.
 pub(crate) fn whole_lists<G: Group>() {
-    for ranks in [1, 2, 3, 5] {
+    for ranks in [1, 2, 3, 5, 8] {
         G::run(ranks, PATIENT, move |transport| {
             let rank = transport.rank();
             for round in 0..40 {
