@@ -47,7 +47,7 @@ pub(super) struct OwnCells {
     /// all ranks have contributed to k + 1, that is, have read all of k.
     heads: [EntryHandleMut<Ipc, u64, Head>; 2],
     tails: [Vec<EntryHandleMut<Ipc, u64, Tail>>; 2],
-    /// Bit r is set while this rank sleeps (or is about to) until rank r acts.
+    /// r + 1 while this rank sleeps (or is about to) until rank r acts; 0 = awake.
     pub asleep: EntryHandleMut<Ipc, u64, u64>,
     /// By source: one more than the number of the last exchange whose message this rank has read and released; 0 =
     /// none.
@@ -108,12 +108,12 @@ impl OwnCells {
         self.heads[slot].update_with_copy(head);
     }
 
-    /// Publishes the ranks for which this rank is about to sleep (0: none). The caller must then check the awaited
+    /// Publishes that this rank is about to sleep until rank `source` acts. The caller must then check the awaited
     /// value once more.
-    pub(super) fn announce_sleep(&self, mask: u64) {
-        self.asleep.update_with_copy(mask);
-        // Pairs with the fence in `PeerCells::sleeps_for`: either the waker sees the mask, or the sleeper, which checks
-        // once more before it sleeps, sees the value that the waker wrote.
+    pub(super) fn announce_sleep(&self, source: usize) {
+        self.asleep.update_with_copy(source as u64 + 1);
+        // Pairs with the fence in `PeerCells::sleeps_for`: either the waker sees the number, or the sleeper, which
+        // looks once more before it sleeps, sees the value that the waker wrote.
         fence(Ordering::SeqCst);
     }
 }
@@ -171,7 +171,7 @@ impl PeerCells {
     /// True if the peer sleeps for rank `rank`. Call [`before_waking`] once between the write that it may wait for and
     /// this.
     pub(super) fn sleeps_for(&self, rank: usize) -> bool {
-        *self.asleep.get() & (1 << rank) != 0
+        *self.asleep.get() == rank as u64 + 1
     }
 }
 

@@ -156,7 +156,7 @@ impl IceoryxTransport {
                 Ok(None) => {}
                 // Announce the sleep first and look again; sleep after the next failed look.
                 Ok(Some(_)) if !announced => {
-                    self.links.own.announce_sleep(1 << source);
+                    self.links.own.announce_sleep(source);
                     announced = true;
                 }
                 Ok(Some(limit)) => match self.links.listener.timed_wait(|_| {}, limit) {
