@@ -42,6 +42,8 @@ enum Command {
     Convert(cli::convert::ConvertArgs),
     /// Show a run in the browser, while it goes on or afterwards
     View(cli::view::ViewArgs),
+    /// Steer a run that goes on (run --live)
+    Live(cli::live::LiveArgs),
     /// Write a run as one HTML file with pictures, curves, tables and a timeline
     Report(cli::report::ReportArgs),
     /// Draw the frames of a run as PNG
@@ -86,6 +88,7 @@ fn main() -> ExitCode {
         Command::Compare(args) => cli::compare::run(args),
         Command::Convert(args) => cli::convert::run(args),
         Command::View(args) => cli::view::run(args),
+        Command::Live(args) => cli::live::run(args),
         Command::Report(args) => cli::report::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Doctor(args) => cli::doctor::run(args, &adapter_lines(), triangles_of),

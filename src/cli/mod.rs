@@ -13,6 +13,7 @@ mod far;
 pub mod init;
 pub mod join;
 pub mod launcher;
+pub mod live;
 pub mod man;
 pub mod predict;
 pub mod render;

@@ -8,11 +8,15 @@ use super::run_lines::{conclude, introduce};
 use super::start_state::Places;
 use super::view::{PageArgs, serve};
 use crate::coordinator::plan::scene_text;
-use crate::coordinator::{GivenOptions, Launch, PlanError, RunOptions, RunPlaces, RunPlan, Scope, TimeOptions};
+use crate::coordinator::{
+    GivenOptions, Launch, PlanError, RunOptions, RunPlaces, RunPlan, Scope, Steering, TimeOptions,
+};
 use crate::os::console::note;
 use crate::os::signals;
-use crate::output::{Existing, RunDirectory, RunManifest};
-use crate::scene::{fields_of_fps, read, read_str, read_time_table};
+use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest};
+use crate::scene::{
+    Change, Edit, Overrides, ParsedScene, fields_of_fps, read, read_changes, read_str, read_time_table,
+};
 use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
@@ -41,6 +45,15 @@ pub struct RunArgs {
     /// many frames as keep the length of the shot
     #[arg(long, value_name = "F", value_parser = frames_per_second, conflicts_with_all = ["resume", "only_segment"])]
     pub fps: Option<f64>,
+    /// Take changes while it runs: pause, step, wind, gravity, friction, fabrics, pins (loomtree live RUN --help)
+    #[arg(long, conflicts_with_all = ["coarse_only", "only_segment"])]
+    pub live: bool,
+    /// With --live: stand still before the first step
+    #[arg(long, requires = "live")]
+    pub paused: bool,
+    /// Make the changes of a live run again: its run_changes.toml
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["resume", "coarse_only", "only_segment"])]
+    pub replay: Option<PathBuf>,
     /// Show the run in the browser while it goes on; the page stays until Ctrl-C
     #[arg(long)]
     pub view: bool,
@@ -60,7 +73,7 @@ pub struct RunArgs {
 /// # Errors
 /// Bad input, a failed run, or a run that a signal has stopped (exit code 128 + its number).
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
-    let Resolved { places, mut options, recorded_scene } = resolve(&args)?;
+    let Resolved { places, mut options, recorded_scene, recorded } = resolve(&args)?;
     // Checked before the plan is made, which can take a while. Too many workers are refused there.
     let is_split = options.time.segments > 1 && !args.coarse_only && args.only_segment.is_none();
     if let Some(ranks) = launch.ranks() {
@@ -82,7 +95,8 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     } else if args.page.open || args.page.port != 0 {
         return Err(CliError::bad_input("--port and --open go with --view"));
     }
-    let made = make(recorded_scene.as_deref(), &options, &places, scope, &launch);
+    let changes = Changes { live: args.live, paused: args.paused, recorded };
+    let made = make(recorded_scene.as_deref(), &options, &places, changes, scope, &launch);
     if args.view && made.is_ok() {
         note("the page stays until Ctrl-C");
         signals::wait_for_stop();
@@ -90,14 +104,29 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
     made
 }
 
+/// What changes a run while it goes on, besides what its scene says.
+struct Changes {
+    live: bool,
+    paused: bool,
+    /// Of a record; none if there is none.
+    recorded: Option<Vec<Change>>,
+}
+
 /// Makes the run.
 fn make(
     recorded_scene: Option<&str>,
     options: &RunOptions,
     places: &RunPlaces,
+    changes: Changes,
     scope: Scope,
     launch: &Launch,
 ) -> Result<(), CliError> {
+    let can_change = changes.live || changes.recorded.is_some();
+    if options.time.segments > 1 && can_change {
+        return Err(CliError::bad_input(
+            "--live and --replay change a run while it goes on, not a shot that is split (--segments)",
+        ));
+    }
     if options.time.segments > 1 {
         return super::run_split::run(recorded_scene, options, places, scope, launch);
     }
@@ -112,11 +141,26 @@ fn make(
     };
     // A resumed run has kept what it took from the run that it started from.
     let kept = (places.existing == Existing::Resume).then(|| places.out.join("start.ltc"));
-    let plan = parsed.map_err(PlanError::from).and_then(|parsed| RunPlan::of_parsed(&parsed, options, kept.as_deref()));
+    let planned = |parsed: ParsedScene| -> Result<RunPlan, PlanError> {
+        let mut plan = RunPlan::of_parsed(&parsed, options, kept.as_deref())?;
+        if can_change {
+            let overrides = Overrides { resolution: options.resolution, frames: options.frames };
+            let steering = Steering::new(&parsed, &overrides)?;
+            let (live, paused, recorded) = (changes.live, changes.paused, changes.recorded.unwrap_or_default());
+            plan.steering = Some(Box::new(Steering { live, paused, recorded, ..steering }));
+        }
+        Ok(plan)
+    };
+    let plan = parsed.map_err(PlanError::from).and_then(planned);
     let plan = plan.map_err(|error| match error {
         PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
         other => CliError::bad_input(other),
     })?;
+    let steering = plan.steering.as_deref();
+    if options.formats.0.contains(&FrameFormat::Pc2) && steering.is_some_and(|one| one.live || one.changes_mesh()) {
+        let what = "--format pc2 holds one mesh, and the mesh of this run may change: use ply, then `loomtree convert`";
+        return Err(CliError::bad_input(what));
+    }
     introduce(&plan, options);
     // Until here a signal ends the process in the default way.
     signals::listen().map_err(|error| CliError::failed(format!("cannot listen for signals: {error}")))?;
@@ -153,6 +197,8 @@ struct Resolved {
     options: RunOptions,
     /// The scene's text from the run directory, if the run continues with it.
     recorded_scene: Option<String>,
+    /// Changes that the run has made or is to make; none if nothing can change it.
+    recorded: Option<Vec<Change>>,
 }
 
 /// Resolves the scene, run directory and options. A resumed run takes missing options from `run.toml` and uses the
@@ -183,7 +229,15 @@ fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
             options.set.extend(fields_of_fps(&text, fps).map_err(wrong)?);
         }
         let places = RunPlaces { scene, out, existing };
-        return Ok(Resolved { places, options, recorded_scene: None });
+        let mut recorded = None;
+        if let Some(file) = &args.replay {
+            let unreadable = |error| CliError::bad_input(format!("{}: cannot be read: {error}", file.display()));
+            let text = std::fs::read_to_string(file).map_err(unreadable)?;
+            let mut changes = read_changes(&text, file).map_err(CliError::bad_input)?;
+            changes.retain(|change| change.edit != Edit::Welded);
+            recorded = Some(changes);
+        }
+        return Ok(Resolved { places, options, recorded_scene: None, recorded });
     }
     let out = match (&args.out, &args.scene) {
         (Some(out), _) => out.clone(),
@@ -214,8 +268,17 @@ fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
         return Err(CliError::bad_input("--set changes the scene, so it cannot go with --resume or --only-segment"));
     }
     let options = args.options.over(&recorded).map_err(CliError::bad_input)?;
+    let recorded = match &manifest.changes_file {
+        None => None,
+        Some(_) => {
+            let file = directory.changes();
+            // A run that was killed at its start has no record yet.
+            let text = std::fs::read_to_string(&file).unwrap_or_default();
+            Some(read_changes(&text, &file).map_err(CliError::bad_input)?)
+        }
+    };
     let places = RunPlaces { scene, out, existing };
-    Ok(Resolved { places, options, recorded_scene })
+    Ok(Resolved { places, options, recorded_scene, recorded })
 }
 
 /// The options of the command line over those of the scene's `[time]`.

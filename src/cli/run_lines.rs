@@ -60,11 +60,13 @@ pub(super) fn conclude(result: Result<RunSummary, RunError>, places: &RunPlaces)
     if summary.substeps > u64::from(summary.steps) {
         note(format_args!("{} steps were made in {} sub-steps (simulation.substeps)", summary.steps, summary.substeps));
     }
+    // A client that steers a run may end it, too, which is what it is for.
+    let is_by_signal = summary.stopped && signals::stop_requested().is_some();
     let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
     if summary.frames == 0 {
         // A part of a shot that is split in time.
         note(format_args!("{how}: {} steps, {:.2} ms/step", summary.steps, summary.seconds_per_step * 1e3));
-        return if summary.stopped { Err(stopped()) } else { Ok(()) };
+        return if is_by_signal { Err(stopped()) } else { Ok(()) };
     }
     note(format_args!(
         "{how}: {} steps, {:.2} ms/step, frames 0..={} in {}",
@@ -73,7 +75,7 @@ pub(super) fn conclude(result: Result<RunSummary, RunError>, places: &RunPlaces)
         summary.frames - 1,
         places.out.join("frames").display()
     ));
-    if summary.stopped { Err(stopped()) } else { Ok(()) }
+    if is_by_signal { Err(stopped()) } else { Ok(()) }
 }
 
 /// The result of a run that a signal has stopped. Its message is empty, because it has already been printed.

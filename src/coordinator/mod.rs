@@ -11,6 +11,7 @@
 //! next run removes.
 
 pub mod crew;
+pub mod live;
 pub mod options;
 pub mod plan;
 mod progress;
@@ -20,8 +21,10 @@ mod seams;
 pub mod session;
 pub mod shot;
 pub mod solve;
+mod stage_source;
 mod stages;
 mod start_from;
+pub mod steering;
 mod time_job;
 mod time_options;
 pub mod time_plan;
@@ -31,11 +34,13 @@ mod time_split;
 mod time_trace;
 mod watch;
 
-use std::sync::Arc;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use thiserror::Error;
 
 pub use crew::{Crew, CrewError, Launch};
+use live::{Desk, LiveServer, Record};
 pub use options::{GivenOptions, KeepStates, RunOptions, SessionOptions};
 pub use plan::{PlanError, RunPlan};
 use progress::Progress;
@@ -43,8 +48,10 @@ use recorder::Recorder;
 pub use recorder::{RecordError, RunPlaces};
 pub use session::{Session, SessionError, SessionPlace};
 use shot::{Ended, News, ShotError, Told};
-use stages::{StageSource, Stages};
+use stage_source::{StageSource, Steered};
+use stages::{Begin, Stage, Stages};
 pub use start_from::StartFrom;
+pub use steering::Steering;
 pub use time_job::Scope;
 pub use time_options::{PartitionRule, Recovery, SeamRule, TimeOptions};
 pub use time_plan::{TimeError, TimePlan};
@@ -52,7 +59,9 @@ pub use time_split::run_split;
 
 use crate::model::State;
 use crate::os::console::note;
+use crate::os::signals;
 use crate::output::{Checkpoint, SeamGap, Status};
+use crate::scene::{Change, Edit};
 use crate::step::StepStats;
 use crate::transport::MachineError;
 
@@ -111,17 +120,24 @@ pub struct RunSummary {
 
 /// Runs a plan to its end, as one segment on one session.
 pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Launch) -> Result<RunSummary, RunError> {
+    let steering = plan.steering.clone();
     let stages = Stages::new(plan, options)?;
-    for plan in &stages.plans {
+    for plan in stages.levels() {
         launch.machine().check_transfers(plan.partition.ranks(), plan.message_values())?;
     }
-    let (recorder, resumed) = Recorder::open_stages(&stages.plans, options, places)?;
+    let first = stages.first();
+    let mut stage = Arc::clone(first);
+    let mut mesh_of = |checkpoint: &Checkpoint| {
+        stage = stages.locate(checkpoint)?;
+        Some(stage.mesh)
+    };
+    let (recorder, resumed) = Recorder::open_stages(&first.plan, first.fingerprint, options, places, &mut mesh_of)?;
     // The scene stays as it is at time 0, because the order of vertices and the pins come from it.
     let (start, first_step) = match &resumed {
         Some(Checkpoint { state, step, .. }) => (Some(state), *step as u32),
         None => (None, 0),
     };
-    let plan = &stages.plans[recorder.stage()];
+    let plan = Arc::clone(&stage.plan);
     let settings = &plan.scene.settings;
     let last_step = settings.frames * settings.steps_per_frame;
     if let Some(from) = resumed.as_ref().filter(|_| first_step >= last_step) {
@@ -134,13 +150,20 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
         let keep = options.keep_states.is_some_and(|keep| keep.wants(step, settings.steps_per_frame));
         step.is_multiple_of(settings.steps_per_frame) || keep
     };
-    let begin = stages.begin(recorder.stage(), first_step, last_step, start.cloned()).map_err(RunError::Failed)?;
-    let source = StageSource::new(&stages, begin, last_step, options.trace_steps, Arc::new(wants_state));
+    let begin = stages.begin(&stage, first_step, last_step, start.cloned()).map_err(RunError::Failed)?;
+    let (steered, server) = match steering {
+        Some(steering) => steer(*steering, &recorder, &begin, !Arc::ptr_eq(&begin.0, &stage), &places.out)?,
+        None => (None, None),
+    };
+    let desk = steered.as_ref().and_then(|steered| steered.desk.clone());
+    let record = steered.as_ref().map(|steered| Arc::clone(&steered.record));
+    let source = StageSource::new(&stages, begin, last_step, options.trace_steps, Arc::new(wants_state), steered);
     let mut listener = Listener {
         stages: &stages,
-        stage: recorder.stage(),
+        stage: Arc::clone(&stage),
         options,
         recorder,
+        record,
         progress: None,
         is_new: resumed.is_none(),
         first_step,
@@ -152,6 +175,8 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
     };
     let session = options.session();
     let played = shot::play_from(&source, 1, &session, launch, &mut |told| listener.hear(told));
+    // The socket goes before anything else is said.
+    drop(server);
     if let Some(gap) = listener.gap.filter(|_| played.is_ok()) {
         let widest_mm = 1e3 * gap.widest_m;
         match gap.open {
@@ -163,15 +188,19 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
             )),
         }
     }
-    let plan = &stages.plans[listener.stage];
+    let plan = Arc::clone(&listener.stage.plan);
     let Listener { mut recorder, progress, done: StepStats { step: done, .. }, substeps, seconds, .. } = listener;
     let played = played.and_then(|ended| recorder.keep_last_state().map(|_| ended).map_err(ShotError::Listener));
+    let is_asked = desk.is_some_and(|desk| desk.is_stopped()) || signals::stop_requested().is_some();
     let error = match played {
+        Ok(_) if let Some(why) = source.fault() => RunError::Failed(why),
         Ok(ended) => {
             if let Some(progress) = &progress {
                 progress.end();
             }
-            let (stopped, steps) = (ended == Ended::Stopped, done - first_step);
+            // A run that stands still is stopped between two steps.
+            let stopped = ended == Ended::Stopped || (is_asked && done < last_step);
+            let steps = done - first_step;
             recorder.finish(if stopped { Status::Stopped } else { Status::Done })?;
             let frames = done / settings.steps_per_frame + 1;
             let seconds_per_step = seconds / steps.max(1) as f64;
@@ -205,9 +234,11 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
 struct Listener<'a> {
     stages: &'a Stages,
     /// The stage that is under way.
-    stage: usize,
+    stage: Arc<Stage>,
     options: &'a RunOptions,
     recorder: Recorder,
+    /// Of a run that is changed while it goes on.
+    record: Option<Arc<Mutex<Record>>>,
     progress: Option<Progress>,
     /// The run starts from the scene's start state, which is frame 0.
     is_new: bool,
@@ -224,20 +255,25 @@ struct Listener<'a> {
 
 impl Listener<'_> {
     fn hear(&mut self, told: Told) -> Result<(), RecordError> {
-        let plan = &self.stages.plans[told.segment];
+        let Some(stage) = self.stages.of_segment(told.segment) else { return Ok(()) };
+        let plan = &*stage.plan;
         let settings = &plan.scene.settings;
         match told.news {
             News::Ready(ready) if self.progress.is_none() => {
                 // The first states and the report are those of the stage that the run had come to.
-                self.recorder.begin(&self.stages.plans[self.stage], told.session, &ready)?;
+                self.recorder.begin(&self.stage.plan, told.session, &ready)?;
+                if let Some(record) = &self.record {
+                    let record = record.lock().unwrap_or_else(PoisonError::into_inner);
+                    record.begin().map_err(RecordError::Write)?;
+                }
                 if self.is_new {
-                    let panels = &self.stages.plans[0];
-                    self.state(panels, 0, State::start_of(&panels.scene))?;
+                    let panels = Arc::clone(&self.stages.first().plan);
+                    self.state(&panels, 0, State::start_of(&panels.scene))?;
                 }
                 self.progress = Some(Progress::new(settings.frames, self.first_step / settings.steps_per_frame));
-                self.begin_stage(told.segment)?;
+                self.begin_stage(stage)?;
             }
-            News::Ready(_) => self.begin_stage(told.segment)?,
+            News::Ready(_) => self.begin_stage(stage)?,
             News::Step(done) => {
                 (self.done, self.seconds) = (done.ranks[0], self.seconds + done.wall_s);
                 self.substeps += u64::from(self.done.substeps);
@@ -260,25 +296,58 @@ impl Listener<'_> {
     }
 
     fn state(&mut self, plan: &RunPlan, step: u32, state: State) -> Result<Option<String>, RecordError> {
-        let gap = self.stages.gap(self.stage, &state);
+        let gap = self.stage.gap(&state);
         self.gap = gap;
         self.recorder.state_with(plan, step, state, gap)
     }
 
-    /// A segment of a later stage has begun.
-    fn begin_stage(&mut self, stage: usize) -> Result<(), RecordError> {
-        if stage == self.stage {
+    /// A segment has begun, perhaps that of a later stage.
+    fn begin_stage(&mut self, stage: Arc<Stage>) -> Result<(), RecordError> {
+        if stage.number == self.stage.number {
             return Ok(());
         }
-        (self.stage, self.gap) = (stage, None);
-        let (plan, step) = (&self.stages.plans[stage], self.done.step);
-        self.recorder.begin_stage(plan, stage, step)?;
-        let mesh = &plan.scene.mesh;
+        let (plan, step) = (Arc::clone(&stage.plan), self.done.step);
+        self.recorder.scene_is(stage.fingerprint);
+        let before = std::mem::replace(&mut self.stage, stage);
+        if self.stage.mesh == before.mesh {
+            return Ok(());
+        }
+        self.gap = None;
+        self.recorder.begin_mesh(&plan, self.stage.mesh, step)?;
+        let (mesh, origin) = (&plan.scene.mesh, self.stage.origin);
         note(format_args!(
-            "the seams are closed after step {step}: sewn to {} vertices, {} triangles",
+            "{origin} after step {step}: sewn to {} vertices, {} triangles",
             mesh.positions.len(),
             mesh.triangles.len()
         ));
         Ok(())
     }
+}
+
+/// What a run needs that is changed while it goes on, and its socket if clients may do that. It goes on at `begin`,
+/// where its seams may just have been welded.
+fn steer(
+    steering: Steering,
+    recorder: &Recorder,
+    begin: &Begin,
+    is_welded: bool,
+    run: &Path,
+) -> Result<(Option<Steered>, Option<LiveServer>), RunError> {
+    let Steering { of_scene, recorded, live, paused, .. } = steering;
+    let (stage, first_step, _) = begin;
+    // A run that nobody could change before has not noted its new mesh.
+    let is_unknown = stage.mesh > 0 && !recorded.iter().any(|change| change.edit == Edit::Welded);
+    let mut record = Record::new(recorder.changes(), &of_scene, recorded, *first_step);
+    if is_welded || is_unknown {
+        record.add(Change::welded(*first_step)).map_err(RunError::Failed)?;
+    }
+    let desk = live.then(|| Arc::new(Desk::new(*first_step, paused)));
+    let server = match &desk {
+        Some(desk) => {
+            let started = LiveServer::start(run, Arc::clone(desk));
+            Some(started.map_err(|error| RunError::Failed(error.to_string()))?)
+        }
+        None => None,
+    };
+    Ok((Some(Steered { record: Arc::new(Mutex::new(record)), desk }), server))
 }

@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use super::options::RunOptions;
 use super::start_from::kept_start;
+use super::steering::Steering;
 use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology, TopologyError, Traffic, plan};
 use crate::math::DIM;
 use crate::model::{GlobalModel, RankModel};
@@ -66,6 +67,8 @@ pub struct RunPlan {
     pub topology: String,
     /// The machine whose links are emulated.
     pub emulated: Option<Topology>,
+    /// What changes while the run goes on ([`super::run`]); none: nothing.
+    pub steering: Option<Box<Steering>>,
 }
 
 impl RunPlan {
@@ -109,7 +112,36 @@ impl RunPlan {
             }
             (None, _) => (parsed.at(&overrides)?, None, None),
         };
-        Ok(RunPlan { untangled, started, ..RunPlan::of_scene(scene, options)? })
+        let steering = match parsed.changes().is_empty() {
+            true => None,
+            false => Some(Box::new(Steering::new(parsed, &overrides)?)),
+        };
+        Ok(RunPlan { untangled, started, steering, ..RunPlan::of_scene(scene, options)? })
+    }
+
+    /// The same run with another scene, whose settings come from that of this plan.
+    ///
+    /// # Errors
+    /// Those of [`RunPlan::of_scene`].
+    pub fn with_scene(&self, scene: Scene, options: &RunOptions) -> Result<RunPlan, PlanError> {
+        if scene.mesh.positions.len() != self.scene.mesh.positions.len() {
+            return RunPlan::of_scene(scene, options);
+        }
+        let (transfers, topology, emulated) = (self.transfers.clone(), self.topology.clone(), self.emulated.clone());
+        let (untangled, started, steering) = (self.untangled, None, None);
+        let RunPlan { table_bytes, exchange, partition, .. } = *self;
+        Ok(RunPlan {
+            scene,
+            untangled,
+            started,
+            table_bytes,
+            exchange,
+            partition,
+            transfers,
+            topology,
+            emulated,
+            steering,
+        })
     }
 
     /// As [`RunPlan::new`], for a scene that was read before.
@@ -145,8 +177,19 @@ impl RunPlan {
             topology += " (links emulated)";
         }
         let (table_bytes, exchange) = (options.memory_limit_bytes.or(table_bytes), options.exchange);
-        let (untangled, started) = (None, None);
-        Ok(RunPlan { scene, untangled, started, table_bytes, exchange, partition, transfers, topology, emulated })
+        let (untangled, started, steering) = (None, None, None);
+        Ok(RunPlan {
+            scene,
+            untangled,
+            started,
+            table_bytes,
+            exchange,
+            partition,
+            transfers,
+            topology,
+            emulated,
+            steering,
+        })
     }
 
     /// The model in global order.

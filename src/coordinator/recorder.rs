@@ -52,10 +52,11 @@ pub(super) struct Recorder {
     made: MadeFolders,
     manifest: Option<RunManifest>,
     options: RunOptions,
-    /// By stage.
-    fingerprints: Vec<u64>,
-    /// The stage of later states.
-    stage: usize,
+    /// Of the scene of later states, and of the one at the start.
+    fingerprint: u64,
+    first_fingerprint: u64,
+    /// Number of the mesh of later states, from 0.
+    mesh: usize,
     first: Option<Checkpoint>,
     frames: Option<FrameWriter>,
     obstacles: Obstacles,
@@ -76,18 +77,23 @@ impl Recorder {
         options: &RunOptions,
         places: &RunPlaces,
     ) -> Result<(Recorder, Option<Checkpoint>), RecordError> {
-        Recorder::open_stages(std::slice::from_ref(plan), options, places)
+        let fingerprint = scene_fingerprint(&plan.scene);
+        let vertices = plan.scene.mesh.positions.len();
+        let is_of_plan =
+            |found: &Checkpoint| found.fingerprint == fingerprint && found.state.positions.len() == vertices;
+        Recorder::open_stages(plan, fingerprint, options, places, &mut |found| is_of_plan(found).then_some(0))
     }
 
-    /// As [`Recorder::open`] for a run of several stages; it continues in the one that [`Recorder::stage`] says.
+    /// As [`Recorder::open`] for a run of several stages, of which `plan` is the first. `mesh_of`: the number of the
+    /// mesh of the stage that a checkpoint belongs to.
     pub(super) fn open_stages(
-        plans: &[RunPlan],
+        plan: &RunPlan,
+        first_fingerprint: u64,
         options: &RunOptions,
         places: &RunPlaces,
+        mesh_of: &mut dyn FnMut(&Checkpoint) -> Option<usize>,
     ) -> Result<(Recorder, Option<Checkpoint>), RecordError> {
-        let plan = &plans[0];
-        let fingerprints: Vec<u64> = plans.iter().map(|plan| scene_fingerprint(&plan.scene)).collect();
-        let mut stage = 0;
+        let (mut mesh, mut fingerprint) = (0, first_fingerprint);
         let made = MadeFolders::for_run(&places.out);
         let directory = RunDirectory::create(&places.out, places.existing)
             .map_err(|error| RecordError::BadInput(error.to_string()))?;
@@ -101,12 +107,8 @@ impl Recorder {
                     directory.checkpoints().display()
                 )));
             };
-            let vertices = found.state.positions.len();
-            let fits = |stage: &usize| {
-                fingerprints[*stage] == found.fingerprint && plans[*stage].scene.mesh.positions.len() == vertices
-            };
-            if let Some(of_checkpoint) = (0..plans.len()).find(fits) {
-                stage = of_checkpoint;
+            if let Some(of_checkpoint) = mesh_of(&found) {
+                (mesh, fingerprint) = (of_checkpoint, found.fingerprint);
             } else {
                 return Err(RecordError::BadInput(format!(
                     "{} belongs to another scene, resolution or setting; resume with those of run.toml",
@@ -123,13 +125,18 @@ impl Recorder {
             let text = std::fs::read_to_string(&places.scene).map_err(write_error)?;
             manifest = Some(RunManifest::new(&places.scene, &text, options).map_err(write_error)?);
         }
+        if let (Some(manifest), Some(_)) = (&mut manifest, &plan.steering) {
+            let name = directory.changes().file_name().map(|name| name.to_string_lossy().into_owned());
+            manifest.changes_file = name;
+        }
         let recorder = Recorder {
             directory,
             made,
             manifest,
             options: options.clone(),
-            fingerprints,
-            stage,
+            fingerprint,
+            first_fingerprint,
+            mesh,
             first: resumed.clone(),
             frames: None,
             obstacles: Obstacles::new(&plan.scene.obstacles),
@@ -148,9 +155,14 @@ impl Recorder {
         self.first.is_none()
     }
 
-    /// The stage that the run continues in.
-    pub(super) fn stage(&self) -> usize {
-        self.stage
+    /// Later states are of a scene with this fingerprint and the mesh of now.
+    pub(super) fn scene_is(&mut self, fingerprint: u64) {
+        self.fingerprint = fingerprint;
+    }
+
+    /// `run_changes.toml`.
+    pub(super) fn changes(&self) -> PathBuf {
+        self.directory.changes()
     }
 
     /// For a segment of a shot: frames up to the one at or before `step`, where it starts, are made by others.
@@ -170,7 +182,7 @@ impl Recorder {
         }
         let scene = &plan.scene;
         if self.is_new() && self.options.start_from.is_some() {
-            let (fingerprint, state) = (self.fingerprints[0], State::start_of(scene));
+            let (fingerprint, state) = (self.first_fingerprint, State::start_of(scene));
             let start = Checkpoint { fingerprint, state, ..Checkpoint::default() };
             checkpoint::write_to(&self.directory.start(), &start).map_err(write_error)?;
         }
@@ -182,7 +194,7 @@ impl Recorder {
         };
         self.report = Some(report.map_err(write_error)?);
         let first_frame = self.first.as_ref().map_or(0, |from| from.frame + 1);
-        let since = (self.stage > 0).then(|| self.stage_since(first_frame));
+        let since = (self.mesh > 0).then(|| self.mesh_since(first_frame));
         if first_frame > 0 {
             let formats = &self.options.formats.0;
             let sentences =
@@ -196,16 +208,16 @@ impl Recorder {
         self.begin_trace(session, ready)
     }
 
-    /// Call it when a session holds another level of the run: `plan` is that of stage `stage`, which goes on from the
+    /// Call it when a session holds a level of the run with another mesh, that of number `mesh`, which goes on from the
     /// state after `step`.
-    pub(super) fn begin_stage(&mut self, plan: &RunPlan, stage: usize, step: u32) -> Result<(), RecordError> {
+    pub(super) fn begin_mesh(&mut self, plan: &RunPlan, mesh: usize, step: u32) -> Result<(), RecordError> {
         let scene = &plan.scene;
         let first_frame = step / scene.settings.steps_per_frame + 1;
-        self.stage = stage;
+        self.mesh = mesh;
         let (triangles, vertices) = (scene.mesh.triangles.len(), scene.mesh.positions.len());
         let record = StageRecord { step: u64::from(step), first_frame, triangles, vertices };
         if let Some(report) = &mut self.report {
-            report.stage(stage - 1, record);
+            report.stage(mesh.saturating_sub(1), record);
         }
         self.frames = Some(self.writer(plan, Some(first_frame), first_frame)?);
         Ok(())
@@ -219,10 +231,10 @@ impl Recorder {
             .map_err(write_error)
     }
 
-    /// The first frame of the second stage, of which `first_frame` is the next one to be written.
-    fn stage_since(&self, first_frame: u32) -> u32 {
+    /// The first frame of the mesh of now, which is not the first one, if `first_frame` is the next one to be written.
+    fn mesh_since(&self, first_frame: u32) -> u32 {
         let stages = self.report.as_ref().map(|report| &report.report().header.stages);
-        stages.and_then(|stages| stages.first()).map_or(first_frame, |stage| stage.first_frame)
+        stages.and_then(|stages| stages.get(self.mesh - 1)).map_or(first_frame, |stage| stage.first_frame)
     }
 
     /// Tracks for the ranks of a session.
@@ -345,7 +357,7 @@ impl Recorder {
                 self.next_frame += 1;
             }
         }
-        let fingerprint = self.fingerprints[self.stage];
+        let fingerprint = self.fingerprint;
         let reached = Checkpoint { frame, step: step as u64, time_s, fingerprint, state };
         if self.options.keep_states.is_some_and(|keep| keep.wants(step, settings.steps_per_frame)) {
             checkpoint::keep(&self.directory.states(), &reached).map_err(write_error)?;

@@ -4,7 +4,7 @@
 //! All segments send their news to one receiver. The news of a segment arrive in the order of its steps; the order
 //! between segments is not defined.
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Deref};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
@@ -24,7 +24,7 @@ const AHEAD: usize = 1;
 #[derive(Clone)]
 pub struct Segment<'a> {
     /// The level to simulate.
-    pub level: &'a RunPlan,
+    pub level: Level<'a>,
     /// Start state; none: the start state of the scene, which is that of step 0.
     pub start: Option<Arc<State>>,
     /// Step of the start state.
@@ -44,6 +44,38 @@ pub struct Segment<'a> {
     pub way: Option<Arc<dyn FindWay + 'a>>,
     /// What is done to the start state first.
     pub preparation: Option<Arc<dyn Prepare + 'a>>,
+}
+
+/// A level that somebody holds, or one that is made while the shot goes on.
+#[derive(Clone)]
+pub enum Level<'a> {
+    /// Held by others.
+    Of(&'a RunPlan),
+    /// Held by its segments.
+    Shared(Arc<RunPlan>),
+}
+
+impl Deref for Level<'_> {
+    type Target = RunPlan;
+
+    fn deref(&self) -> &RunPlan {
+        match self {
+            Level::Of(plan) => plan,
+            Level::Shared(plan) => plan,
+        }
+    }
+}
+
+impl<'a> From<&'a RunPlan> for Level<'a> {
+    fn from(plan: &'a RunPlan) -> Level<'a> {
+        Level::Of(plan)
+    }
+}
+
+impl From<Arc<RunPlan>> for Level<'_> {
+    fn from(plan: Arc<RunPlan>) -> Self {
+        Level::Shared(plan)
+    }
 }
 
 /// As [`Segment::ends_at`].
@@ -71,9 +103,9 @@ pub trait FindWay: Send + Sync {
 
 impl<'a> Segment<'a> {
     /// All steps of `level` to `last_step` as the forces have them, without states or events.
-    pub fn plain(level: &'a RunPlan, last_step: u32) -> Segment<'a> {
+    pub fn plain(level: impl Into<Level<'a>>, last_step: u32) -> Segment<'a> {
         Segment {
-            level,
+            level: level.into(),
             start: None,
             first_step: 0,
             last_step,
@@ -222,7 +254,7 @@ fn listen<E>(
 struct Player<'h, 'a> {
     place: SessionPlace,
     session: Option<Session>,
-    level: Option<(&'a RunPlan, Vec<WorkerReady>)>,
+    level: Option<(Level<'a>, Vec<WorkerReady>)>,
     halt: &'h AtomicBool,
     sender: SyncSender<Told>,
 }
@@ -255,11 +287,11 @@ impl<'a> Player<'_, 'a> {
             none => none.insert(Session::assemble(self.place, options, launch)?),
         };
         let whose = |news| Told { session: self.place.session, segment: number, news };
-        let there = self.level.take().filter(|(level, _)| std::ptr::eq(*level, segment.level));
+        let there = self.level.take().filter(|(level, _)| std::ptr::eq::<RunPlan>(&**level, &*segment.level));
         let is_loaded = there.is_some();
         let (level, ready) = match there {
             Some(there) => there,
-            None => (segment.level, session.load(segment.level)?),
+            None => (segment.level.clone(), session.load(&segment.level)?),
         };
         self.level = Some((level, ready.clone()));
         if self.sender.send(whose(News::Ready(ready))).is_err() {

@@ -1,36 +1,67 @@
-//! Stages of a run: panels that are sewn, then the sewn cloth. Each has a mesh of its own and is a level of the same
-//! session; the change is made at the first frame at which the seams have closed and the way of their vertices to each
-//! other is free.
+//! Stages of a run: panels that are sewn, then the sewn cloth; in a run that is changed while it goes on, one more
+//! with every change. Each is a level of the same session. The change to sewn cloth is made at the first frame at which
+//! the seams have closed and the way of their vertices to each other is free.
 
-use std::sync::{Arc, Mutex};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
+use super::live::merged;
 use super::options::RunOptions;
 use super::plan::{PlanError, RunPlan};
-use super::shot::{Segment, Source};
 use super::time_plan::surface;
 use crate::collision::{LeftOut, StraightWay};
 use crate::math::Vec3;
 use crate::mesh::{Group, GroupKind, crossings};
 use crate::model::{Sewn, State};
-use crate::output::SeamGap;
-use crate::scene::{Obstacles, Scene};
+use crate::output::{Checkpoint, SeamGap, scene_fingerprint};
+use crate::scene::{Change, Edit, Handles, Obstacles, Scene};
 
 /// Share of the way to each other that vertices go first, all pairs of features being proven apart on it; on the rest
 /// features that get a common vertex are not looked at.
 const FIRST_SHARE: f32 = 15.0 / 16.0;
 
+/// A stage of a run.
+pub(super) struct Stage {
+    /// Number of its segment.
+    pub number: usize,
+    /// Number of its mesh among those of the run, from 0.
+    pub mesh: usize,
+    /// Its level.
+    pub plan: Arc<RunPlan>,
+    /// [`scene_fingerprint`].
+    pub fingerprint: u64,
+    /// How it came about, as the start of a sentence about a stage with another mesh.
+    pub origin: &'static str,
+    /// What changes name; nothing in a run that cannot be changed.
+    pub handles: Handles,
+    /// The cloth that its seams make; none without seams.
+    sewn: Option<Box<SewnCloth>>,
+}
+
+/// The stage after the seams of a stage are closed.
+struct SewnCloth {
+    way: Sewn,
+    plan: Arc<RunPlan>,
+    fingerprint: u64,
+    handles: Handles,
+}
+
 /// The stages of a run.
 pub(super) struct Stages {
-    /// The level of every stage.
-    pub plans: Vec<RunPlan>,
-    /// From the first to the second.
-    sewn: Option<Sewn>,
+    options: RunOptions,
+    first: Arc<Stage>,
+    /// Changes that are known when the run begins.
+    changes: Vec<Change>,
+    /// Those that somebody may still ask for, by number.
+    known: Mutex<BTreeMap<usize, Arc<Stage>>>,
+    next_number: AtomicUsize,
 }
 
 /// What became of an attempt to sew.
 pub(super) enum Attempt {
-    /// The state of the sewn cloth.
-    Sewn(Box<State>),
+    /// The sewn cloth and its state.
+    Sewn(Arc<Stage>, Box<State>),
     /// The seams are open.
     Open,
     /// The seams are closed, but the way to each other is not free.
@@ -43,22 +74,107 @@ impl Stages {
     /// # Errors
     /// Those of a level.
     pub(super) fn new(plan: RunPlan, options: &RunOptions) -> Result<Stages, PlanError> {
-        let mut stages = Stages { sewn: None, plans: vec![plan] };
-        if let Some((scene, sewn)) = Sewn::of(&stages.plans[0].scene) {
-            stages.plans.push(RunPlan::of_scene(scene, options)?);
-            stages.sewn = Some(sewn);
+        let steering = plan.steering.as_deref();
+        let changes = steering.map_or(Vec::new(), |steering| merged(&steering.of_scene, &steering.recorded));
+        let handles = steering.map_or(Handles::default(), |steering| steering.handles.clone());
+        let next_number = AtomicUsize::new(1);
+        let first = Arc::new(Stage::new(0, 0, plan, handles, "", options)?);
+        let known = Mutex::new(BTreeMap::from([(0, Arc::clone(&first))]));
+        Ok(Stages { options: options.clone(), first, changes, known, next_number })
+    }
+
+    /// The stage at the start.
+    pub(super) fn first(&self) -> &Arc<Stage> {
+        &self.first
+    }
+
+    /// The levels that are known before the run: the first one and what its seams make.
+    pub(super) fn levels(&self) -> impl Iterator<Item = &RunPlan> {
+        let sewn = self.first.sewn.iter().map(|sewn| &*sewn.plan);
+        std::iter::once(&*self.first.plan).chain(sewn)
+    }
+
+    /// The stage of a segment. Those before it are then forgotten, because the news of segments come in order.
+    pub(super) fn of_segment(&self, number: usize) -> Option<Arc<Stage>> {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        known.retain(|&there, _| there >= number);
+        known.get(&number).cloned()
+    }
+
+    /// Gives a stage its number.
+    fn enter(&self, make: impl FnOnce(usize) -> Result<Stage, PlanError>) -> Result<Arc<Stage>, PlanError> {
+        let number = self.next_number.fetch_add(1, Ordering::Relaxed);
+        let stage = Arc::new(make(number)?);
+        self.known.lock().unwrap_or_else(PoisonError::into_inner).insert(number, Arc::clone(&stage));
+        Ok(stage)
+    }
+
+    /// What the seams of a stage make of it.
+    fn sewn(&self, stage: &Stage) -> Option<Arc<Stage>> {
+        let sewn = stage.sewn.as_deref()?;
+        let make = |number| {
+            Ok(Stage {
+                number,
+                mesh: stage.mesh + 1,
+                plan: Arc::clone(&sewn.plan),
+                fingerprint: sewn.fingerprint,
+                origin: "the seams are closed",
+                handles: sewn.handles.clone(),
+                sewn: None,
+            })
+        };
+        self.enter(make).ok()
+    }
+
+    /// The stage that a checkpoint belongs to, by the changes that were made before it; none if it is of another run.
+    pub(super) fn locate(&self, checkpoint: &Checkpoint) -> Option<Arc<Stage>> {
+        let mut stage = Arc::clone(&self.first);
+        for change in self.changes.iter().filter(|change| u64::from(change.step) < checkpoint.step) {
+            stage = match change.edit {
+                Edit::Welded => self.sewn(&stage)?,
+                _ => self.changed(&stage, change, None).ok()?.0,
+            };
         }
-        Ok(stages)
+        let fits = |stage: &Stage| {
+            stage.fingerprint == checkpoint.fingerprint
+                && stage.plan.scene.mesh.positions.len() == checkpoint.state.positions.len()
+        };
+        if fits(&stage) { Some(stage) } else { self.sewn(&stage).filter(|sewn| fits(sewn)) }
+    }
+
+    /// The stage that a change makes of another one, and the state there. Without a state it follows from what the
+    /// change has recorded.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub(super) fn changed(
+        &self,
+        stage: &Arc<Stage>,
+        change: &Change,
+        state: Option<Arc<State>>,
+    ) -> Result<(Arc<Stage>, Option<Arc<State>>), String> {
+        let (mut scene, mut handles) = (stage.plan.scene.clone(), stage.handles.clone());
+        if scene.edit(&mut handles, &change.edit)? {
+            let plan = stage.plan.with_scene(scene, &self.options).map_err(|error| error.to_string())?;
+            let make = |number| Stage::new(number, stage.mesh, plan, handles, "", &self.options);
+            return Ok((self.enter(make).map_err(|error| error.to_string())?, state));
+        }
+        Err("this kind of change is not there yet".into())
     }
 
     /// Where a run goes on that has come to `state` (none: the start) of `stage` after `step`.
     ///
     /// # Errors
     /// A sentence, if detection fails.
-    pub(super) fn begin(&self, stage: usize, step: u32, last_step: u32, state: Option<State>) -> Result<Begin, String> {
-        let scene = &self.plans[stage].scene;
-        if stage == 0 && self.sewn.is_some() && step.is_multiple_of(scene.settings.steps_per_frame) && step < last_step
-        {
+    pub(super) fn begin(
+        &self,
+        stage: &Arc<Stage>,
+        step: u32,
+        last_step: u32,
+        state: Option<State>,
+    ) -> Result<Begin, String> {
+        let scene = &stage.plan.scene;
+        if stage.sewn.is_some() && step.is_multiple_of(scene.settings.steps_per_frame) && step < last_step {
             let start;
             let state = match &state {
                 Some(state) => state,
@@ -67,31 +183,24 @@ impl Stages {
                     &start
                 }
             };
-            if let Attempt::Sewn(sewn) = self.attempt(state, step)? {
-                return Ok((1, step, Some(Arc::new(*sewn))));
+            if let Attempt::Sewn(stage, sewn) = self.attempt(stage, state, step)? {
+                return Ok((stage, step, Some(Arc::new(*sewn))));
             }
         }
-        Ok((stage, step, state.map(Arc::new)))
+        Ok((Arc::clone(stage), step, state.map(Arc::new)))
     }
 
-    /// How far the seams of a state of the first stage are open; none without seams.
-    pub(super) fn gap(&self, stage: usize, state: &State) -> Option<SeamGap> {
-        let sewn = self.sewn.as_ref().filter(|_| stage == 0)?;
-        let (widest_m, ends) = sewn.ends(&state.positions);
-        Some(SeamGap { widest_m, open: sewn.open(&state.positions, &ends) })
-    }
-
-    /// Sews a state of the first stage after `step`, if its seams are closed.
+    /// Sews a state of a stage after `step`, if its seams are closed.
     ///
     /// # Errors
     /// A sentence, if detection fails.
-    pub(super) fn attempt(&self, state: &State, step: u32) -> Result<Attempt, String> {
-        let Some(sewn) = &self.sewn else { return Ok(Attempt::Open) };
+    pub(super) fn attempt(&self, stage: &Stage, state: &State, step: u32) -> Result<Attempt, String> {
+        let Some(SewnCloth { way: sewn, plan, .. }) = stage.sewn.as_deref() else { return Ok(Attempt::Open) };
         let (widest_m, ends) = sewn.ends(&state.positions);
         if widest_m > sewn.weld_m() {
             return Ok(Attempt::Open);
         }
-        let [panels, cloth] = [&self.plans[0].scene, &self.plans[1].scene];
+        let [panels, cloth] = [&stage.plan.scene, &plan.scene];
         if panels.settings.collisions && !is_free(panels, sewn, state, &ends, step)? {
             return Ok(Attempt::Blocked);
         }
@@ -99,9 +208,53 @@ impl Stages {
         if panels.settings.collisions && crosses(cloth, &state, step) {
             return Ok(Attempt::Blocked);
         }
-        Ok(Attempt::Sewn(Box::new(state)))
+        Ok(self.sewn(stage).map_or(Attempt::Open, |stage| Attempt::Sewn(stage, Box::new(state))))
     }
 }
+
+impl Stage {
+    fn new(
+        number: usize,
+        mesh: usize,
+        plan: RunPlan,
+        handles: Handles,
+        origin: &'static str,
+        options: &RunOptions,
+    ) -> Result<Stage, PlanError> {
+        let sewn = match Sewn::of(&plan.scene) {
+            None => None,
+            Some((scene, way)) => {
+                let plan = RunPlan::of_scene(scene, options)?;
+                let handles = if plan.steering.is_some() || !handles.cloths.is_empty() {
+                    let mut handles = handles.clone();
+                    handles.renumber(|v| way.vertex(v), &way.halves());
+                    handles
+                } else {
+                    Handles::default()
+                };
+                let fingerprint = scene_fingerprint(&plan.scene);
+                Some(Box::new(SewnCloth { way, plan: Arc::new(plan), fingerprint, handles }))
+            }
+        };
+        let fingerprint = scene_fingerprint(&plan.scene);
+        Ok(Stage { number, mesh, plan: Arc::new(plan), fingerprint, origin, handles, sewn })
+    }
+
+    /// Whether seams are still to be sewn.
+    pub(super) fn has_seams(&self) -> bool {
+        self.sewn.is_some()
+    }
+
+    /// How far the seams of a state are open; none without seams.
+    pub(super) fn gap(&self, state: &State) -> Option<SeamGap> {
+        let sewn = &self.sewn.as_deref()?.way;
+        let (widest_m, ends) = sewn.ends(&state.positions);
+        Some(SeamGap { widest_m, open: sewn.open(&state.positions, &ends) })
+    }
+}
+
+/// A stage that begins: its first step and its state there.
+pub(super) type Begin = (Arc<Stage>, u32, Option<Arc<State>>);
 
 /// Whether the vertices of `state` can go to `ends` without touching anything else.
 fn is_free(panels: &Scene, sewn: &Sewn, state: &State, ends: &[Vec3], step: u32) -> Result<bool, String> {
@@ -154,57 +307,4 @@ fn crosses(cloth: &Scene, state: &State, step: u32) -> bool {
         let with_obstacle = t as usize >= of_cloth;
         !(with_obstacle && is_let_go(s))
     })
-}
-
-/// A stage that begins: its number, its first step and its state there.
-pub(super) type Begin = (usize, u32, Option<Arc<State>>);
-
-/// The stages of a run one after another, as segments of one session.
-pub(super) struct StageSource<'a> {
-    stages: &'a Stages,
-    last_step: u32,
-    trace_until: u32,
-    wants_state: Arc<dyn Fn(u32) -> bool + Send + Sync + 'a>,
-    next: Arc<Mutex<Option<Begin>>>,
-}
-
-impl<'a> StageSource<'a> {
-    /// Begins with `begin`; a stage goes on to `last_step` or until it is sewn.
-    pub(super) fn new(
-        stages: &'a Stages,
-        begin: Begin,
-        last_step: u32,
-        trace_steps: u32,
-        wants_state: Arc<dyn Fn(u32) -> bool + Send + Sync + 'a>,
-    ) -> StageSource<'a> {
-        let trace_until = begin.1.saturating_add(trace_steps);
-        StageSource { stages, last_step, trace_until, wants_state, next: Arc::new(Mutex::new(Some(begin))) }
-    }
-}
-
-impl<'a> Source<'a> for StageSource<'a> {
-    fn next(&self, _session: usize, _halt: &std::sync::atomic::AtomicBool) -> Option<(usize, Segment<'a>)> {
-        let (stage, first_step, start) = self.next.lock().ok()?.take()?;
-        let level: &'a RunPlan = &self.stages.plans[stage];
-        let mut segment = Segment {
-            start,
-            first_step,
-            trace_steps: self.trace_until.saturating_sub(first_step),
-            wants_state: Arc::clone(&self.wants_state),
-            ..Segment::plain(level, self.last_step)
-        };
-        if stage + 1 < self.stages.plans.len() {
-            let (stages, next, last_step) = (self.stages, Arc::clone(&self.next), self.last_step);
-            let per_frame = level.scene.settings.steps_per_frame;
-            segment.ends_at = Some(Arc::new(move |step: u32, state: &State| {
-                if !step.is_multiple_of(per_frame) || step >= last_step {
-                    return Ok(false);
-                }
-                let Attempt::Sewn(state) = stages.attempt(state, step)? else { return Ok(false) };
-                *next.lock().map_err(|error| error.to_string())? = Some((stage + 1, step, Some(Arc::new(*state))));
-                Ok(true)
-            }));
-        }
-        Some((stage, segment))
-    }
 }

@@ -194,6 +194,12 @@ impl FileMesh {
         }
     }
 
+    /// Number of vertices in the file.
+    pub fn file_vertices(&self) -> u32 {
+        let kept = self.mesh.positions.len() - self.added.len();
+        self.mesh_vertices.as_ref().map_or(kept, Vec::len) as u32
+    }
+
     /// The number in the file of a mesh vertex; of several joined ones the first. Vertices that were added have the
     /// numbers after those of the file.
     pub fn file_vertex(&self, vertex: u32) -> u32 {

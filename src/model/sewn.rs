@@ -155,6 +155,18 @@ impl Sewn {
         one.iter().any(|v| other.iter().any(|w| joined(v) == joined(w)))
     }
 
+    /// Vertex of the sewn cloth that a vertex of the panels has become.
+    pub fn vertex(&self, panels: u32) -> u32 {
+        self.place_of[self.vertex_of[panels as usize] as usize]
+    }
+
+    /// The vertices that were added in the middle of edges, with the ends of these, level by level.
+    pub fn halves(&self) -> Vec<(u32, [u32; 2])> {
+        let place = |v: u32| self.place_of[v as usize];
+        let middles = self.joined() as u32..;
+        middles.zip(self.halved.iter().flatten()).map(|(middle, &ends)| (place(middle), ends.map(place))).collect()
+    }
+
     /// The state of the sewn cloth that follows from a state of the panels whose vertices have met at `ends`.
     pub fn state(&self, panels: &State, ends: &[Vec3]) -> State {
         let mut joined = vec![Vec3::ZERO; self.joined()];

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! RUN_DIR/report.json  report.html  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
+//!         run_changes.toml  live.sock  (of a run that is steered while it goes on)
 //!         rest_2.obj  cloth_2.pc2  (the second mesh of a run that sews)
 //!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc
 //!         states/step_%08d.ltc  pictures/*.png
@@ -68,7 +69,7 @@ pub struct RunDirectory {
 }
 
 /// Files at the top level of a run directory.
-const FILES: [&str; 11] = [
+const FILES: [&str; 12] = [
     "report.json",
     "run.toml",
     "run_scene.toml",
@@ -80,6 +81,7 @@ const FILES: [&str; 11] = [
     "rest_2.obj",
     "report.html",
     "start.ltc",
+    "run_changes.toml",
 ];
 /// Sub-folders, with the prefixes of the names of a run's files in them.
 const FOLDERS: [(&str, &[&str]); 4] = [
@@ -113,6 +115,8 @@ impl RunDirectory {
             fs::create_dir_all(path.join(folder)).map_err(unwritable)?;
             atomic::remove_parts(&path.join(folder));
         }
+        // A run that was killed leaves its socket.
+        let _ = fs::remove_file(path.join("live.sock"));
         atomic::remove_parts(&path.join("states"));
         atomic::remove_parts(path);
         Ok(RunDirectory { path: own(), _lock: lock })
@@ -162,6 +166,10 @@ impl RunDirectory {
     /// `start.ltc`: where the cloth of a run started that has taken its start from another one.
     pub fn start(&self) -> PathBuf {
         self.path.join("start.ltc")
+    }
+    /// `run_changes.toml`: what was changed while the run went on.
+    pub fn changes(&self) -> PathBuf {
+        self.path.join("run_changes.toml")
     }
     /// `frames/`.
     pub fn frames(&self) -> PathBuf {

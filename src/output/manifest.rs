@@ -34,6 +34,9 @@ pub struct RunManifest {
     /// Other files that were read (meshes, fabrics, topology).
     #[serde(default)]
     pub inputs: Vec<Input>,
+    /// Name of the file in the run directory with what was changed while the run went on; none if nothing could be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub changes_file: Option<String>,
     /// Flags of the command line with their defaults filled in. [`RunManifest::flags`] decodes them.
     #[serde(default)]
     pub flags: toml::Table,
@@ -95,6 +98,7 @@ impl RunManifest {
             scene_text: scene_text.to_string(),
             sheets: Some("irregular".to_string()),
             inputs: Vec::new(),
+            changes_file: None,
             flags: toml::Table::try_from(flags).map_err(|e| ManifestError::Flags(e.to_string()))?,
         })
     }

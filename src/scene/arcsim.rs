@@ -75,7 +75,9 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         name: path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default(),
         origin_m,
         cloths,
+        fabrics: Vec::new(),
         pins,
+        changes: Vec::new(),
         seams: Vec::new(),
         sewing: SewingSource::default(),
         motions,
@@ -241,7 +243,7 @@ fn handle_pin(
         return Ok(None);
     }
     let select = Selection::Vertices(numbers);
-    Ok(Some(PinSource { cloth, select, motion, follow: None, start_s, end_s, at: nodes.place() }))
+    Ok(Some(PinSource { name: None, cloth, select, motion, follow: None, start_s, end_s, at: nodes.place() }))
 }
 
 fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError> {

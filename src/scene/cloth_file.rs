@@ -34,14 +34,18 @@ pub(super) const FABRIC_FIELDS: [&str; 11] = [
 /// Bending stiffness in ARCSim's form over flexural rigidity (docs/papers.md, D13).
 const BENDING_OF_RIGIDITY: f64 = 4.0;
 
+/// Reads `stretching_n_m`: four numbers, or six rows of them.
+pub(super) fn stretching(value: &Value) -> Result<[[f64; 4]; 6], SceneError> {
+    if value.array()?.first().is_some_and(Value::is_array) { rows(value) } else { Ok([value.numbers()?; 6]) }
+}
+
+/// Reads `bending_n_m`: a number, or three rows of five.
+pub(super) fn bending(value: &Value) -> Result<[[f64; 5]; 3], SceneError> {
+    if value.is_array() { rows(value) } else { Ok([[value.not_negative()?; 5]; 3]) }
+}
+
 /// Reads a `[[fabric]]`.
 pub(super) fn fabric(fields: &Fields) -> Result<Fabric, SceneError> {
-    let stretching = |value: &Value| -> Result<[[f64; 4]; 6], SceneError> {
-        if value.array()?.first().is_some_and(Value::is_array) { rows(value) } else { Ok([value.numbers()?; 6]) }
-    };
-    let bending = |value: &Value| -> Result<[[f64; 5]; 3], SceneError> {
-        if value.is_array() { rows(value) } else { Ok([[value.not_negative()?; 5]; 3]) }
-    };
     let bending_n_m = match (fields.get("bending_n_m"), fields.get("flexural_rigidity_n_m")) {
         (Some(_), Some(rigidity)) => {
             let what = "says the same as `bending_n_m`, which is four times it; give one of them";
@@ -370,7 +374,17 @@ fn garment(fields: &Fields) -> Result<Garment, SceneError> {
 }
 
 fn named_fabric(value: &Value, fabrics: &[Fabric], path: &Path) -> Result<Fabric, SceneError> {
-    let name = value.text()?;
+    known_fabric(value.text()?, fabrics, path, &|what| value.error(what))
+}
+
+/// The fabric of a name: one of `fabrics`, a preset, or a file beside the scene `path`. `fault`: an error at the field
+/// that names it.
+pub(super) fn known_fabric(
+    name: &str,
+    fabrics: &[Fabric],
+    path: &Path,
+    fault: &dyn Fn(String) -> SceneError,
+) -> Result<Fabric, SceneError> {
     if let Some(fabric) = fabrics.iter().find(|fabric| fabric.name == name) {
         return Ok(fabric.clone());
     }
@@ -378,9 +392,9 @@ fn named_fabric(value: &Value, fabrics: &[Fabric], path: &Path) -> Result<Fabric
         return Ok(fabric);
     }
     if name.ends_with(".json") {
-        return super::load_fabric(&find(path, name).map_err(|what| value.error(what))?);
+        return super::load_fabric(&find(path, name).map_err(fault)?);
     }
     let known: Vec<String> =
         fabrics.iter().map(|fabric| fabric.name.clone()).chain(Fabric::preset_names().map(String::from)).collect();
-    Err(value.error(format!("`{name}` is no known fabric; known: {}, or a .json file", known.join(", "))))
+    Err(fault(format!("`{name}` is no known fabric; known: {}, or a .json file", known.join(", "))))
 }

@@ -28,6 +28,14 @@ pub enum SceneError {
 }
 
 impl SceneError {
+    /// The sentence without file and line, for fields that were not read from a file.
+    pub(super) fn without_place(&self) -> String {
+        match self {
+            SceneError::Field { field, what, .. } => format!("field `{field}`: {what}"),
+            other => other.what(),
+        }
+    }
+
     /// What is wrong, without the place.
     pub(super) fn what(&self) -> String {
         match self {

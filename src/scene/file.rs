@@ -4,6 +4,7 @@ use std::path::Path;
 
 use toml::de::DeTable;
 
+use super::change::{ROOT_FIELDS, changes};
 use super::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, Remarks, cloth, fabric, sheet_triangles};
 use super::cloth_source::place_cloths;
 use super::fields::{Fields, Source};
@@ -18,9 +19,6 @@ use super::{Fabric, SceneError, TimeTable};
 
 /// Triangles of all sheets together if neither the scene nor the command line gives a resolution.
 const DEFAULT_RESOLUTION: u64 = 10_000;
-
-const ROOT_FIELDS: [&str; 11] =
-    ["name", "resolution", "simulation", "time", "air", "fabric", "cloth", "seam", "sewing", "pin", "obstacle"];
 
 /// Reads `[time]` alone.
 pub(super) fn read_time_table(text: &str, path: &Path) -> Result<TimeTable, SceneError> {
@@ -88,12 +86,15 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         Some(_) => root.place_at("seam"),
         None => root.place_at("cloth"),
     };
+    let changes = changes(&root, text)?;
     let scene = ParsedScene {
         path: path.into(),
         name,
         origin_m,
         cloths,
+        fabrics,
         pins,
+        changes,
         seams,
         sewing,
         motions: paths.motions,

@@ -17,7 +17,8 @@ use super::seam_fault::{fault_sentence, panel_of};
 use super::seam_file::SewingSource;
 use super::start::{GivenStart, Start, StartState};
 use super::{
-    Closing, Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings, Sewing, Untangling,
+    Change, Closing, Fabric, Motion, Movement, Obstacle, Overrides, Pin, RESOLUTIONS, Scene, SceneError, Settings,
+    Sewing, Untangling,
 };
 
 /// Last length of a thread over `weld_m`. A thread that shrank to nothing would draw the sides through each other, and
@@ -34,7 +35,11 @@ pub struct ParsedScene {
     pub(super) name: String,
     pub(super) origin_m: DVec3,
     pub(super) cloths: Vec<ClothSource>,
+    /// The fabrics that the scene names.
+    pub(super) fabrics: Vec<Fabric>,
     pub(super) pins: Vec<PinSource>,
+    /// Changes while it runs.
+    pub(super) changes: Vec<Change>,
     pub(super) seams: Vec<SeamSource>,
     pub(super) sewing: SewingSource,
     pub(super) motions: Vec<Motion>,
@@ -134,13 +139,21 @@ impl ParsedScene {
         if !self.seams.is_empty() && coarsenings > 0 {
             return Err(self.seams_at.error("cloth that is sewn has no coarser level (--segments)"));
         }
+        if !self.changes.is_empty() && coarsenings > 0 {
+            let what = "a scene that changes while it runs (`[[change]]`) cannot be split in time (--segments)";
+            return Err(SceneError::File { path: self.path.clone(), what: what.into() });
+        }
         let (pieces, joints) = self.pieces(overrides, coarsenings)?;
         let scene = self.build(overrides, &pieces, &joints, start)?;
         Ok((scene, pieces.into_iter().map(|piece| piece.refinement).collect()))
     }
 
     /// The pieces with the vertices that seams add, and what the seams join.
-    fn pieces(&self, overrides: &Overrides, coarsenings: usize) -> Result<(Vec<Piece<'_>>, Joints), SceneError> {
+    pub(super) fn pieces(
+        &self,
+        overrides: &Overrides,
+        coarsenings: usize,
+    ) -> Result<(Vec<Piece<'_>>, Joints), SceneError> {
         let factor = self.resolution_factor(overrides.resolution)?;
         let piece = |cloth| Piece::new(cloth, factor, coarsenings);
         let mut pieces: Vec<Piece<'_>> = self.cloths.iter().map(piece).collect::<Result<_, _>>()?;

@@ -9,9 +9,9 @@ use super::keyframes::motion;
 use super::pins::{self, PinSource, Selection, Spread};
 use super::{Motion, Obstacle, SceneError};
 
-pub(super) const PIN_FIELDS: [&str; 15] = [
-    "cloth", "corners", "edge", "every", "count", "vertices", "group", "property", "box_m", "sphere", "nearest",
-    "start_s", "end_s", "motion", "follow",
+pub(super) const PIN_FIELDS: [&str; 16] = [
+    "name", "cloth", "corners", "edge", "every", "count", "vertices", "group", "property", "box_m", "sphere",
+    "nearest", "start_s", "end_s", "motion", "follow",
 ];
 
 /// What pins move with.
@@ -56,7 +56,8 @@ pub(super) fn pin(
     if follow.is_none() && fields.get("nearest").is_some() {
         return Err(fields.error_at("nearest", "needs `follow`: it selects what is nearest to that obstacle"));
     }
-    Ok(PinSource { cloth, select, motion, follow, start_s, end_s, at: value.place() })
+    let name = fields.optional("name", |value| value.text().map(str::to_owned))?;
+    Ok(PinSource { name, cloth, select, motion, follow, start_s, end_s, at: value.place() })
 }
 
 /// The place in `followed` of the obstacle that a pin follows, and the obstacle.

@@ -11,6 +11,8 @@ use super::{Obstacle, Obstacles, Pin, SceneError};
 /// A pin as the scene file gives it, before a resolution is chosen.
 #[derive(Clone, Debug)]
 pub(super) struct PinSource {
+    /// By which a change lets it go; none: its number among the pins.
+    pub name: Option<String>,
     /// Index of the piece.
     pub cloth: usize,
     pub select: Selection,

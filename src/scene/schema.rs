@@ -11,6 +11,7 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
+    use crate::scene::change::CHANGE_FIELDS;
     use crate::scene::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, GARMENT_FIELDS, SHEET_FIELDS};
     use crate::scene::obstacle_file::OBSTACLE_FIELDS;
     use crate::scene::pin_file::PIN_FIELDS;
@@ -36,6 +37,7 @@ mod tests {
         assert_eq!(fields("cloth/items/properties/garment/properties"), known(&GARMENT_FIELDS));
         assert_eq!(fields("pin/items/properties"), known(&PIN_FIELDS));
         assert_eq!(fields("obstacle/items/properties"), known(&OBSTACLE_FIELDS));
+        assert_eq!(fields("change/items/properties"), known(&CHANGE_FIELDS));
     }
 
     /// The words of JSON Schema that the schema uses.

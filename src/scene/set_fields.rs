@@ -1,5 +1,7 @@
 //! `--set simulation.friction=0.5`: fields of a TOML scene given on the command line.
 
+use std::path::Path;
+
 use toml::{Table, Value};
 
 use super::settings_file::{FRAMES, STEP_S, STEPS_PER_FRAME};
@@ -54,6 +56,31 @@ pub fn fields_of_fps(text: &str, fps: f64) -> Result<Vec<String>, String> {
         format!("simulation.steps_per_frame={}", steps as u64),
         format!("simulation.frames={}", frames.round().max(1.0) as u64),
     ])
+}
+
+/// The text of a scene with the names of files that lie in or below `folder` made absolute, so that it can be read from
+/// anywhere. A text without such names stays as it is.
+///
+/// # Errors
+/// One sentence: the text is not TOML.
+pub fn with_absolute_files(text: &str, folder: &Path) -> Result<String, String> {
+    fn absolute(value: &mut Value, folder: &Path, any: &mut bool) {
+        match value {
+            Value::Table(table) => table.iter_mut().for_each(|(_, value)| absolute(value, folder, any)),
+            Value::Array(list) => list.iter_mut().for_each(|value| absolute(value, folder, any)),
+            Value::String(name) if name.contains('.') && Path::new(name).is_relative() => {
+                let file = folder.join(&*name);
+                if let (true, Some(path)) = (file.is_file(), file.to_str()) {
+                    (*name, *any) = (path.to_string(), true);
+                }
+            }
+            _ => {}
+        }
+    }
+    let mut scene: Table = text.parse().map_err(|error: toml::de::Error| error.message().replace('\n', ", "))?;
+    let mut any = false;
+    scene.iter_mut().for_each(|(_, value)| absolute(value, folder, &mut any));
+    if any { toml::to_string(&scene).map_err(|error| error.to_string()) } else { Ok(text.to_string()) }
 }
 
 /// A TOML value; what is none is text.
@@ -143,6 +170,15 @@ mod tests {
         assert!((step_s * steps as f64 * 60.0 - 1.0).abs() < 1e-12 && steps == (1.0 / 60.0 / STEP_S).round() as i64);
         assert!(fields_of_fps("[simulation]\nframe_s = 0.04", 24.0).unwrap_err().contains("frame_s"));
         assert!(fields_of_fps("[simulation]\nstep_s = \"a\"", 24.0).unwrap_err().contains("simulation.step_s"));
+    }
+
+    #[test]
+    fn files_get_absolute_names_where_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("b.obj"), "").unwrap();
+        let scene: Table = with_absolute_files(SCENE, folder.path()).unwrap().parse().unwrap();
+        assert_eq!(scene["cloth"][1]["mesh"].as_str(), folder.path().join("b.obj").to_str());
+        assert_eq!(with_absolute_files(SCENE, Path::new("/nowhere")).unwrap(), SCENE);
     }
 
     #[test]

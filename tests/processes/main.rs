@@ -12,6 +12,7 @@ mod far;
 mod faults;
 mod groups;
 mod launch;
+mod live;
 mod machine_limits;
 #[cfg(feature = "mpi")]
 mod mpi;
