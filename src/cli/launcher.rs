@@ -176,8 +176,10 @@ fn measured(
     command: impl FnOnce(Option<&MeasuredWorld>) -> Result<(), CliError>,
 ) -> Result<(), CliError> {
     let member = join(there, transport)?;
-    let world = member.measure().map_err(CliError::failed)?;
-    let result = if member.is_first() { command(Some(&world)) } else { Ok(()) };
+    let result = member.measure().map_err(CliError::failed).and_then(|world| match member.is_first() {
+        true => command(Some(&world)),
+        false => Ok(()),
+    });
     leave_with(member, result)
 }
 

@@ -254,16 +254,16 @@ struct TwoHosts {
 }
 
 impl TwoHosts {
-    /// None where this machine does not allow them.
-    fn new() -> Option<TwoHosts> {
-        let script = repository("scripts/two_hosts.sh");
+    /// Those of a script; none where this machine does not allow them, which needs `what`.
+    fn new(script: &str, what: &str) -> Option<TwoHosts> {
+        let script = repository(script);
         let call =
             |what: &str| Command::new(&script).arg(what).stderr(Stdio::null()).status().is_ok_and(|s| s.success());
         // What an earlier test has left.
         call("down");
         let made = call("up").then_some(TwoHosts { script });
         if made.is_none() {
-            println!("skipped: two hosts need root, iproute2 and the right to make network namespaces");
+            println!("skipped: two hosts need root, {what} and the right to make network namespaces");
         }
         made
     }
@@ -284,7 +284,7 @@ impl Drop for TwoHosts {
 #[test]
 fn two_hosts_give_the_bits_of_one_and_survive_a_cut_cable() {
     let Some(_alone) = alone() else { return };
-    let Some(hosts) = TwoHosts::new() else { return };
+    let Some(hosts) = TwoHosts::new("scripts/two_hosts.sh", "iproute2") else { return };
     let place = Place::new();
     place.write("flag.toml", flag(1500, 3, 40));
     shipped(&place, "sphere");
@@ -320,6 +320,63 @@ fn two_hosts_give_the_bits_of_one_and_survive_a_cut_cable() {
     assert!(log.contains("on loomhost2") && log.contains("this rank ends"), "{log}");
     resume(&place, &out);
     assert_eq!(place.hashes("cut").last(), place.hashes("whole").last());
+}
+
+#[test]
+fn srun_starts_ranks_on_two_hosts() {
+    let Some(_alone) = alone() else { return };
+    let Some(hosts) = TwoHosts::new("scripts/two_hosts_slurm.sh", "iproute2, slurm-wlm, munge") else { return };
+    let place = Place::new();
+    place.write("flag.toml", flag(1500, 3, 40));
+    let loomtree = program("loomtree");
+    let srun = |ranks: &str, options: &str, words: &str| {
+        let mut command = hosts.call(&["run", "-N", "2", "-n", ranks, "--mpi=pmix"]);
+        command.args(options.split_whitespace()).arg(&loomtree).args(words.split(' ')).current_dir(place.path(""));
+        command
+    };
+    let words = "run flag.toml --executor cpu";
+    place.run(&format!("{words} --frames 8 --workers 1 --out one")).expect(0);
+    place.run(&format!("{words} --frames 8 --segments 2 --workers 1 --out split")).expect(0);
+    for (ranks, more, same) in [("4", "", "one"), ("3", " --transport mpi", "one"), ("4", " --segments 2", "split")] {
+        let out = format!("{ranks}{}", more.replace([' ', '-'], "_"));
+        let (code, text) = output(&mut srun(ranks, "", &format!("{words} --frames 8{more} --out {out}")));
+        assert_eq!(code, 0, "{text}");
+        assert_eq!(place.hashes(&out), place.hashes(same), "{ranks} ranks{more}");
+    }
+    // The first rank has nothing to serve here and writes while the others are done: none may be gone before it.
+    let (code, text) = output(&mut srun("4", "", "topology detect --out hosts.toml"));
+    assert_eq!(code, 0, "{text}");
+    let detected = std::fs::read_to_string(place.path("hosts.toml")).expect("a topology");
+    assert!(detected.contains("loomhost1") && detected.contains("loomhost2"), "{detected}");
+    let (code, text) = output(&mut srun("4", "", "run missing.toml"));
+    assert!(code == 2 && text.matches("missing.toml").count() == 1, "{code} {text}");
+
+    place.run(&format!("{words} --workers 1 --out whole")).expect(0);
+    for (options, killed) in [("--kill-on-bad-exit=1", 1), ("", 3), ("", 0)] {
+        let out = place.path(&format!("killed_{killed}"));
+        let mut command = srun("4", options, &format!("{words} --checkpoint-every 1 --out {}", out.display()));
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("srun starts");
+        wait_for_frame(&out, 5, &mut child);
+        let mut ranks = ranks_of(&out);
+        ranks.sort_by_key(|rank| variable_of(*rank, "SLURM_PROCID"));
+        assert_eq!(ranks.len(), 4, "rank {killed}");
+        support::process::signal(ranks[killed], support::process::Signal::KILL);
+        let begun = Instant::now();
+        while !ranks_of(&out).is_empty() {
+            assert!(begun.elapsed() < Duration::from_secs(15), "rank {killed}: {:?} are left", ranks_of(&out));
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        assert!(!child.wait().expect("srun ends").success(), "rank {killed}");
+        resume(&place, &out);
+        assert_eq!(place.hashes(&format!("killed_{killed}")).last(), place.hashes("whole").last(), "rank {killed}");
+    }
+}
+
+/// A variable of the environment that a process was started with.
+fn variable_of(pid: i32, name: &str) -> Option<String> {
+    let variables = std::fs::read(format!("/proc/{pid}/environ")).ok()?;
+    let variables = String::from_utf8_lossy(&variables).into_owned();
+    variables.split('\0').find_map(|variable| Some(variable.strip_prefix(name)?.strip_prefix('=')?.to_owned()))
 }
 
 /// Goes on with a run whose ranks were killed. The last of them may hold its folder for a moment longer.

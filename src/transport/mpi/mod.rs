@@ -33,6 +33,7 @@ use vitals::{Pulse, Vitals};
 use super::{
     Connect, ControlCoordinator, ControlError, ControlWorker, Launcher, Machine, World, WorldCrew, remove_dead_runs,
 };
+use crate::os::clock::AwakeClock;
 
 /// What a process does as worker `rank` of a crew until it is dismissed.
 pub type Serve = fn(usize, Box<dyn ControlWorker>, Box<dyn Connect>);
@@ -60,6 +61,8 @@ pub struct Membership {
     /// Dropped before MPI ends.
     pulse: Option<Pulse>,
     own_worker: Option<JoinHandle<()>>,
+    /// Process 0 has told this one to leave.
+    is_dismissed: bool,
     /// Dropped last.
     _universe: Universe,
 }
@@ -85,7 +88,7 @@ impl Membership {
         abort_on_panic(&library);
         let (crews, must_abort) = (AtomicU32::new(1), Arc::default());
         let world = Arc::new(MpiWorld { library, vitals, hosts, crews, must_abort, inside });
-        Ok(Membership { world, pulse: Some(pulse), own_worker: None, _universe: universe })
+        Ok(Membership { world, pulse: Some(pulse), own_worker: None, is_dismissed: false, _universe: universe })
     }
 
     /// Whether this is process 0, which holds the coordinator.
@@ -100,11 +103,11 @@ impl Membership {
     /// The system refuses a thread.
     pub fn serve(&mut self, serve: Serve) -> Result<(), String> {
         if !self.is_first() {
-            self.world.obey(serve);
+            self.is_dismissed = self.world.obey(Some(serve));
             return Ok(());
         }
         let world = self.world.clone();
-        let thread = std::thread::Builder::new().name("worker 0".into()).spawn(move || world.obey(serve));
+        let thread = std::thread::Builder::new().name("worker 0".into()).spawn(move || _ = world.obey(Some(serve)));
         self.own_worker = Some(thread.map_err(|error| error.to_string())?);
         Ok(())
     }
@@ -126,34 +129,71 @@ impl Membership {
         self.world.clone()
     }
 
-    /// Ends the world: process 0 dismisses the others. Ends all processes at once with `exit_code` if one of them
-    /// cannot be reached or does not listen.
+    /// Ends the world: process 0 dismisses the others, and MPI ends everywhere once all have answered. Ends all
+    /// processes at once with `exit_code` if one of them cannot be reached or does not listen.
+    ///
+    /// The end of MPI itself does not wait: started by `srun`, a process is gone while others still send to it, and
+    /// those then try to connect to it for ever.
     pub fn leave(mut self, exit_code: u8) {
-        let MpiWorld { library, vitals, must_abort, .. } = &*self.world;
         if self.is_first() {
-            let is_lost = (1..library.ranks()).any(|process| vitals.is_lost(process));
-            if is_lost || must_abort.load(Ordering::Relaxed) {
-                library.abort(i32::from(exit_code).max(1));
-            }
-            let mut words: Vec<Outgoing> =
-                (0..library.ranks()).map(|process| Outgoing::new(library, process, tags::LEAVE, 0)).collect();
-            words.iter_mut().for_each(|word| word.push(Kind::Message, &[]));
-            let mut pause = Pause::default();
-            while !words.iter_mut().all(|word| word.pump().is_err() || word.is_complete()) {
-                pause.rest();
-            }
+            self.dismiss(exit_code);
+        } else if self.is_dismissed || self.world.obey(None) {
+            self.pulse = None;
+            complete(&mut [word(&self.world.library, 0, tags::GONE)]);
         }
+        self.pulse = None;
+    }
+
+    /// Tells all processes to leave, and waits until they have.
+    fn dismiss(&mut self, exit_code: u8) {
+        let world = self.world.clone();
+        let MpiWorld { library, vitals, must_abort, .. } = &*world;
+        let abort = || library.abort(i32::from(exit_code).max(1));
+        let others = 1..library.ranks();
+        if others.clone().any(|process| vitals.is_lost(process)) || must_abort.load(Ordering::Relaxed) {
+            vitals.give_up();
+            abort();
+        }
+        // Nothing is sent to a process that may be gone.
+        self.pulse = None;
+        let mut words: Vec<Outgoing> =
+            (0..library.ranks()).map(|process| word(library, process, tags::LEAVE)).collect();
+        complete(&mut words);
         if let Some(thread) = self.own_worker.take() {
             // A panic has ended all processes.
             let _ = thread.join();
         }
-        self.pulse = None;
+        let mut answers: Vec<Incoming> =
+            others.map(|process| Incoming::of_any_crew(library, process, tags::GONE)).collect();
+        let (mut asked, mut pause) = (AwakeClock::start(), Pause::default());
+        while !answers.is_empty() {
+            answers.retain_mut(|answer| matches!(answer.next(), Ok(None)));
+            if asked.elapsed() > vitals::LOST_AFTER {
+                abort();
+            }
+            pause.rest();
+        }
+    }
+}
+
+/// A message to process `to` that is nothing but its tag.
+fn word(library: &Library, to: usize, tag: i32) -> Outgoing {
+    let mut word = Outgoing::new(library, to, tag, 0);
+    word.push(Kind::Message, &[]);
+    word
+}
+
+/// Waits until MPI is done with all messages, or refuses them.
+fn complete(messages: &mut [Outgoing]) {
+    let mut pause = Pause::default();
+    while !messages.iter_mut().all(|message| message.pump().is_err() || message.is_complete()) {
+        pause.rest();
     }
 }
 
 impl MpiWorld {
-    /// Serves crews until the order to leave.
-    fn obey(&self, serve: Serve) {
+    /// Serves crews until the order to leave, if it can serve. Returns whether the order came.
+    fn obey(&self, serve: Option<Serve>) -> bool {
         let mut begin = Incoming::of_any_crew(&self.library, 0, tags::BEGIN);
         let mut leave = Incoming::of_any_crew(&self.library, 0, tags::LEAVE);
         let mut pause = Pause::default();
@@ -166,15 +206,18 @@ impl MpiWorld {
                     let control = MpiWorker::new(&self.library, &self.vitals, crew as u32, coordinator);
                     let (crew, first, hosts) = (crew as u32, first as usize, &self.hosts.hosts);
                     let connect = MpiConnect::new(&self.library, crew, first, hosts, self.inside);
-                    serve(rank as usize, Box::new(control), Box::new(connect));
+                    if let Some(serve) = serve {
+                        serve(rank as usize, Box::new(control), Box::new(connect));
+                    }
                     pause = Pause::default();
                 }
                 // An error of MPI is that of every other call, too; the others notice that this process ends.
-                Err(_) => return,
+                Err(_) => return false,
                 Ok(None) => pause.rest(),
             }
-            if !matches!(leave.next(), Ok(None)) {
-                return;
+            match leave.next() {
+                Ok(None) => {}
+                order => return order.is_ok(),
             }
         }
     }

@@ -13,6 +13,9 @@ pub(super) const DOWN: i32 = 5;
 /// The control channel, from a worker to the coordinator.
 pub(super) const UP: i32 = 6;
 
+/// A process has been told to leave, and sends nothing more.
+pub(super) const GONE: i32 = 7;
+
 /// First tag of data, and number of connections with tags of their own. After that many they come again, when nothing
 /// of the first one is left.
 const DATA: i32 = 16;

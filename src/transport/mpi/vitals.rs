@@ -23,6 +23,9 @@ pub(super) const LOST_AFTER: Duration = Duration::from_secs(5);
 
 /// What a process says of its worker in a sign of life: crew, counter, step and work.
 const WORDS: usize = 4;
+/// In place of the crew, in a sign of life of the first process: it gives up, and all others are to end at once. Not
+/// every launcher ends them.
+const GIVEN_UP: u64 = u64::MAX;
 
 /// The signs of life of this process and of those that it listens to.
 pub(super) struct Vitals {
@@ -33,6 +36,7 @@ pub(super) struct Vitals {
     /// By process; of the first process only, anywhere else.
     others: Mutex<Vec<Other>>,
     is_over: AtomicBool,
+    has_given_up: AtomicBool,
 }
 
 #[derive(Clone, Debug)]
@@ -51,6 +55,7 @@ impl Vitals {
             step: AtomicU64::new(0),
             others: Mutex::new(vec![other; ranks]),
             is_over: AtomicBool::new(false),
+            has_given_up: AtomicBool::new(false),
         })
     }
 
@@ -90,6 +95,13 @@ impl Vitals {
         self.others().get(process).is_some_and(|other| other.is_lost)
     }
 
+    /// Tells the other processes to end at once, as far as they can be reached. For the first process, while its pulse
+    /// lasts.
+    pub(super) fn give_up(&self) {
+        self.has_given_up.store(true, Ordering::Relaxed);
+        std::thread::sleep(3 * BEAT);
+    }
+
     fn others(&self) -> MutexGuard<'_, Vec<Other>> {
         self.others.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -114,8 +126,12 @@ impl Pulse {
             }
             let mut beats = Beats { library, vitals: shared, excluded, busy: 0, under_way: Vec::new() };
             while !beats.vitals.is_over.load(Ordering::Relaxed) {
-                let lost = beats.exchange();
-                if lost && beats.library.rank() > 0 {
+                let news = beats.exchange();
+                if matches!(news, News::GivenUp) {
+                    // The first process has said why.
+                    std::process::exit(1);
+                }
+                if matches!(news, News::Lost) && beats.library.rank() > 0 {
                     let (own, s) = (beats.library.rank(), LOST_AFTER.as_secs());
                     complain(format_args!("error: rank {own}: nothing heard from {first} for {s} s; this rank ends"));
                     // Neither the end of MPI nor its abort returns where the other side cannot be reached.
@@ -138,6 +154,14 @@ impl Drop for Pulse {
     }
 }
 
+/// What the signs of life say.
+enum News {
+    Fine,
+    /// A process that this one listens to has been silent for too long.
+    Lost,
+    GivenUp,
+}
+
 struct Beats {
     library: Library,
     vitals: Arc<Vitals>,
@@ -149,12 +173,12 @@ struct Beats {
 }
 
 impl Beats {
-    /// Sends a sign of life and takes those that are here. True if a process is lost.
-    fn exchange(&mut self) -> bool {
+    /// Sends a sign of life and takes those that are here.
+    fn exchange(&mut self) -> News {
         let (work, busy) = self.work();
         self.busy += u64::from(busy);
-        let Vitals { crew, counter, step, .. } = &*self.vitals;
-        let crew = u64::from(crew.load(Ordering::Relaxed));
+        let Vitals { crew, counter, step, has_given_up, .. } = &*self.vitals;
+        let crew = if has_given_up.load(Ordering::Relaxed) { GIVEN_UP } else { crew.load(Ordering::Relaxed).into() };
         let words = [crew, counter.load(Ordering::Relaxed), step.load(Ordering::Relaxed), work + self.busy];
         let (own, ranks) = (self.library.rank(), self.library.ranks());
         let readers = if own == 0 { 1..ranks } else { 0..1 };
@@ -179,6 +203,9 @@ impl Beats {
                 heard.push((source, words));
             }
         }
+        if own > 0 && heard.iter().any(|(_, words)| words[0] == GIVEN_UP) {
+            return News::GivenUp;
+        }
         let mut others = self.vitals.others();
         for (source, words) in heard {
             if let Some(other) = others.get_mut(source) {
@@ -189,7 +216,7 @@ impl Beats {
             let other = &mut others[other];
             other.is_lost |= other.heard.elapsed() > LOST_AFTER;
         }
-        readers.into_iter().any(|other| others[other].is_lost)
+        if readers.into_iter().any(|other| others[other].is_lost) { News::Lost } else { News::Fine }
     }
 
     /// Processor time of the threads that work, in clock ticks, and whether one of them is busy now.
