@@ -156,8 +156,12 @@ fn output(command: &mut Command) -> (i32, String) {
 
 fn suite(inside: &str, hosts: &[usize]) {
     let Some(_alone) = alone() else { return };
+    suite_under(mpirun(hosts.len()), inside, hosts);
+}
+
+/// The suite under `command`, which starts as many processes as `hosts` has numbers.
+fn suite_under(mut command: Command, inside: &str, hosts: &[usize]) {
     let hosts: Vec<String> = hosts.iter().map(usize::to_string).collect();
-    let mut command = mpirun(hosts.len());
     command.arg(std::env::current_exe().expect("the test binary"));
     command.args(["mpi::child", "--exact", "--nocapture", "--test-threads=1"]);
     command.env(SUITE, format!("{inside} {}", hosts.join(" ")));
@@ -282,22 +286,43 @@ impl Drop for TwoHosts {
 }
 
 #[test]
+fn the_transport_suite_passes_on_two_hosts() {
+    let Some(_alone) = alone() else { return };
+    let Some(hosts) = TwoHosts::new("scripts/two_hosts.sh", "iproute2") else { return };
+    for inside in ["shared-memory", "mpi"] {
+        suite_under(hosts.call(&["run", "8", "-x", SUITE]), inside, &[0, 0, 0, 0, 4, 4, 4, 4]);
+    }
+}
+
+#[test]
 fn two_hosts_give_the_bits_of_one_and_survive_a_cut_cable() {
     let Some(_alone) = alone() else { return };
     let Some(hosts) = TwoHosts::new("scripts/two_hosts.sh", "iproute2") else { return };
     let place = Place::new();
     place.write("flag.toml", flag(1500, 3, 40));
     shipped(&place, "sphere");
-    let sphere = "run sphere.toml --executor cpu --resolution 1000 --frames 8";
-    place.run(&format!("{sphere} --workers 2 --out one")).expect(0);
+    shipped(&place, "stack");
     let loomtree = program("loomtree");
-    for (ranks, way) in [("2", "auto"), ("4", "auto"), ("3", "mpi")] {
-        let out = format!("two_{ranks}_{way}");
-        let words = format!("{sphere} --transport {way} --out {out}");
-        let mut command = hosts.call(&["run", ranks, &loomtree]);
-        let (code, text) = output(command.args(words.split(' ')).current_dir(place.path("")));
-        assert_eq!(code, 0, "{text}");
-        assert_eq!(place.hashes(&out), place.hashes("one"), "{ranks} ranks, {way}");
+    let shots = [
+        ("flag", "run flag.toml --executor cpu --frames 8", &[("2", "mpi"), ("8", "auto")][..]),
+        (
+            "sphere",
+            "run sphere.toml --executor cpu --resolution 1000 --frames 8",
+            &[("2", "auto"), ("4", "auto"), ("3", "mpi"), ("8", "mpi")],
+        ),
+        ("stack", "run stack.toml --executor cpu --resolution 1000 --frames 3", &[("4", "auto"), ("8", "auto")]),
+        ("split", "run flag.toml --executor cpu --frames 8 --segments 2", &[("2", "auto"), ("8", "auto")]),
+    ];
+    for (name, words, worlds) in shots {
+        place.run(&format!("{words} --workers 2 --out one_{name}")).expect(0);
+        for (ranks, way) in worlds {
+            let out = format!("{name}_{ranks}_{way}");
+            let words = format!("{words} --transport {way} --out {out}");
+            let mut command = hosts.call(&["run", ranks, &loomtree]);
+            let (code, text) = output(command.args(words.split(' ')).current_dir(place.path("")));
+            assert_eq!(code, 0, "{text}");
+            assert_eq!(place.hashes(&out), place.hashes(&format!("one_{name}")), "{name}: {ranks} ranks, {way}");
+        }
     }
 
     place.run("run flag.toml --executor cpu --workers 1 --out whole").expect(0);
