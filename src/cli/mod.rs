@@ -17,6 +17,7 @@ pub mod live;
 pub mod man;
 pub mod predict;
 pub mod render;
+mod render_subjects;
 pub mod report;
 pub mod run;
 mod run_lines;
@@ -63,6 +64,27 @@ impl CliError {
 /// Writing to stdout failed: exit code 1.
 fn print(text: &str) -> Result<(), CliError> {
     printed(console::print(text))
+}
+
+/// Writes a result: `text` to stdout, or with `--json` one line of JSON, and `text` to stderr.
+///
+/// # Errors
+/// Writing to stdout failed: exit code 1.
+fn answer(text: &str, json: impl FnOnce() -> serde_json::Value) -> Result<(), CliError> {
+    answer_to(&mut std::io::stdout().lock(), text, json)
+}
+
+/// Like [`answer`], to any stream.
+fn answer_to(
+    out: &mut dyn std::io::Write,
+    text: &str,
+    json: impl FnOnce() -> serde_json::Value,
+) -> Result<(), CliError> {
+    if !console::is_json() {
+        return print_to(out, text);
+    }
+    console::note(text.trim_end());
+    print_to(out, &format!("{}\n", json()))
 }
 
 /// Like [`print`], to any stream.
@@ -114,6 +136,11 @@ pub enum Verbosity {
     Usual,
     /// Also what the log knows in detail, of workers, too.
     Verbose,
+}
+
+/// From now on results are JSON (`--json`).
+pub fn answer_in_json() {
+    console::be_json();
 }
 
 /// Initializes the log; programs call it first. Log lines go to stderr, and `LOOMTREE_LOG` sets their level (default:

@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use serde_json::json;
 
-use super::render::{open_executor, recorded_origin, recorded_up};
-use super::{CliError, print};
+use super::render::open_executor;
+use super::render_subjects::{recorded_origin, recorded_up};
+use super::{CliError, answer};
 use crate::coordinator::RunOptions;
 use crate::output::picture::{PictureOptions, draw_images};
 use crate::output::{
@@ -67,7 +69,8 @@ pub fn run(args: ReportArgs) -> Result<(), CliError> {
     let made = Account { report: &report, pictures: &pictures, traced, memory_limit_bytes };
     let html = account(&made).map_err(CliError::failed)?;
     write_atomically(&out, |file| file.write_all(html.as_bytes())).map_err(CliError::failed)?;
-    print(&format!("{} ({:.1} MB)\n", out.display(), html.len() as f64 / 1e6))
+    let line = format!("{} ({:.1} MB)\n", out.display(), html.len() as f64 / 1e6);
+    answer(&line, || json!({ "file": out, "bytes": html.len(), "pictures": pictures.len() }))
 }
 
 /// `count` of the frames, the last one always among them, and the first where there are two.

@@ -33,6 +33,6 @@ pub use executor::Executor;
 pub use kernel::{ArraySlot, KernelError, KernelSource, Reflection, UniformSlot};
 pub(crate) use layout::gpu_struct;
 pub use layout::{GpuStruct, StructLayout};
-pub use offscreen::{DrawLook, DrawVertex, Offscreen, SWATCHES};
+pub use offscreen::{DrawLook, DrawVertex, LIGHT_SIDE, LIGHTS, LIGHTS_OF_KEY, Offscreen};
 pub use self_test::SelfTest;
 pub use vec::{DeviceVec, ReadBatch};

@@ -19,10 +19,14 @@ const SAMPLE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 const PIXEL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
 
-/// Pairs of a front's and a back's color that a picture can have.
-pub const SWATCHES: usize = 9;
+/// Directions that light comes from.
+pub const LIGHTS: usize = 64;
+/// Those of them that belong to the main light; they come first.
+pub const LIGHTS_OF_KEY: usize = 24;
+/// Texels along a light's map.
+pub const LIGHT_SIDE: usize = 384;
 
-/// A corner of triangles.
+/// A corner of triangles. Colors are linear.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct DrawVertex {
@@ -30,13 +34,16 @@ pub struct DrawVertex {
     pub position: [f32; 3],
     /// Direction that the front faces; any length, zero = up.
     pub normal: [f32; 3],
-    /// Index of the color, below [`SWATCHES`]; the same for all corners of a triangle.
-    pub swatch: u32,
+    /// Color of the front.
+    pub front: [f32; 3],
+    /// Color of the back.
+    pub back: [f32; 3],
+    /// 1 = cloth, 0 = obstacle; the same for all corners of a triangle.
+    pub cloth: u32,
 }
 
 gpu_struct! {
-    /// Camera, light and colors; the same for all pictures of a sequence. Vectors have a fourth component that is
-    /// unused.
+    /// Camera and light of a picture. Vectors have a fourth component that is unused.
     pub struct DrawLook {
         /// Position of the camera, meters.
         pub eye: [f32; 4],
@@ -58,18 +65,17 @@ gpu_struct! {
         pub sky_bottom: [f32; 4],
         /// Half the picture's width and height at distance 1; samples per row and rows of samples (two a pixel).
         pub half_and_samples: [f32; 4],
-        /// Lowest and highest height of the sequence, height of the ground, distance of its grid lines; meters.
-        pub heights: [f32; 4],
-        /// Depth where surfaces begin, meters; the rest is unused.
+        /// Height of the ground, distance of its grid lines (meters); 1 = there is a ground; 1 = cloth shows its
+        /// direction instead of its color.
+        pub ground: [f32; 4],
+        /// Depth where surfaces begin, meters; a texel of a light's map, meters; 1 = there are maps.
         pub near: [f32; 4],
-        /// Meaning of colors (0 swatch, 1 height, 2 normal), and the first swatch that always shows its own color.
-        pub coloring: [u32; 4],
-        /// Linear colors of fronts.
-        pub fronts: [[f32; 4]; SWATCHES],
-        /// Linear colors of backs.
-        pub backs: [[f32; 4]; SWATCHES],
-        /// Linear colors of heights, from low to high.
-        pub scale: [[f32; 4]; 5],
+        /// Column of a point in a light's map: with its coordinates and 1.
+        pub light_columns: [[f32; 4]; LIGHTS],
+        /// Row of a point in a light's map.
+        pub light_rows: [[f32; 4]; LIGHTS],
+        /// Height of a point towards a light, meters; the first three are the direction.
+        pub light_heights: [[f32; 4]; LIGHTS],
     }
 }
 
@@ -87,6 +93,9 @@ pub struct Offscreen<'a> {
     targets: Targets,
     pipelines: Pipelines,
     look: wgpu::Buffer,
+    layout: wgpu::BindGroupLayout,
+    /// Heights of the nearest surfaces towards the lights.
+    maps: wgpu::Buffer,
     tile_params: wgpu::Buffer,
     bind_group: wgpu::BindGroup,
     resolve_group: wgpu::BindGroup,
@@ -123,14 +132,8 @@ impl<'a> Offscreen<'a> {
         let uniform = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
         let look = buffer(device, size_of::<DrawLook>() as u64, uniform);
         let tile_params = buffer(device, size_of::<DrawTile>() as u64, uniform);
-        let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("look and tile"),
-            layout: &layout,
-            entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: look.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: tile_params.as_entire_binding() },
-            ],
-        });
+        let maps = buffer(device, 1 << 8, wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST);
+        let bind_group = look_group(device, &layout, &look, &tile_params, &maps);
         let resolve_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("samples"),
             layout: &pipelines.resolve.get_bind_group_layout(0),
@@ -152,6 +155,8 @@ impl<'a> Offscreen<'a> {
             targets,
             pipelines,
             look,
+            layout,
+            maps,
             tile_params,
             bind_group,
             resolve_group,
@@ -164,7 +169,7 @@ impl<'a> Offscreen<'a> {
     }
 
     /// Draws triangles (all indices valid, counter-clockwise where the front is seen). Returns sRGB with 4 bytes a pixel,
-    /// row by row from the top.
+    /// row by row from the top. `maps`: by light, row by row; none if `look` says that there are none.
     ///
     /// # Errors
     /// The mesh does not fit on the device, or the device failed; then nothing can be drawn any more.
@@ -173,10 +178,19 @@ impl<'a> Offscreen<'a> {
         vertices: &[DrawVertex],
         triangles: &[[u32; 3]],
         look: &DrawLook,
+        maps: &[f32],
     ) -> Result<Vec<u8>, GpuError> {
         let (vertex_bytes, triangle_bytes) = (cast_slice::<_, u8>(vertices), cast_slice::<_, u8>(triangles));
         fill(self.gpu, &mut self.vertices, vertex_bytes);
         fill(self.gpu, &mut self.triangles, triangle_bytes);
+        if !maps.is_empty() {
+            let before = self.maps.size();
+            fill(self.gpu, &mut self.maps, cast_slice(maps));
+            if self.maps.size() != before {
+                let device = self.gpu.device();
+                self.bind_group = look_group(device, &self.layout, &self.look, &self.tile_params, &self.maps);
+            }
+        }
         self.gpu.commands().write(&self.look, 0, bytes_of(look));
         let mut picture = vec![0; self.width as usize * self.height as usize * 4];
         for top in (0..self.height).step_by(TILE as usize) {
@@ -288,7 +302,9 @@ impl Pipelines {
         let corners = wgpu::VertexBufferLayout {
             array_stride: size_of::<DrawVertex>() as u64,
             step_mode: wgpu::VertexStepMode::Vertex,
-            attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Uint32],
+            attributes: &wgpu::vertex_attr_array![
+                0 => Float32x3, 1 => Float32x3, 2 => Float32x3, 3 => Float32x3, 4 => Uint32
+            ],
         };
         let make = |vertex, fragment, layout, buffers: &[Option<wgpu::VertexBufferLayout<'_>>], depth, format| {
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -325,19 +341,38 @@ impl Pipelines {
 }
 
 fn bind_group_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let uniform = |binding| wgpu::BindGroupLayoutEntry {
+    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
         binding,
         visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
-        ty: wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        },
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
         count: None,
     };
+    let maps = wgpu::BindGroupLayoutEntry {
+        visibility: wgpu::ShaderStages::FRAGMENT,
+        ..entry(3, wgpu::BufferBindingType::Storage { read_only: true })
+    };
+    let uniform = |binding| entry(binding, wgpu::BufferBindingType::Uniform);
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("look and tile"),
-        entries: &[uniform(0), uniform(1)],
+        label: Some("look, tile and light"),
+        entries: &[uniform(0), uniform(1), maps],
+    })
+}
+
+fn look_group(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    look: &wgpu::Buffer,
+    tile: &wgpu::Buffer,
+    maps: &wgpu::Buffer,
+) -> wgpu::BindGroup {
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("look, tile and light"),
+        layout,
+        entries: &[
+            wgpu::BindGroupEntry { binding: 0, resource: look.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 1, resource: tile.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 3, resource: maps.as_entire_binding() },
+        ],
     })
 }
 
@@ -418,19 +453,24 @@ mod tests {
             sky_top: gray(0.0),
             sky_bottom: gray(0.0),
             half_and_samples: [0.1, 0.1, (width * SAMPLES) as f32, (height * SAMPLES) as f32],
-            heights: [0.0, 1.0, 100.0, 1.0],
-            near: [0.1, 0.0, 0.0, 0.0],
-            coloring: [0, SWATCHES as u32, 0, 0],
-            fronts: [gray(0.5); SWATCHES],
-            backs: [gray(1.0); SWATCHES],
-            scale: [gray(1.0); 5],
+            ground: [100.0, 1.0, 1.0, 0.0],
+            near: [0.1, 1.0, 0.0, 0.0],
+            light_columns: [gray(0.0); LIGHTS],
+            light_rows: [gray(0.0); LIGHTS],
+            // All of them shine along the line of sight.
+            light_heights: [[0.0, 0.0, 1.0, 0.0]; LIGHTS],
         }
     }
 
     /// A square with corners at +-`half` whose front faces +z.
     fn square(half: f32, z: f32, first: u32) -> ([DrawVertex; 4], [[u32; 3]; 2]) {
-        let corner =
-            |x: f32, y: f32| DrawVertex { position: [x * half, y * half, z], normal: [0.0, 0.0, 1.0], swatch: 0 };
+        let corner = |x: f32, y: f32| DrawVertex {
+            position: [x * half, y * half, z],
+            normal: [0.0, 0.0, 1.0],
+            front: [0.3; 3],
+            back: [1.0; 3],
+            cloth: 1,
+        };
         let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
         (corners, [[first, first + 1, first + 2], [first, first + 2, first + 3]])
     }
@@ -444,7 +484,9 @@ mod tests {
         let (far, near) = (square(0.5, 0.0, 0), square(0.25, 1.0, 4));
         // The near square turned round: its back is seen.
         let turned = near.1.map(|[a, b, c]| [a, c, b]);
-        let picture = place.draw(&[far.0, near.0].concat(), &[turned, far.1].concat(), &look(width, height)).unwrap();
+        let picture =
+            place.draw(&[far.0, near.0].concat(), &[turned, far.1].concat(), &look(width, height), &[]).unwrap();
+        // The near square turns its back, which no light reaches, the far one its bright front.
         let count = |value: std::ops::Range<u8>| picture.chunks_exact(4).filter(|p| value.contains(&p[0])).count();
         let area = |share: f64| share * share * f64::from(width) * f64::from(height);
         let (back, front) = (area(0.25 * 10.0 / 9.0), area(0.5) - area(0.25 * 10.0 / 9.0));
@@ -452,7 +494,7 @@ mod tests {
         assert!((dark as f64 / back - 1.0).abs() < 0.02, "{dark} of {back}");
         assert!((bright as f64 / front - 1.0).abs() < 0.02, "{bright} of {front}");
         // Nothing but the background is left when the mesh is gone.
-        let empty = place.draw(&[], &[], &look(width, height)).unwrap();
+        let empty = place.draw(&[], &[], &look(width, height), &[]).unwrap();
         assert!(empty.chunks_exact(4).all(|p| p[..3] == [0; 3]));
     }
 

@@ -14,16 +14,14 @@ struct DrawLook {
     sky_bottom: vec4<f32>,
     // Half the width and height of the picture at distance 1; samples per row and rows of samples.
     half_and_samples: vec4<f32>,
-    // Lowest and highest height of the sequence; height of the ground; distance of the grid's lines.
-    heights: vec4<f32>,
-    // x: depth where surfaces begin; y, z, w: unused.
+    // Height of the ground; distance of its grid's lines; 1 = there is a ground; 1 = cloth shows its direction.
+    ground: vec4<f32>,
+    // x: depth where surfaces begin; y: a texel of a light's map, meters; z: 1 = there are maps.
     near: vec4<f32>,
-    // x: 0 = swatches, 1 = height, 2 = normal; y: first swatch that always shows its own color.
-    coloring: vec4<u32>,
-    fronts: array<vec4<f32>, 9>,
-    backs: array<vec4<f32>, 9>,
-    // Colors of heights, from low to high.
-    scale: array<vec4<f32>, 5>,
+    // Column and row of a point in a light's map, and its height towards the light: with its coordinates and 1.
+    light_columns: array<vec4<f32>, 64>,
+    light_rows: array<vec4<f32>, 64>,
+    light_heights: array<vec4<f32>, 64>,
 }
 
 struct DrawTile {
@@ -38,19 +36,28 @@ struct DrawTile {
 @group(0) @binding(0) var<uniform> look: DrawLook;
 @group(0) @binding(1) var<uniform> tile: DrawTile;
 @group(0) @binding(2) var samples: texture_2d<f32>;
+@group(0) @binding(3) var<storage, read> maps: array<f32>;
+
+const LIGHTS: u32 = 64u;
+const LIGHTS_OF_KEY: u32 = 24u;
+const LIGHT_SIDE: u32 = 384u;
 
 struct Corner {
     @builtin(position) clip: vec4<f32>,
     @location(0) normal: vec3<f32>,
-    @location(1) height: f32,
-    @location(2) @interpolate(flat) swatch: u32,
+    @location(1) point: vec3<f32>,
+    @location(2) front: vec3<f32>,
+    @location(3) back: vec3<f32>,
+    @location(4) @interpolate(flat) cloth: u32,
 }
 
 @vertex
 fn surface_corner(
     @location(0) position: vec3<f32>,
     @location(1) normal: vec3<f32>,
-    @location(2) swatch: u32,
+    @location(2) front: vec3<f32>,
+    @location(3) back: vec3<f32>,
+    @location(4) cloth: u32,
 ) -> Corner {
     let p = position - look.eye.xyz;
     let depth = dot(p, look.forward.xyz);
@@ -61,8 +68,10 @@ fn surface_corner(
     // z / w = near / depth: the nearest surface has the largest value, and floats are finest far away.
     corner.clip = vec4<f32>(clip, look.near.x, depth);
     corner.normal = normal;
-    corner.height = dot(position, look.world_up.xyz);
-    corner.swatch = swatch;
+    corner.point = position;
+    corner.front = front;
+    corner.back = back;
+    corner.cloth = cloth;
     return corner;
 }
 
@@ -94,8 +103,7 @@ fn surface(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) v
     if !front {
         normal = -normal;
     }
-    let own_color = corner.swatch >= look.coloring.y || look.coloring.x == 0u;
-    if !own_color && look.coloring.x == 2u {
+    if corner.cloth == 1u && look.ground.w == 1.0 {
         let seen = vec3<f32>(
             dot(normal, look.right.xyz),
             dot(normal, look.up.xyz),
@@ -103,32 +111,78 @@ fn surface(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) v
         );
         return vec4<f32>(pow(max(seen * 0.5 + 0.5, vec3<f32>(0.0)), vec3<f32>(2.2)), 1.0);
     }
-    var albedo = look.fronts[corner.swatch].xyz;
-    if !own_color {
-        albedo = height_color((corner.height - look.heights.x) / max(look.heights.y - look.heights.x, 1e-9));
-    } else if !front {
-        albedo = look.backs[corner.swatch].xyz;
+    var albedo = corner.front;
+    if !front {
+        albedo = corner.back;
     }
-    return vec4<f32>(lit(albedo, normal, -normalize(ray)), 1.0);
+    let light = light_reaching(corner.point, normal);
+    return vec4<f32>(lit(albedo, normal, -normalize(ray), light), 1.0);
 }
 
-fn lit(albedo: vec3<f32>, normal: vec3<f32>, view: vec3<f32>) -> vec3<f32> {
-    let sky = 0.5 + 0.5 * dot(normal, look.world_up.xyz);
+// Light of the sky (x) and of the main light (y) that reaches a point of a surface.
+fn light_reaching(point: vec3<f32>, normal: vec3<f32>) -> vec2<f32> {
+    let lit_from = vec4<f32>(point + normal * look.near.y, 1.0);
+    var sky = 0.0;
+    var key = 0.0;
+    for (var light = 0u; light < LIGHTS; light++) {
+        let cosine = dot(normal, look.light_heights[light].xyz);
+        if cosine > 0.0 {
+            let share = cosine * open(light, lit_from);
+            if light < LIGHTS_OF_KEY {
+                key += share;
+            } else {
+                sky += share;
+            }
+        }
+    }
+    return vec2<f32>(2.0 * sky / f32(LIGHTS - LIGHTS_OF_KEY), key / f32(LIGHTS_OF_KEY));
+}
+
+// Share of a light that reaches a point: blended over the four texels around it.
+fn open(light: u32, point: vec4<f32>) -> f32 {
+    if look.near.z != 1.0 {
+        return 1.0;
+    }
+    let column = dot(look.light_columns[light], point) - 0.5;
+    let row = dot(look.light_rows[light], point) - 0.5;
+    let last = f32(LIGHT_SIDE - 1u);
+    if !(column >= 0.0 && row >= 0.0 && column < last && row < last) {
+        return 1.0;
+    }
+    let left = floor(column);
+    let top = floor(row);
+    let first = (light * LIGHT_SIDE + u32(top)) * LIGHT_SIDE + u32(left);
+    let height = dot(look.light_heights[light], point) + 0.5 * look.near.y;
+    let upper = mix(above(first, height), above(first + 1u, height), column - left);
+    let lower = mix(above(first + LIGHT_SIDE, height), above(first + LIGHT_SIDE + 1u, height), column - left);
+    return mix(upper, lower, row - top);
+}
+
+fn above(texel: u32, height: f32) -> f32 {
+    return clamp(1.0 + (height - maps[texel]) / look.near.y, 0.0, 1.0);
+}
+
+fn lit(albedo: vec3<f32>, normal: vec3<f32>, view: vec3<f32>, light: vec2<f32>) -> vec3<f32> {
+    let level = dot(normal, look.world_up.xyz);
     let toward = dot(normal, look.key_light.xyz);
     let around = 0.5 + 0.5 * toward;
-    let key = 0.55 * max(toward, 0.0) + 0.50 * around * around;
-    let diffuse = 0.05 + 0.12 * sky + key + 0.16 * max(dot(normal, look.fill_light.xyz), 0.0);
+    let open_sky = 0.25 + 0.75 * min(light.x / max(0.5 + 0.5 * level, 0.05), 1.0);
+    let fill = 0.14 * max(dot(normal, look.fill_light.xyz), 0.0);
+    let bounced = 0.10 * (0.5 - 0.5 * level);
+    let diffuse = 0.04 + 0.31 * light.x + 0.66 * light.y + (0.26 * around * around + fill + bounced) * open_sky;
+    let reached = min(light.y / max(toward, 0.05), 1.0);
     let halfway = normalize(look.key_light.xyz + view);
-    let gloss = 0.07 * pow(max(dot(normal, halfway), 0.0), 18.0);
+    let gloss = 0.06 * pow(max(dot(normal, halfway), 0.0), 18.0) * reached;
     let grazing = 1.0 - min(abs(dot(normal, view)), 1.0);
-    let rim = 0.10 * grazing * grazing * grazing * grazing;
+    let rim = 0.10 * grazing * grazing * grazing * grazing * open_sky;
     return albedo * diffuse + vec3<f32>(gloss) + (albedo * 0.5 + 0.5) * rim;
 }
 
-fn height_color(share: f32) -> vec3<f32> {
-    let x = clamp(share, 0.0, 1.0) * 4.0;
-    let stop = min(u32(x), 3u);
-    return mix(look.scale[stop].xyz, look.scale[stop + 1u].xyz, x - f32(stop));
+// Brightness of the ground where this light reaches it, of the brightness in the open.
+fn ground_light(light: vec2<f32>) -> f32 {
+    let open_sky = min(light.x, 1.0);
+    let open_key = min(light.y / max(dot(look.world_up.xyz, look.key_light.xyz), 0.05), 1.0);
+    return 0.30 + 0.42 * open_sky + 0.28 * open_key;
 }
 
 // A light gradient, and below the horizon a grid on the ground that fades into the distance.
@@ -138,11 +192,11 @@ fn background(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> 
     let sky = mix(look.sky_top.xyz, look.sky_bottom.xyz, 0.5 * at.y + 0.5);
     let ray = ray_through(at);
     let fall = dot(ray, look.world_up.xyz);
-    let above = dot(look.eye.xyz, look.world_up.xyz) - look.heights.z;
-    if fall >= -1e-4 || above <= 0.0 {
+    let above = dot(look.eye.xyz, look.world_up.xyz) - look.ground.x;
+    if look.ground.z != 1.0 || fall >= -1e-4 || above <= 0.0 {
         return vec4<f32>(sky, 1.0);
     }
-    let grid = look.heights.w;
+    let grid = look.ground.y;
     let distance = -above / fall;
     let point = look.eye.xyz + ray * distance;
     let line = 4.0 * distance * look.half_and_samples.x / look.half_and_samples.z;
@@ -157,7 +211,7 @@ fn background(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> 
     if min(off.x, off.y) < 0.5 * line {
         strength = 0.25 * fade;
     }
-    return vec4<f32>(sky * (1.0 - strength), 1.0);
+    return vec4<f32>(sky * (1.0 - strength) * ground_light(light_reaching(point, look.world_up.xyz)), 1.0);
 }
 
 @fragment

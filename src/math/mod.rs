@@ -2,7 +2,7 @@
 
 mod local_origin;
 
-pub use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3, Mat3, Quat, UVec2, UVec3, Vec2, Vec3};
+pub use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3, Mat3, Quat, UVec2, UVec3, Vec2, Vec3, Vec4};
 pub use local_origin::{FAR_M, bounds, local_origin};
 
 /// Components of a vertex quantity and the side of a matrix block.

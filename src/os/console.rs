@@ -8,6 +8,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Whether [`note`] says nothing.
 static QUIET: AtomicBool = AtomicBool::new(false);
 
+/// Whether results are JSON.
+static JSON: AtomicBool = AtomicBool::new(false);
+
+/// From now on results are JSON.
+pub fn be_json() {
+    JSON.store(true, Ordering::Relaxed);
+}
+
+/// Whether [`be_json`] was called.
+pub fn is_json() -> bool {
+    JSON.load(Ordering::Relaxed)
+}
+
 /// From now on [`note`] says nothing; errors are still written.
 pub fn be_quiet() {
     QUIET.store(true, Ordering::Relaxed);

@@ -88,7 +88,7 @@ const FOLDERS: [(&str, &[&str]); 4] = [
     ("frames", &["frame_", "obstacle_"]),
     ("checkpoint", &["step_"]),
     ("states", &["step_"]),
-    ("pictures", &["frame_", "contact_sheet"]),
+    ("pictures", &["frame_", "contact_sheet", "side_by_side"]),
 ];
 
 impl RunDirectory {

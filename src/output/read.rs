@@ -152,6 +152,11 @@ impl FrameSource {
         numbers
     }
 
+    /// Whether there is such a frame.
+    pub fn holds(&self, frame: u32) -> bool {
+        self.files.contains_key(&frame) || self.is_coarse(frame)
+    }
+
     /// Reads the cloth of a frame, which must be one of [`FrameSource::numbers`].
     pub fn read(&self, frame: u32) -> Result<FrameMesh, FramesError> {
         if let Some(coarse) = self.coarse_of(frame) {

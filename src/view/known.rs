@@ -11,7 +11,7 @@ use crate::partition::RowPartition;
 use crate::scene::{self, Obstacles, Overrides, Scene};
 
 /// The scene of a run, at its resolution.
-pub(super) struct Known {
+pub struct Known {
     scene: Scene,
     model: GlobalModel,
     partition: RowPartition,
@@ -21,7 +21,10 @@ pub(super) struct Known {
 
 impl Known {
     /// Reads the scene that a run has recorded; frame 0 is its start state.
-    pub(super) fn load(directory: &RunDirectory) -> Result<Known, String> {
+    ///
+    /// # Errors
+    /// The recorded scene cannot be read, or the frames are not of its mesh.
+    pub fn load(directory: &RunDirectory) -> Result<Known, String> {
         let text = |error: &dyn std::fmt::Display| error.to_string();
         let manifest = RunManifest::load(directory).map_err(|error| text(&error))?;
         let options: RunOptions = manifest.flags().map_err(|error| text(&error))?;
@@ -52,7 +55,7 @@ impl Known {
     }
 
     /// Names and ranges of pieces (vertices) and obstacles (triangles).
-    pub(super) fn names(&self) -> serde_json::Value {
+    pub fn names(&self) -> serde_json::Value {
         let cloths = self.scene.cloths.iter();
         let pieces = cloths.map(|c| json!({ "name": c.name, "from": c.vertices.start, "to": c.vertices.end }));
         let obstacles = Obstacles::new(&self.scene.obstacles);
@@ -70,7 +73,7 @@ impl Known {
     }
 
     /// The rank that owns each vertex.
-    pub(super) fn ranks(&self) -> Vec<f32> {
+    pub fn ranks(&self) -> Vec<f32> {
         let mut ranks = vec![0.0; self.model.rows()];
         for (row, vertex) in self.model.original_from_global.iter().enumerate() {
             ranks[*vertex as usize] = self.partition.owner(row) as f32;
@@ -80,7 +83,10 @@ impl Known {
 
     /// Of every vertex: the mean over its triangles of their largest stretch minus one, or of their smallest minus
     /// one, whichever is farther from zero.
-    pub(super) fn strain(&self, positions: &[Vec3]) -> Result<Vec<f32>, String> {
+    ///
+    /// # Errors
+    /// The positions are not of the scene's mesh.
+    pub fn strain(&self, positions: &[Vec3]) -> Result<Vec<f32>, String> {
         self.check(positions)?;
         let mut sums = vec![[0.0_f64; 3]; positions.len()];
         let mesh = &self.scene.mesh;
@@ -100,7 +106,10 @@ impl Known {
 
     /// Of every vertex: how near its nearest contact is, from 0 (none within the thickness) to 1 (touching).
     /// `positions`: about the local origin.
-    pub(super) fn contact(&mut self, positions: &[Vec3], frame: u32) -> Result<Vec<f32>, String> {
+    ///
+    /// # Errors
+    /// The positions are not of the scene's mesh, or the scene has no collisions.
+    pub fn contact(&mut self, positions: &[Vec3], frame: u32) -> Result<Vec<f32>, String> {
         self.check(positions)?;
         if !self.scene.settings.collisions {
             return Err("this scene has collisions = false".into());

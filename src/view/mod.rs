@@ -18,5 +18,6 @@ mod watched;
 
 pub use answer::Answer;
 pub use answers::Answers;
+pub use known::Known;
 pub use server::{BindError, Server};
 pub use watched::Watched;

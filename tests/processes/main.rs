@@ -3,6 +3,7 @@
 mod bad_input;
 mod bench_commands;
 mod bodies;
+mod cli_render;
 mod command_line;
 mod control_conformance;
 mod convert;

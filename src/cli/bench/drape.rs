@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::table::FigureTable;
 use crate::cli::CliError;
-use crate::cli::render::recorded_up;
+use crate::cli::render_subjects::recorded_up;
 use crate::output::picture::UpAxis;
 use crate::output::{FrameSource, RunDirectory, drape};
 

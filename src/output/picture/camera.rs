@@ -3,13 +3,11 @@
 use crate::math::{Vec2, Vec3};
 use crate::output::FrameMesh;
 
-/// Vertical angle of view, degrees; small, so that shapes stay true.
-const FIELD_OF_VIEW_DEG: f32 = 30.0;
 /// Share of the picture that the sequence may fill.
-const FILL: f32 = 0.92;
+const FILL: f32 = 0.88;
 
-/// How far from the cloth obstacles count for the view, as a share of the cloth's diameter.
-const MARGIN: f32 = 0.25;
+/// Height of the sensor that lenses are given for, millimeters.
+const SENSOR_MM: f32 = 24.0;
 
 /// A perspective camera without roll.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,13 +24,35 @@ pub(super) struct Camera {
     pub world_up: Vec3,
     /// Half the width and height of the picture at distance 1.
     pub half: Vec2,
-    /// Lowest height of the sequence, meters: where the ground is drawn.
-    pub ground_m: f32,
     /// Diameter of what is looked at, meters.
     pub extent_m: f32,
 }
 
 impl Camera {
+    /// A camera at `eye` that looks at `target`, with `top` up in the picture. `extent_m`: diameter of what it looks at.
+    pub(super) fn looking(
+        [eye, target, top]: [Vec3; 3],
+        world_up: Vec3,
+        aspect: f32,
+        lens_mm: f32,
+        extent_m: f32,
+    ) -> Camera {
+        let forward = (target - eye).normalize_or(Vec3::X);
+        let right = forward.cross(top).normalize_or(forward.any_orthonormal_vector());
+        let half = half_of(aspect, lens_mm);
+        Camera { eye, right, up: right.cross(forward), forward, world_up, half, extent_m }
+    }
+
+    /// The same with everything `zoom` times as large in the picture.
+    pub(super) fn zoomed(self, zoom: f32) -> Camera {
+        Camera { half: self.half / zoom, ..self }
+    }
+
+    /// Focal length for a sensor 24 mm high, millimeters.
+    pub(super) fn lens_mm(&self) -> f32 {
+        0.5 * SENSOR_MM / self.half.y
+    }
+
     /// Right, down and depth of a point. Within the picture right and down are at most the depth, in meters, which is
     /// their unit too.
     pub(super) fn see(&self, point: Vec3) -> Vec3 {
@@ -42,13 +62,19 @@ impl Camera {
 
     /// Depth where surfaces begin, meters; all cloth lies beyond it ([`Fit::camera`] keeps a distance).
     pub(super) fn near_m(&self) -> f32 {
-        0.01 * self.extent_m
+        0.002 * self.extent_m
     }
 
     /// Direction (depth 1) of the ray through a point of the picture.
     pub(super) fn ray(&self, x: f32, y: f32) -> Vec3 {
         self.forward + self.right * (x * self.half.x) - self.up * (y * self.half.y)
     }
+}
+
+/// Half of a picture's width and height at distance 1.
+fn half_of(aspect: f32, lens_mm: f32) -> Vec2 {
+    let vertical = 0.5 * SENSOR_MM / lens_mm;
+    Vec2::new(vertical * aspect, vertical)
 }
 
 /// Collects which way the cloth faces and chooses a direction to look from.
@@ -125,15 +151,14 @@ pub(super) struct Fit {
 
 impl Fit {
     /// A camera in `direction` (azimuth and elevation in degrees) for pictures of width / height = `aspect`.
-    pub(super) fn new(up: Vec3, direction: (f32, f32), aspect: f32) -> Fit {
+    pub(super) fn new(up: Vec3, direction: (f32, f32), aspect: f32, lens_mm: f32) -> Fit {
         let (azimuth, elevation) = (direction.0.to_radians(), direction.1.clamp(-89.0, 89.0).to_radians());
         let (x, y) = horizontal(up);
         let outward = (x * azimuth.cos() + y * azimuth.sin()) * elevation.cos() + up * elevation.sin();
         let forward = -outward;
         let right = forward.cross(up).normalize();
-        let vertical = (0.5 * FIELD_OF_VIEW_DEG).to_radians().tan();
         let (low, high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
-        let (half, reach) = (Vec2::new(vertical * aspect, vertical), [f32::NEG_INFINITY; 4]);
+        let (half, reach) = (half_of(aspect, lens_mm), [f32::NEG_INFINITY; 4]);
         Fit { up, camera_up: right.cross(forward), right, forward, half, reach, low, high }
     }
 
@@ -151,15 +176,6 @@ impl Fit {
         }
     }
 
-    /// Adds those of an obstacle's points that lie within or close to what `cloth` has seen: a floor that reaches far beyond
-    /// the cloth shall not push the camera away.
-    pub(super) fn add_near(&mut self, positions: &[Vec3], cloth: &Fit) {
-        let margin = Vec3::splat(MARGIN * (cloth.high - cloth.low).length());
-        let (low, high) = (cloth.low - margin, cloth.high + margin);
-        let close = |p: &&Vec3| p.cmpge(low).all() && p.cmple(high).all();
-        self.add(&positions.iter().filter(close).copied().collect::<Vec<_>>());
-    }
-
     /// Adds what another fit with the same direction has seen.
     pub(super) fn merge(&mut self, other: &Fit) {
         for side in 0..4 {
@@ -167,6 +183,16 @@ impl Fit {
         }
         self.low = self.low.min(other.low);
         self.high = self.high.max(other.high);
+    }
+
+    /// Lowest and highest corner of what was seen.
+    pub(super) fn bounds(&self) -> [Vec3; 2] {
+        [self.low, self.high]
+    }
+
+    /// Middle of what was seen.
+    pub(super) fn middle(&self) -> Vec3 {
+        0.5 * (self.low + self.high)
     }
 
     /// Lowest and highest height seen, meters.
@@ -192,8 +218,14 @@ impl Fit {
             forward: self.forward,
             world_up: self.up,
             half: self.half,
-            ground_m: self.heights_m().0,
             extent_m,
         })
+    }
+
+    /// A camera in the same direction that looks at `point` from where all that was seen would fit around it.
+    pub(super) fn camera_at(&self, point: Vec3) -> Option<Camera> {
+        let camera = self.camera()?;
+        let distance = 0.5 * camera.extent_m / (self.half.min_element() * FILL);
+        Some(Camera { eye: point - self.forward * distance, ..camera })
     }
 }

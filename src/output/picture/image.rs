@@ -28,6 +28,11 @@ impl Image {
         Image { width, height, rgb }
     }
 
+    /// Red, green and blue of all pixels, row by row.
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.rgb
+    }
+
     /// Width, pixels.
     pub fn width(&self) -> usize {
         self.width
@@ -125,7 +130,7 @@ impl Image {
     }
 }
 
-fn io_from_png(error: png::EncodingError) -> io::Error {
+pub(super) fn io_from_png(error: png::EncodingError) -> io::Error {
     match error {
         png::EncodingError::IoError(e) => e,
         other => io::Error::other(other),
