@@ -27,6 +27,7 @@ pub mod solve;
 mod solve_report;
 mod solve_trace;
 mod start_state;
+mod sweep;
 pub mod topology;
 mod topology_hosts;
 pub mod view;

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::CliError;
 use super::launcher::LauncherArgs;
-use super::run_lines::{conclude, introduce};
+use super::run_lines::{Made, conclude, introduce, stopped};
 use super::start_state::Places;
+use super::sweep;
 use super::view::{PageArgs, serve};
 use crate::coordinator::plan::scene_text;
 use crate::coordinator::{
@@ -15,7 +16,7 @@ use crate::os::console::note;
 use crate::os::signals;
 use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest};
 use crate::scene::{
-    Change, Edit, Overrides, ParsedScene, fields_of_fps, read, read_changes, read_str, read_time_table,
+    Change, Edit, Overrides, ParsedScene, fields_of_fps, read, read_changes, read_str, read_time_table, runs_of_fields,
 };
 use crate::transport::RANKS_MAX;
 
@@ -73,7 +74,45 @@ pub struct RunArgs {
 /// # Errors
 /// Bad input, a failed run, or a run that a signal has stopped (exit code 128 + its number).
 pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
-    let Resolved { places, mut options, recorded_scene, recorded } = resolve(&args)?;
+    let runs = runs_of_fields(&args.options.options.set).map_err(CliError::bad_input)?;
+    if runs.len() > 1 {
+        return run_all(&args, runs, &launch);
+    }
+    run_one(&args, &launch)?.answer()
+}
+
+/// Makes the runs that lists of `--set` ask for, in folders of their own.
+fn run_all(args: &RunArgs, runs: Vec<Vec<String>>, launch: &Launch) -> Result<(), CliError> {
+    let alone = [
+        (args.resume, "--resume"),
+        (args.only_segment.is_some(), "--only-segment"),
+        (args.coarse_only, "--coarse-only"),
+        (args.view, "--view"),
+        (args.live, "--live"),
+        (args.replay.is_some(), "--replay"),
+    ];
+    if let Some((_, flag)) = alone.iter().find(|(given, _)| *given) {
+        return Err(CliError::bad_input(format!(
+            "{flag} is for one run, but the lists of --set ask for {}",
+            runs.len()
+        )));
+    }
+    let Some(scene) = &args.scene else {
+        return Err(CliError::bad_input("a scene file is needed: loomtree run SCENE"));
+    };
+    let base = args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(scene.file_stem().unwrap_or_default()));
+    let planned = sweep::planned(runs, &base, args.overwrite)?;
+    sweep::make(&planned, &base, |run| {
+        let mut own = args.clone();
+        own.options.options.set = run.set.clone();
+        own.out = Some(run.out.clone());
+        let made = run_one(&own, launch)?;
+        if made.is_by_signal { Err(stopped()) } else { Ok(()) }
+    })
+}
+
+fn run_one(args: &RunArgs, launch: &Launch) -> Result<Made, CliError> {
+    let Resolved { places, mut options, recorded_scene, recorded } = resolve(args)?;
     // Checked before the plan is made, which can take a while. Too many workers are refused there.
     let is_split = options.time.segments > 1 && !args.coarse_only && args.only_segment.is_none();
     if let Some(ranks) = launch.ranks() {
@@ -96,8 +135,8 @@ pub fn run(args: RunArgs, launch: Launch) -> Result<(), CliError> {
         return Err(CliError::bad_input("--port and --open go with --view"));
     }
     let changes = Changes { live: args.live, paused: args.paused, recorded };
-    let made = make(recorded_scene.as_deref(), &options, &places, changes, scope, &launch);
-    if args.view && made.is_ok() {
+    let made = make(recorded_scene.as_deref(), &options, &places, changes, scope, launch);
+    if args.view && made.as_ref().is_ok_and(|made| !made.is_by_signal) {
         note("the page stays until Ctrl-C");
         signals::wait_for_stop();
     }
@@ -120,7 +159,7 @@ fn make(
     changes: Changes,
     scope: Scope,
     launch: &Launch,
-) -> Result<(), CliError> {
+) -> Result<Made, CliError> {
     let can_change = changes.live || changes.recorded.is_some();
     if options.time.segments > 1 && can_change {
         return Err(CliError::bad_input(
@@ -152,7 +191,7 @@ fn make(
         Ok(plan)
     };
     let plan = parsed.map_err(PlanError::from).and_then(planned);
-    let plan = plan.map_err(|error| match error {
+    let plan = plan.map_err(|error| match error.blaming_set(&places.scene, options) {
         PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
         other => CliError::bad_input(other),
     })?;

@@ -1,13 +1,17 @@
 //! What `loomtree run` says before a run and after it.
 
-use super::CliError;
+use std::path::PathBuf;
+
+use serde_json::json;
+
 use super::far::far_line;
 use super::start_state::untangled_line;
+use super::{CliError, print};
 use crate::coordinator::{RunError, RunOptions, RunPlaces, RunPlan, RunSummary};
 use crate::model::stiffness_ratio;
-use crate::os::console::note;
+use crate::os::console::{is_json, note};
 use crate::os::signals;
-use crate::output::FrameFormat;
+use crate::output::{FrameFormat, Report};
 use crate::scene::Substeps;
 use crate::step::parts_of_step;
 
@@ -47,8 +51,43 @@ pub(super) fn introduce(plan: &RunPlan, options: &RunOptions) {
     ));
 }
 
-/// Prints the result of a run, or makes an error of it.
-pub(super) fn conclude(result: Result<RunSummary, RunError>, places: &RunPlaces) -> Result<(), CliError> {
+/// What a run has made.
+pub(super) struct Made {
+    summary: RunSummary,
+    /// Whether a signal has stopped it.
+    pub(super) is_by_signal: bool,
+    out: PathBuf,
+}
+
+impl Made {
+    /// The result of the command: on stdout with `--json`, else nothing, because it was said on stderr.
+    pub(super) fn answer(self) -> Result<(), CliError> {
+        let Made { summary, is_by_signal, out } = self;
+        if is_json() {
+            let report = Report::load(&out.join("report.json")).unwrap_or_default();
+            let last = report.frames.iter().max_by_key(|frame| frame.frame);
+            let document = json!({
+                "run": out,
+                "scene": report.header.scene,
+                "status": if summary.stopped { "stopped" } else { "done" },
+                "workers": report.header.workers,
+                "triangles": report.header.triangles,
+                "vertices": report.header.vertices,
+                "frames": summary.frames,
+                "steps": summary.steps,
+                "substeps": summary.substeps,
+                "seconds_per_step": summary.seconds_per_step,
+                "last_frame": last.map(|frame| frame.frame),
+                "state_hash": last.map(|frame| &frame.state_hash),
+            });
+            print(&format!("{document}\n"))?;
+        }
+        if is_by_signal { Err(stopped()) } else { Ok(()) }
+    }
+}
+
+/// Says how a run has ended, or makes an error of it.
+pub(super) fn conclude(result: Result<RunSummary, RunError>, places: &RunPlaces) -> Result<Made, CliError> {
     let summary = result.map_err(|error| match error {
         RunError::BadInput(text) => CliError::bad_input(text),
         RunError::Failed(text) => CliError::failed(text),
@@ -63,23 +102,17 @@ pub(super) fn conclude(result: Result<RunSummary, RunError>, places: &RunPlaces)
     // A client that steers a run may end it, too, which is what it is for.
     let is_by_signal = summary.stopped && signals::stop_requested().is_some();
     let how = if summary.stopped { "stopped; continue with --resume" } else { "done" };
-    if summary.frames == 0 {
-        // A part of a shot that is split in time.
-        note(format_args!("{how}: {} steps, {:.2} ms/step", summary.steps, summary.seconds_per_step * 1e3));
-        return if is_by_signal { Err(stopped()) } else { Ok(()) };
+    let mut line = format!("{how}: {} steps, {:.2} ms/step", summary.steps, summary.seconds_per_step * 1e3);
+    // A part of a shot that is split in time has no frames.
+    if summary.frames > 0 {
+        line += &format!(", frames 0..={} in {}", summary.frames - 1, places.out.join("frames").display());
     }
-    note(format_args!(
-        "{how}: {} steps, {:.2} ms/step, frames 0..={} in {}",
-        summary.steps,
-        summary.seconds_per_step * 1e3,
-        summary.frames - 1,
-        places.out.join("frames").display()
-    ));
-    if is_by_signal { Err(stopped()) } else { Ok(()) }
+    note(line);
+    Ok(Made { summary, is_by_signal, out: places.out.clone() })
 }
 
 /// The result of a run that a signal has stopped. Its message is empty, because it has already been printed.
-fn stopped() -> CliError {
+pub(super) fn stopped() -> CliError {
     let exit_code = signals::stop_requested().map_or(1, |signal| signal.exit_code());
     CliError { exit_code, message: String::new() }
 }

@@ -1,7 +1,7 @@
 //! `loomtree run --segments P`: a shot that is split in time.
 
 use super::CliError;
-use super::run_lines::{conclude, introduce};
+use super::run_lines::{Made, conclude, introduce};
 use super::start_state::Places;
 use crate::coordinator::plan::scene_text;
 use crate::coordinator::{Launch, PlanError, RunOptions, RunPlaces, Scope, TimeError, TimePlan, run_split};
@@ -17,15 +17,16 @@ pub(super) fn run(
     places: &RunPlaces,
     scope: Scope,
     launch: &Launch,
-) -> Result<(), CliError> {
+) -> Result<Made, CliError> {
     let text = match recorded {
         Some(text) => text.to_string(),
         None => scene_text(&places.scene, &options.set).map_err(CliError::bad_input)?,
     };
     let plan = TimePlan::new(&text, &places.scene, options).map_err(|error| match error {
-        TimeError::Plan(PlanError::Scene(mut error)) => {
-            CliError::bad_input(Places::beside(&places.out).refuse(&mut error))
-        }
+        TimeError::Plan(error) => match error.blaming_set(&places.scene, options) {
+            PlanError::Scene(mut error) => CliError::bad_input(Places::beside(&places.out).refuse(&mut error)),
+            other => CliError::bad_input(other),
+        },
         other => CliError::bad_input(other),
     })?;
     introduce(&plan.fine, options);

@@ -12,7 +12,7 @@ use crate::interconnect::{Plan, RankLinks, ScheduleError, ScheduleKind, Topology
 use crate::math::DIM;
 use crate::model::{GlobalModel, RankModel};
 use crate::partition::{RowPartition, most_ranks};
-use crate::scene::{Overrides, ParsedScene, Scene, SceneError, Untangling, read, read_str, set_fields};
+use crate::scene::{Overrides, ParsedScene, Scene, SceneError, Untangling, blame, read, read_str, set_fields};
 use crate::solver::ExchangeMode;
 use crate::transport::{RANKS_MAX, STAMP_VALUES};
 
@@ -71,11 +71,29 @@ pub struct RunPlan {
     pub steering: Option<Box<Steering>>,
 }
 
+impl PlanError {
+    /// The same error of a scene with the fields of `--set`, which names the flag instead of a line that the file does not
+    /// have.
+    pub fn blaming_set(self, scene_path: &Path, options: &RunOptions) -> PlanError {
+        let PlanError::Scene(error) = self else { return self };
+        let attempt = |set: &[String]| {
+            let text = scene_text(scene_path, set).ok()?;
+            let overrides = Overrides { resolution: options.resolution, frames: options.frames };
+            match read_str(&text, scene_path) {
+                Ok(parsed) => parsed.at(&overrides).err(),
+                Err(error) => Some(error),
+            }
+        };
+        PlanError::Scene(blame(error, &options.set, attempt))
+    }
+}
+
 impl RunPlan {
     /// Reads and checks everything.
     pub fn new(scene_path: &Path, options: &RunOptions) -> Result<RunPlan, PlanError> {
         if !options.set.is_empty() {
-            return RunPlan::of_text(&scene_text(scene_path, &options.set)?, scene_path, options);
+            let made = RunPlan::of_text(&scene_text(scene_path, &options.set)?, scene_path, options);
+            return made.map_err(|error| error.blaming_set(scene_path, options));
         }
         RunPlan::of_parsed(&read(scene_path)?, options, None)
     }
@@ -177,6 +195,11 @@ impl RunPlan {
             topology += " (links emulated)";
         }
         let (table_bytes, exchange) = (options.memory_limit_bytes.or(table_bytes), options.exchange);
+        let stages = transfers.schedule.queues.iter().map(Vec::len).max().unwrap_or(0);
+        tracing::debug!(
+            "plan: {rows} rows on {workers} ranks, schedule {} with {stages} stages on {topology}, exchange {exchange:?}",
+            transfers.kind.name()
+        );
         let (untangled, started, steering) = (None, None, None);
         Ok(RunPlan {
             scene,

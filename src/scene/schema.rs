@@ -1,14 +1,57 @@
 //! The JSON Schema of scene files, for editors.
 
+use serde_json::Value;
+
 /// The schema. It names every field that the reader knows; which of them go together is checked by the reader alone.
 pub const SCHEMA: &str = include_str!("schema.json");
+
+/// Whether the field at a path (as `--set` has it, without numbers and names that choose one of several) may be a list of
+/// such values. A field that the schema does not know counts as one, so that the reader refuses it as it is.
+pub(super) fn takes_list(names: &[&str], values: &[toml::Value]) -> bool {
+    let Ok(root) = serde_json::from_str::<Value>(SCHEMA) else { return true };
+    let mut node = &root;
+    for name in names {
+        node = resolved(node, &root);
+        let next = match node.get("items") {
+            Some(items) => Some(items),
+            None => node.get("properties").and_then(|fields| fields.get(name)),
+        };
+        match next {
+            Some(next) => node = next,
+            None => return true,
+        }
+    }
+    alternatives(node, &root).into_iter().any(|one| {
+        let Some(items) = one.get("items") else { return false };
+        let items = alternatives(items, &root);
+        values.iter().all(|value| {
+            items.iter().any(|item| match item.get("type").and_then(Value::as_str) {
+                Some("array") => value.is_array(),
+                Some("object") => value.is_table(),
+                _ => !value.is_array() && !value.is_table(),
+            })
+        })
+    })
+}
+
+fn resolved<'a>(node: &'a Value, root: &'a Value) -> &'a Value {
+    let place = node.get("$ref").and_then(Value::as_str);
+    place.and_then(|place| root.pointer(place.trim_start_matches('#'))).unwrap_or(node)
+}
+
+/// The forms that a value may have.
+fn alternatives<'a>(node: &'a Value, root: &'a Value) -> Vec<&'a Value> {
+    let node = resolved(node, root);
+    match node.get("oneOf").and_then(Value::as_array) {
+        Some(forms) => forms.iter().map(|form| resolved(form, root)).collect(),
+        None => vec![node],
+    }
+}
 
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
     use std::path::Path;
-
-    use serde_json::Value;
 
     use super::*;
     use crate::scene::change::CHANGE_FIELDS;

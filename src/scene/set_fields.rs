@@ -4,7 +4,41 @@ use std::path::Path;
 
 use toml::{Table, Value};
 
+use super::schema::takes_list;
 use super::settings_file::{FRAMES, STEP_S, STEPS_PER_FRAME};
+
+/// Most runs that lists of values may ask for.
+const RUNS_MOST: usize = 1000;
+
+/// The fields of every run that `fields` ask for. A list of values for a field that is none itself
+/// (`simulation.friction=[0.1, 0.3]`) asks for a run with each of them, several lists for all combinations, of which the
+/// values of the last list change first. Without lists there is one run.
+///
+/// # Errors
+/// One sentence: a list is empty, or there are too many runs.
+pub fn runs_of_fields(fields: &[String]) -> Result<Vec<Vec<String>>, String> {
+    let mut runs = vec![Vec::new()];
+    for field in fields {
+        let mut values = vec![field.clone()];
+        if let Some((path, value)) = field.split_once('=') {
+            let names: Vec<&str> = path.trim().split('.').collect();
+            if let Value::Array(list) = value_of(value.trim())
+                && !takes_list(&names, &list)
+            {
+                values = list.iter().map(|value| format!("{}={}", path.trim(), written(value))).collect();
+            }
+        }
+        if values.is_empty() {
+            return Err(format!("--set {field}: the list is empty"));
+        }
+        runs =
+            runs.iter().flat_map(|run| values.iter().map(move |value| [&run[..], &[value.clone()]].concat())).collect();
+        if runs.len() > RUNS_MOST {
+            return Err(format!("--set {field}: the lists ask for {} runs, more than {RUNS_MOST}", runs.len()));
+        }
+    }
+    Ok(runs)
+}
 
 /// The text of a scene with fields set, each as `path=value`: names of tables and fields, separated by dots, with
 /// numbers or names for one of several (`cloth.0.fabric=silk`, `obstacle.ball.friction=1`). A value is TOML, or else
@@ -83,11 +117,24 @@ pub fn with_absolute_files(text: &str, folder: &Path) -> Result<String, String> 
     if any { toml::to_string(&scene).map_err(|error| error.to_string()) } else { Ok(text.to_string()) }
 }
 
-/// A TOML value; what is none is text.
+/// A TOML value; what is none is text, or a list of such texts in brackets.
 fn value_of(text: &str) -> Value {
     let table: Option<Table> = format!("value = {text}").parse().ok();
     let value = table.filter(|table| table.len() == 1).and_then(|mut table| table.remove("value"));
-    value.unwrap_or_else(|| Value::String(text.to_string()))
+    value.unwrap_or_else(|| match text.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+        Some(list) if !list.contains(['[', ']', '"', '\'']) => {
+            Value::Array(list.split(',').map(|value| value_of(value.trim())).collect())
+        }
+        _ => Value::String(text.to_string()),
+    })
+}
+
+/// A value as the command line has it: text without quotes where that is the same.
+fn written(value: &Value) -> String {
+    match value {
+        Value::String(text) if value_of(text) == *value => text.clone(),
+        other => other.to_string(),
+    }
 }
 
 fn set(table: &mut Table, names: &[&str], value: Value) -> Result<(), String> {
@@ -149,6 +196,41 @@ mod tests {
         let windy = format!("{SCENE}[air]\nwind_m_s = [1, 2, 3]\n");
         let scene: Table = set_fields(&windy, &["air.wind_m_s.0=3".to_string()]).unwrap().parse().unwrap();
         assert_eq!(scene["air"]["wind_m_s"][0].as_integer(), Some(3));
+    }
+
+    #[test]
+    fn lists_ask_for_runs_where_a_field_is_no_list() {
+        let of = |fields: &[&str]| {
+            let fields: Vec<String> = fields.iter().map(|field| field.to_string()).collect();
+            runs_of_fields(&fields)
+        };
+        assert_eq!(of(&[]).unwrap(), [[""; 0]]);
+        let grid =
+            of(&["simulation.friction=[0.1, 0.3]", "cloth.flag.fabric=[\"silk\", \"denim\"]", "name=a"]).unwrap();
+        assert_eq!(grid.len(), 4);
+        assert_eq!(grid[1], ["simulation.friction=0.1", "cloth.flag.fabric=denim", "name=a"]);
+        assert_eq!(grid[2][..2], ["simulation.friction=0.3", "cloth.flag.fabric=silk"]);
+        assert_eq!(of(&["cloth.0.fabric=[silk, wool]"]).unwrap()[1], ["cloth.0.fabric=wool"]);
+        // Text that would be read as a number keeps its quotes.
+        assert_eq!(of(&["name=[\"1\", \"b c\"]"]).unwrap(), [["name=\"1\""], ["name=b c"]]);
+        // A vector, a pair of limits and an unknown field stay what they are; a list of vectors does not.
+        for field in [
+            "simulation.gravity_m_s2=[0, -1, 0]",
+            "air.wind_m_s=[1, 2, 3]",
+            "cloth.0.strain_limit=[0.9, 1.1]",
+            "cloth.0.sheet.size_m=[1, 2]",
+            "simulation.frictoin=[1, 2]",
+            "obstacle=[]",
+        ] {
+            assert_eq!(of(&[field]).unwrap(), [[field]], "{field}");
+        }
+        assert_eq!(of(&["simulation.gravity_m_s2=[[0, -1, 0], [0, -9, 0]]"]).unwrap().len(), 2);
+        assert_eq!(of(&["cloth.0.strain_limit=[[0.9, 1.1], [0.8, 1.2], [0.7, 1.3]]"]).unwrap().len(), 3);
+        assert_eq!(of(&["cloth.0.sheet.size_m.1=[1, 2]"]).unwrap().len(), 2);
+        assert_eq!(of(&["resolution=[1000, 4_000]"]).unwrap()[1], ["resolution=4000"]);
+        assert!(of(&["simulation.friction=[]"]).unwrap_err().contains("the list is empty"));
+        let many = format!("simulation.friction={:?}", (0..40).collect::<Vec<i32>>());
+        assert!(of(&[&many, &many]).unwrap_err().contains("1600 runs"));
     }
 
     #[test]

@@ -4,6 +4,7 @@ mod bad_input;
 mod bench_commands;
 mod bodies;
 mod cli_render;
+mod cli_sweep;
 mod command_line;
 mod control_conformance;
 mod convert;
