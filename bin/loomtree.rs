@@ -16,6 +16,9 @@ struct Arguments {
     /// Say more: a line per step and what else the log knows (as LOOMTREE_LOG=loomtree=debug)
     #[arg(short, long, global = true)]
     verbose: bool,
+    /// Print the result as JSON on stdout, and what people read on stderr
+    #[arg(long, global = true)]
+    json: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -72,12 +75,18 @@ enum Command {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    if arguments.json {
+        cli::answer_in_json();
+    }
     cli::start_log(match (arguments.quiet, arguments.verbose) {
         (true, _) => Verbosity::Quiet,
         (_, true) => Verbosity::Verbose,
         _ => Verbosity::Usual,
     });
     let result = match arguments.command {
+        Command::Completions(_) | Command::Man(_) | Command::Coordinator(_) | Command::Worker(_) if arguments.json => {
+            Err(CliError::bad_input("this command prints no result that could be JSON: leave out --json"))
+        }
         Command::Run(args) => launcher::under(&args.launcher.clone(), |launch| cli::run::run(args, launch)),
         Command::Schedule(args) => cli::schedule::run(args),
         Command::Predict(args) => cli::predict::run(args),

@@ -3,19 +3,22 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use serde_json::{Value, json};
+
 use crate::math::{DVec3, Vec3};
 use crate::mesh::{
     FileMesh, Group, GroupKind, MaterialSource, MeshReadError, Part, TriangleMesh, crossings, first_at_place, hinges,
     read_mesh, read_obstacle,
 };
 use crate::model::Sewn;
+use crate::os::console::is_json;
 use crate::scene::{
     DEFAULT_THICKNESS_M, Movement, Overrides, Scene, load, load_fabric, load_untangled, read_body, size_warning,
 };
 
 use super::far::far_line;
 use super::start_state::{Places, untangled_line, write_mesh};
-use super::{CliError, print_to};
+use super::{CliError, answer_to, print_to};
 
 /// Arguments of `loomtree check`.
 #[derive(Debug, clap::Args)]
@@ -41,6 +44,36 @@ pub struct CheckArgs {
 /// # Errors
 /// Exit code 2 and one sentence if the file is invalid.
 pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
+    let found = summary(args);
+    if is_json()
+        && let Err(error) = &found
+    {
+        let verdict = json!({ "file": args.file, "valid": false, "error": error.message });
+        print_to(out, &format!("{verdict}\n"))?;
+    }
+    let text = found?;
+    answer_to(out, &text, || verdict(args, &text))
+}
+
+/// The lines of a summary, `label   value`, as fields; a label that comes again makes a list.
+fn verdict(args: &CheckArgs, summary: &str) -> Value {
+    let mut lines = summary.lines();
+    let kind = lines.next().and_then(|line| line.split(' ').next()).unwrap_or_default();
+    let mut fields = serde_json::Map::new();
+    for line in lines {
+        let Some((label, value)) = line.trim_start().split_once("  ") else { continue };
+        match fields.get_mut(label) {
+            None => {
+                fields.insert(label.to_string(), json!(value.trim()));
+            }
+            Some(Value::Array(values)) => values.push(json!(value.trim())),
+            Some(other) => *other = json!([other.clone(), value.trim()]),
+        }
+    }
+    json!({ "file": args.file, "valid": true, "kind": kind, "found": fields })
+}
+/// What is said of the file.
+fn summary(args: &CheckArgs) -> Result<String, CliError> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let is_scene = match extension.as_str() {
         "obj" | "ply" | "gz" | "glb" | "gltf" => false,
@@ -87,7 +120,7 @@ pub fn check(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
             }
         }
     };
-    print_to(out, &summary)
+    Ok(summary)
 }
 
 /// True for a file with a density and no cloths. A file that cannot be parsed counts as a scene, whose reader then

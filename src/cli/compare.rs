@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::{CliError, print};
 use crate::math::Vec3;
+use crate::os::console::{is_json, note};
 use crate::output::checkpoint::Checkpoint;
 use crate::output::plot::{Series, line_chart};
 use crate::output::{FrameMesh, FrameSource, Report, RunDirectory, check_writable, write_atomically};
@@ -150,7 +151,8 @@ pub fn run(args: CompareArgs) -> Result<(), CliError> {
     if let Some(path) = &args.svg {
         draw(path, &args, &findings)?;
     }
-    if args.json {
+    if args.json || is_json() {
+        note(table(&findings).trim_end());
         let text = serde_json::to_string_pretty(&findings).map_err(CliError::failed)?;
         return print(&(text + "\n"));
     }

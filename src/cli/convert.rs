@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::Args;
+use serde_json::json;
 
-use super::{CliError, print};
+use super::{CliError, answer};
 use crate::coordinator::RunOptions;
 use crate::math::DVec3;
 use crate::model::Sewn;
@@ -97,13 +98,14 @@ pub fn run(args: ConvertArgs) -> Result<(), CliError> {
     };
     let out = args.out.unwrap_or_else(|| directory.path().join("export"));
     std::fs::create_dir_all(&out).map_err(|source| CliError::failed(WriteError { path: out.clone(), source }))?;
+    let frames = animation.source.numbers().len();
     let mut lines = String::new();
     for (i, target) in args.to.iter().enumerate() {
         if !args.to[..i].contains(target) {
             lines += &convert(&animation, *target, &out).map_err(CliError::failed)?;
         }
     }
-    print(&lines)
+    answer(&lines, || json!({ "files": lines.lines().collect::<Vec<_>>(), "frames": frames }))
 }
 
 /// A rate that differs from a whole number by rounding alone is that number.

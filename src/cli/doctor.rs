@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{CliError, print};
+use crate::os::console::{is_json, note};
 use crate::transport::{
     FoundRun, RANKS_MAX, RunState, SHARED_MEMORY_FOLDER, check_descriptors, check_shared_memory, cores, list_runs,
     required_descriptors, required_shared_memory_bytes, shared_memory_is_read_only, shared_memory_space,
@@ -125,11 +126,15 @@ pub fn run(
         needs,
         runs,
     };
-    match args.format {
+    let format = if is_json() { Format::Json } else { args.format };
+    match format {
         Format::Text => print(&report.text())?,
         Format::Json => {
             let json = serde_json::to_string_pretty(&report);
             let json = json.map_err(|error| CliError::failed(format!("cannot print the report: {error}")))?;
+            if is_json() {
+                note(report.text().trim_end());
+            }
             print(&(json + "\n"))?;
         }
     }

@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use serde_json::json;
 
-use super::{CliError, print};
+use super::{CliError, answer, print};
+use crate::os::console::is_json;
 use crate::output::write_atomically;
 use crate::scene::SCHEMA;
 
@@ -42,7 +44,7 @@ pub fn init(args: InitArgs) -> Result<(), CliError> {
         return Err(CliError::bad_input(format!("{place} is there already; --overwrite replaces it")));
     }
     write(&args.scene, SCENE)?;
-    print(&format!("{place}; next: loomtree run {place} --view\n"))
+    answer(&format!("{place}; next: loomtree run {place} --view\n"), || json!({ "file": args.scene }))
 }
 
 /// Runs `schema`.
@@ -52,7 +54,10 @@ pub fn init(args: InitArgs) -> Result<(), CliError> {
 pub fn schema(args: SchemaArgs) -> Result<(), CliError> {
     match args.out {
         None => print(SCHEMA),
-        Some(path) => write(&path, SCHEMA),
+        Some(path) => {
+            write(&path, SCHEMA)?;
+            if is_json() { answer("", || json!({ "file": path })) } else { Ok(()) }
+        }
     }
 }
 

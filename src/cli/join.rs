@@ -2,10 +2,12 @@
 
 use std::path::PathBuf;
 
-use super::CliError;
+use serde_json::json;
+
 use super::run_split;
+use super::{CliError, answer};
 use crate::coordinator::{GivenOptions, Launch, RunOptions, RunPlaces, Scope};
-use crate::os::console::note;
+use crate::os::console::{is_json, note};
 use crate::output::{Existing, RunDirectory, RunManifest};
 
 /// Arguments of `loomtree join`.
@@ -29,9 +31,14 @@ pub fn run(args: JoinArgs) -> Result<(), CliError> {
     let mut options = GivenOptions::none().over(&recorded).map_err(CliError::bad_input)?;
     options.workers = args.workers.unwrap_or(options.workers);
     if options.time.segments < 2 {
-        note(format_args!("{} is not split in time; there is nothing to join", args.run.display()));
-        return Ok(());
+        let line = format!("{} is not split in time; there is nothing to join\n", args.run.display());
+        return if is_json() {
+            answer(&line, || json!({ "run": args.run, "status": "whole" }))
+        } else {
+            note(line.trim_end());
+            Ok(())
+        };
     }
     let places = RunPlaces { scene: manifest.scene_path.clone(), out: args.run, existing: Existing::Resume };
-    run_split::run(Some(&manifest.text_to_read()), &options, &places, Scope::Join, &Launch::Spawn)
+    run_split::run(Some(&manifest.text_to_read()), &options, &places, Scope::Join, &Launch::Spawn)?.answer()
 }

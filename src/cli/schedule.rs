@@ -9,6 +9,7 @@ use super::{CliError, print_to};
 use crate::interconnect::{
     LowerBound, Plan, ScheduleKind, Topology, candidates, lower_bound, plan, root_crossings, transfer_times,
 };
+use crate::os::console::{is_json, note};
 use crate::output::{Timeline, TimelineBox, write_timeline};
 
 /// Bytes of one row of a vector: three components in single precision.
@@ -62,7 +63,13 @@ pub fn write_schedule(args: &ScheduleArgs, out: &mut impl Write) -> Result<(), C
         draw(path, &plan, &topology, sub_vector_bytes)?;
     }
     let mut text = Vec::new();
-    let written = match args.format {
+    if is_json() {
+        let mut lines = Vec::new();
+        write_text(&plan, &topology, args, sub_vector_bytes, &mut lines).map_err(CliError::failed)?;
+        note(String::from_utf8_lossy(&lines).trim_end());
+    }
+    let format = if is_json() { ScheduleFormat::Json } else { args.format };
+    let written = match format {
         ScheduleFormat::Json => write_json(&plan, &mut text),
         ScheduleFormat::Text => write_text(&plan, &topology, args, sub_vector_bytes, &mut text),
     };

@@ -7,11 +7,13 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
+use serde_json::json;
 
 use super::launcher::{self, LauncherArgs};
-use super::{CliError, print, topology_hosts};
+use super::{CliError, answer, topology_hosts};
 use crate::gpu::{AdapterKind, AdapterSummary, Executor, adapters, bandwidth_gb_s};
 use crate::interconnect::{MAX_GPUS, Topology};
+use crate::os::console::is_json;
 use crate::output::write_atomically;
 use crate::transport::{MeasuredWorld, cores};
 
@@ -58,11 +60,18 @@ pub fn run(args: TopologyArgs) -> Result<(), CliError> {
 }
 
 fn write(args: &DetectArgs, text: &str) -> Result<(), CliError> {
-    match &args.out {
-        None => print(text),
-        Some(path) => write_atomically(path, |out| out.write_all(text.as_bytes()))
-            .map_err(|error| CliError::failed(format!("--out: {error}"))),
+    if let Some(path) = &args.out {
+        write_atomically(path, |out| out.write_all(text.as_bytes()))
+            .map_err(|error| CliError::failed(format!("--out: {error}")))?;
+        if !is_json() {
+            return Ok(());
+        }
     }
+    let document = || {
+        let topology = text.parse::<toml::Table>().ok().and_then(|table| serde_json::to_value(table).ok());
+        json!({ "file": args.out, "topology": topology })
+    };
+    answer(text, document)
 }
 
 /// The text of a topology of the hosts of ranks, with the device of this host, whose own topology is `text`.

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use clap::Args;
+use serde_json::json;
 
-use super::{CliError, print};
+use super::{CliError, answer};
 use crate::os::console::note;
 use crate::output::{DirectoryError, RunDirectory};
 use crate::view::{Answers, Server, Watched};
@@ -61,7 +62,7 @@ pub(super) fn serve(runs: &[PathBuf], page: &PageArgs) -> Result<(), CliError> {
     let server = Server::bind(page.port, answers).map_err(CliError::bad_input)?;
     let address = server.address();
     server.start().map_err(|error| CliError::failed(format!("cannot start to serve the page: {error}")))?;
-    print(&format!("{address}\n"))?;
+    answer(&format!("{address}\n"), || json!({ "address": address }))?;
     if page.open {
         let opener = Command::new("xdg-open").arg(&address).stdin(Stdio::null()).stdout(Stdio::null()).spawn();
         if let Err(error) = opener {

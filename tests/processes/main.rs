@@ -3,6 +3,7 @@
 mod bad_input;
 mod bench_commands;
 mod bodies;
+mod cli_json;
 mod cli_render;
 mod cli_sweep;
 mod command_line;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
-use crate::cli::{CliError, print};
+use crate::cli::{CliError, answer};
 use crate::output::plot::{Series, line_chart};
 use crate::output::{Machine, write_atomically};
 
@@ -80,26 +80,25 @@ impl FigureTable {
             text += &line(row.iter().map(String::as_str).collect());
         }
         text.push('\n');
-        print(&text)
+        answer(&text, || self.document())
+    }
+
+    /// The table as JSON.
+    fn document(&self) -> Value {
+        let row = |row: &Vec<f64>| -> Value {
+            let cells = self.columns.iter().zip(row).map(|(head, &v)| (head.to_string(), json!(v)));
+            Value::Object(cells.collect::<Map<_, _>>())
+        };
+        let machine = Machine::here();
+        json!({"benchmark": self.name, "title": self.title, "kind": self.kind, "command": std::env::args().collect::<Vec<_>>().join(" "),
+            "machine": {"cpu": machine.cpu, "cores": machine.cores}, "rows": self.rows.iter().map(row).collect::<Vec<_>>()})
     }
 
     /// Writes `name.json`, and `name.svg` with the columns of `curves` over its first one if there are at least two rows.
     pub(super) fn write(&self, folder: &Path, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         std::fs::create_dir_all(folder)
             .map_err(|error| CliError::bad_input(format!("cannot write to {}: {error}", folder.display())))?;
-        let rows: Vec<Value> = self
-            .rows
-            .iter()
-            .map(|row| {
-                Value::Object(
-                    self.columns.iter().zip(row).map(|(head, &v)| (head.to_string(), json!(v))).collect::<Map<_, _>>(),
-                )
-            })
-            .collect();
-        let machine = Machine::here();
-        let document = json!({"benchmark": self.name, "title": self.title, "kind": self.kind, "command": std::env::args().collect::<Vec<_>>().join(" "),
-            "machine": {"cpu": machine.cpu, "cores": machine.cores}, "rows": rows});
-        let text = serde_json::to_string_pretty(&document).map_err(CliError::failed)?;
+        let text = serde_json::to_string_pretty(&self.document()).map_err(CliError::failed)?;
         write_atomically(&folder.join(format!("{}.json", self.name)), |out| out.write_all(text.as_bytes()))
             .map_err(CliError::failed)?;
         let column = |name: &str| self.columns.iter().position(|head| *head == name);

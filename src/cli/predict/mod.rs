@@ -14,6 +14,7 @@ use super::{CliError, print_to};
 use crate::interconnect::{
     KernelTimes, Plan, ProductExchange, Replay, ReplayedStep, STAGES, ScheduleKind, Topology, plan,
 };
+use crate::os::console::{is_json, note};
 use crate::output::{Report, write_timeline};
 use recorded_run::BetweenHosts;
 pub(super) use recorded_run::RecordedRun;
@@ -84,7 +85,12 @@ pub fn write_prediction(args: &PredictArgs, out: &mut impl Write) -> Result<(), 
         write_timeline(path, &prediction.timeline()).map_err(|error| CliError::failed(format!("--svg: {error}")))?;
     }
     let mut text = Vec::new();
-    let written = match args.json {
+    if is_json() {
+        let mut lines = Vec::new();
+        prediction.write_text(&mut lines).map_err(CliError::failed)?;
+        note(String::from_utf8_lossy(&lines).trim_end());
+    }
+    let written = match args.json || is_json() {
         true => writeln!(text, "{:#}", prediction.json()),
         false => prediction.write_text(&mut text),
     };
