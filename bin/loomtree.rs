@@ -59,6 +59,8 @@ enum Command {
     Ccd(cli::ccd::CcdArgs),
     /// Write a commented scene to start from
     Init(cli::init::InitArgs),
+    /// Write a commented scene from meshes of cloth
+    NewScene(cli::new_scene::NewSceneArgs),
     /// Print a JSON Schema of scene files, for editors
     Schema(cli::init::SchemaArgs),
     /// Print a script that completes the command line for a shell
@@ -104,6 +106,7 @@ fn main() -> ExitCode {
         Command::Bench(args) => launcher::under(&args.launcher.clone(), |launch| cli::bench::run(args, &launch)),
         Command::Ccd(args) => cli::ccd::run(args),
         Command::Init(args) => cli::init::init(args),
+        Command::NewScene(args) => cli::new_scene::run(&args),
         Command::Schema(args) => cli::init::schema(args),
         Command::Completions(args) => cli::completions::run(args, Arguments::command()),
         Command::Man(args) => cli::man::run(&args, Arguments::command()),

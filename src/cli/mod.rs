@@ -15,6 +15,7 @@ pub mod join;
 pub mod launcher;
 pub mod live;
 pub mod man;
+pub mod new_scene;
 pub mod predict;
 pub mod render;
 mod render_subjects;

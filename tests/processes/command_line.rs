@@ -148,3 +148,91 @@ fn a_report_is_one_file_with_pictures_curves_and_a_timeline() {
     let ended = place.run("report nowhere").expect(2);
     assert!(ended.error().contains("nowhere is not a run directory"), "{}", ended.story);
 }
+
+#[test]
+fn progress_in_a_file_says_how_long_it_took_and_takes() {
+    let place = Place::new();
+    place.write("flag.toml", flag(256, 3, 3));
+    let of = "run flag.toml --executor cpu --workers 1 --threads 1";
+    let said = place.run(&format!("{of} --resolution 0.3K --out a")).expect(0).stderr;
+    let line = |frame: &str| said.lines().find(|line| line.starts_with(frame)).unwrap_or_else(|| panic!("{said}"));
+    assert!(line("frame 1/3").contains(" s so far, ") && line("frame 1/3").contains(" s left, state "), "{said}");
+    assert!(line("frame 3/3").contains(" s so far, state ") && !line("frame 3/3").contains("left"), "{said}");
+    assert_eq!(place.report("a")["triangles"], 320);
+    // The log knows the plan, the ranks and what is written; at its finest every stage of every step.
+    let said = place.run(&format!("{of} --out b -v")).expect(0).stderr;
+    for part in ["plan: ", "rank 0: cpu on ", "frame 2 written in", "checkpoint/step_00000009.ltc in"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    assert!(!said.contains("slowest rank by stage"), "{said}");
+    let program = support::process::program("loomtree");
+    let trace = [("LOOMTREE_LOG", "loomtree=trace")];
+    let said = place.start_program(&program, &format!("{of} --out c"), &trace).wait().expect(0).stderr;
+    assert!(said.contains("step 4: slowest rank by stage") && said.contains("step 4, rank 0: "), "{said}");
+}
+
+const SHIRT: &str = "v 0 0 1.4\nv 0.5 0 1.4\nv 0.5 0 0\nv 0 0 0\nv 0.25 0.2 0.7\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
+
+/// A box from the ground up, `size` wide and twice as high along z, as triangles.
+fn pillar(size: f64, from: f64) -> String {
+    let mut text = String::new();
+    for i in 0..8 {
+        let at = |bit: u32, length: f64| if i >> bit & 1 == 1 { length } else { 0.0 };
+        text += &format!("v {} {} {}\n", from + at(0, size), at(1, size), at(2, 3.0 * size));
+    }
+    for [a, b, c, d] in [[1, 3, 4, 2], [5, 6, 8, 7], [1, 2, 6, 5], [3, 7, 8, 4], [1, 5, 7, 3], [2, 4, 8, 6]] {
+        text += &format!("f {a} {b} {c} {d}\n");
+    }
+    text
+}
+
+#[test]
+fn a_scene_from_meshes_runs_as_it_is() {
+    let place = Place::new();
+    let scaled = |text: &str, factor: f64| -> String {
+        let word = |word: &str| word.parse::<f64>().map_or(word.to_string(), |value| (value * factor).to_string());
+        let line = |line: &str| match line.strip_prefix("v ") {
+            Some(rest) => format!("v {}\n", rest.split(' ').map(word).collect::<Vec<_>>().join(" ")),
+            None => format!("{line}\n"),
+        };
+        text.lines().map(line).collect()
+    };
+    // Centimeters, z up, beside a pillar on the ground.
+    place.write("shirt.obj", scaled(SHIRT, 100.0));
+    place.write("pillar.obj", pillar(60.0, 80.0));
+    let ended = place.run("new-scene shirt.obj --obstacle pillar.obj --ground --fabric silk").expect(0);
+    assert!(ended.stderr.contains("unit: centimeters, because everything together is"), "{}", ended.story);
+    assert!(ended.stderr.contains("up: z, because what the cloth meets is tallest along z"), "{}", ended.story);
+    assert!(ended.stdout.contains("shirt.toml; next: loomtree run shirt.toml --view"), "{}", ended.story);
+    place.run("check shirt.toml").expect(0);
+    place.run("run shirt.toml --executor cpu --workers 1 --threads 1 --frames 2 --out out").expect(0);
+    let source = |out: &str| {
+        let directory = loomtree::output::RunDirectory::open(&place.path(out)).unwrap();
+        loomtree::output::FrameSource::open(&directory).unwrap()
+    };
+    let start = source("out").read(0).unwrap().positions;
+    let high = start.iter().map(|p| p.y).fold(f32::MIN, f32::max);
+    assert!((high - 1.4).abs() < 1e-4, "{high}");
+    // In meters and alone, the cloth hangs by two of its vertices; a second one of the name gets another.
+    std::fs::create_dir(place.path("more")).unwrap();
+    place.write("more/shirt.obj", scaled(SHIRT, 1.0).replace("v 0", "v 3"));
+    place.write("shirt.obj", SHIRT);
+    let ended = place.run("new-scene shirt.obj more/shirt.obj --out two.toml --up z").expect(0);
+    assert!(ended.stderr.contains("unit: meters"), "{}", ended.story);
+    let text = std::fs::read_to_string(place.path("two.toml")).unwrap();
+    assert!(text.contains("name = \"shirt 2\"") && text.contains("mesh = \"more/shirt.obj\""), "{text}");
+    assert!(text.contains("vertices = [0, 1]"), "{text}");
+    place.run("run two.toml --executor cpu --workers 1 --threads 1 --frames 5 --out two").expect(0);
+    let (first, last) = (source("two").read(0).unwrap().positions, source("two").read(5).unwrap().positions);
+    assert!(first[0] == last[0] && first[1] == last[1] && first[4] != last[4]);
+    for (words, sentence) in [
+        ("new-scene shirt.obj --out two.toml", "two.toml is there already; --overwrite replaces it"),
+        ("new-scene shirt.obj --out two.txt", "ends in .toml"),
+        ("new-scene none.obj --out x.toml", "none.obj: cannot be read"),
+        ("new-scene shirt.obj --fabric plaid --out x.toml", "plaid"),
+    ] {
+        let ended = place.run(words).expect(2);
+        assert!(ended.error().contains(sentence), "{}", ended.story);
+    }
+    assert!(!place.path("x.toml").exists());
+}
