@@ -1,6 +1,7 @@
 //! Progress on stderr: on a terminal a bar with the remaining time, otherwise one line per frame.
 
 use std::io::IsTerminal;
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -11,6 +12,9 @@ use crate::step::StepStats;
 pub(super) struct Progress {
     bar: Option<ProgressBar>,
     frames: u32,
+    /// Frames that were there at the start.
+    done: u32,
+    started: Instant,
 }
 
 impl Progress {
@@ -24,7 +28,7 @@ impl Progress {
             bar.reset_eta();
             bar
         });
-        Progress { bar, frames }
+        Progress { bar, frames, done, started: Instant::now() }
     }
 
     /// Counts a written frame.
@@ -43,7 +47,11 @@ impl Progress {
                 bar.set_message(work);
                 bar.set_position(frame as u64);
             }
-            None => note(format_args!("frame {frame}/{} (step {step}): {work}, state {hash}", self.frames)),
+            None => {
+                let times =
+                    times(self.started.elapsed(), frame.saturating_sub(self.done), self.frames.saturating_sub(frame));
+                note(format_args!("frame {frame}/{} (step {step}): {work}, {times}, state {hash}", self.frames));
+            }
         }
     }
 
@@ -52,5 +60,39 @@ impl Progress {
         if let Some(bar) = &self.bar {
             bar.finish();
         }
+    }
+}
+
+/// Elapsed time, and the time left if the frames that are missing take as long as those made.
+fn times(elapsed: Duration, made: u32, missing: u32) -> String {
+    let mut text = format!("{} so far", clock(elapsed));
+    if made > 0 && missing > 0 {
+        text += &format!(", {} left", clock(elapsed.mul_f64(f64::from(missing) / f64::from(made))));
+    }
+    text
+}
+
+/// `5 s`, `2:05 min` or `1:02:05 h`.
+fn clock(time: Duration) -> String {
+    let seconds = (time.as_secs_f64() + 0.5) as u64;
+    let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
+    match (hours, minutes) {
+        (0, 0) => format!("{seconds} s"),
+        (0, _) => format!("{minutes}:{:02} min", seconds % 60),
+        _ => format!("{hours}:{minutes:02}:{:02} h", seconds % 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_said_as_people_write_them() {
+        let seconds = Duration::from_secs;
+        assert_eq!([clock(seconds(5)), clock(seconds(125)), clock(seconds(3725))], ["5 s", "2:05 min", "1:02:05 h"]);
+        assert_eq!(times(seconds(10), 2, 6), "10 s so far, 30 s left");
+        assert_eq!(times(seconds(10), 2, 0), "10 s so far");
+        assert_eq!(times(seconds(10), 0, 6), "10 s so far");
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use thiserror::Error;
 
@@ -41,6 +42,10 @@ pub enum RecordError {
     /// A file could not be written.
     #[error("{0}")]
     Write(String),
+}
+
+fn ms_since(started: Instant) -> f64 {
+    1e3 * started.elapsed().as_secs_f64()
 }
 
 fn write_error(error: impl Display) -> RecordError {
@@ -301,6 +306,17 @@ impl Recorder {
             1e3 * record.stage_seconds.solve,
             record.bytes_moved
         );
+        tracing::trace!("step {}: slowest rank by stage, s: {:?}", record.step, record.stage_seconds);
+        for (rank, stats) in ranks.iter().enumerate() {
+            tracing::trace!(
+                "step {}, rank {rank}: {} products, {} B of products, {} B of state, {} B of memory",
+                record.step,
+                stats.products,
+                stats.spmv_bytes,
+                stats.state_bytes,
+                stats.memory_bytes
+            );
+        }
         if first.breakdowns > 0 {
             tracing::warn!(
                 "step {}: the solve broke off {} times, the step was made in {} parts",
@@ -351,7 +367,9 @@ impl Recorder {
         let time_s = step as f64 * settings.step_s;
         let mut hash = None;
         if step.is_multiple_of(settings.steps_per_frame) {
+            let started = Instant::now();
             hash = Some(self.frame(plan, frame, time_s, &state, seams)?);
+            tracing::debug!("step {step}: frame {frame} written in {:.1} ms", ms_since(started));
             self.ahead.insert(frame);
             while self.ahead.remove(&self.next_frame) {
                 self.next_frame += 1;
@@ -361,6 +379,7 @@ impl Recorder {
         let reached = Checkpoint { frame, step: step as u64, time_s, fingerprint, state };
         if self.options.keep_states.is_some_and(|keep| keep.wants(step, settings.steps_per_frame)) {
             checkpoint::keep(&self.directory.states(), &reached).map_err(write_error)?;
+            tracing::debug!("step {step}: state kept in {}", self.directory.states().display());
         }
         if frame < self.next_frame && self.last.as_ref().is_none_or(|last| last.step <= reached.step) {
             self.last = Some(reached);
@@ -402,7 +421,9 @@ impl Recorder {
         if let Some(report) = &mut self.report {
             report.save().map_err(write_error)?;
         }
+        let started = Instant::now();
         let path = checkpoint::write(&self.directory.checkpoints(), last).map_err(write_error)?;
+        tracing::debug!("step {}: checkpoint {} in {:.1} ms", last.step, path.display(), ms_since(started));
         Ok(format!("; the last good state (step {}) is kept in {}, continue with --resume", last.step, path.display()))
     }
 

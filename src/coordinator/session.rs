@@ -160,7 +160,19 @@ impl Session {
             order: model.original_from_global,
             step: 0,
         });
-        Ok(ready.into_iter().flatten().collect())
+        let ready: Vec<WorkerReady> = ready.into_iter().flatten().collect();
+        for (rank, worker) in ready.iter().enumerate() {
+            let rows = level.partition.rows_of(rank);
+            tracing::debug!(
+                "rank {rank}: {} on {}, rows {}..{}, preconditioner {}",
+                worker.executor,
+                worker.device,
+                rows.start,
+                rows.end,
+                worker.preconditioner.name()
+            );
+        }
+        Ok(ready)
     }
 
     /// Sets the state of the loaded level to `state`, that of step `step`.
