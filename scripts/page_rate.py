@@ -69,6 +69,11 @@ class Browser:
         result = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         return result["result"].get("value")
 
+    def close(self):
+        self.call("Browser.close")
+        self.process.wait(10)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
     def processor_s(self):
         """Of all processes below the browser."""
         ticks, parents = {}, {}
@@ -109,9 +114,8 @@ def main():
             size = browser.value("`${loomtree.renderer.canvas.width} x ${loomtree.renderer.canvas.height}`")
             print(f"{what}, shadows {shadows}: {pictures / seconds:.1f} pictures/s, "
                   f"{1e3 * used / max(1, pictures):.0f} ms of processor each, canvas {size}")
-    browser.call("Browser.close")
-    browser.process.wait(10)
-    shutil.rmtree(browser.folder, ignore_errors=True)
+    browser.close()
 
 
-main()
+if __name__ == "__main__":
+    main()
