@@ -255,16 +255,32 @@ fn scene_text(
 ) -> String {
     let file = out.file_name().unwrap_or_default().to_string_lossy();
     let mut text = format!(
-        "# A scene of loomtree, made by `loomtree new-scene`.\n#\n#   loomtree check {file}         what is in it, or what \
-         is wrong with it\n#   loomtree run {file} --view    simulate it and look at it\n#\n# Units are SI and stand in \
-         the names. Every field: docs/scene.md.\n#\n# The meshes are in {}, {why_unit}.\n# Their up axis is {}, \
-         {why_up}.\n\n",
+        "\
+# A scene of loomtree, made by `loomtree new-scene`.
+#
+#   loomtree check {file}         what is in it, or what is wrong with it
+#   loomtree run {file} --view    simulate it and look at it
+#
+# Units are SI and stand in the names. Every field: docs/scene.md.
+#
+# The meshes are in {}, {why_unit}.
+# Their up axis is {}, {why_up}.
+
+",
         unit.name(),
         if up == Up::Y { "y" } else { "z" },
     );
-    text += "[simulation]\nstep_s = 0.004\nsteps_per_frame = 10 # 25 frames a second\nframes = 50\nthickness_m = 0.001 # \
-             of the cloth: contacts act within this distance\nfriction = 0.3\n\n# [air] # without this table there is no \
-             air\n# wind_m_s = [2, 0, 0]\n";
+    text += "\
+[simulation]
+step_s = 0.004
+steps_per_frame = 10 # 25 frames a second
+frames = 50
+thickness_m = 0.001 # of the cloth: contacts act within this distance
+friction = 0.3
+
+# [air] # without this table there is no air
+# wind_m_s = [2, 0, 0]
+";
     // String formatting does not fail.
     for piece in cloths {
         let (name, path, fabric) = (text_value(&piece.name), from_scene(&piece.path, out), text_value(&args.fabric));

@@ -90,8 +90,14 @@ impl FigureTable {
             Value::Object(cells.collect::<Map<_, _>>())
         };
         let machine = Machine::here();
-        json!({"benchmark": self.name, "title": self.title, "kind": self.kind, "command": std::env::args().collect::<Vec<_>>().join(" "),
-            "machine": {"cpu": machine.cpu, "cores": machine.cores}, "rows": self.rows.iter().map(row).collect::<Vec<_>>()})
+        json!({
+            "benchmark": self.name,
+            "title": self.title,
+            "kind": self.kind,
+            "command": std::env::args().collect::<Vec<_>>().join(" "),
+            "machine": {"cpu": machine.cpu, "cores": machine.cores},
+            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+        })
     }
 
     /// Writes `name.json`, and `name.svg` with the columns of `curves` over its first one if there are at least two rows.
