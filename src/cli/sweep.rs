@@ -1,5 +1,5 @@
-//! `loomtree run --set FIELD=[A, B, ..]`: one run for every value or combination of values, one after the other, a table
-//! of them and a contact sheet with a row for each.
+//! `loomtree run --set FIELD=[A, B, ..]`: one run for every value or combination of values, one after the other, a
+//! table of them and a contact sheet with a row for each.
 
 use std::path::{Path, PathBuf};
 
@@ -37,7 +37,7 @@ pub(super) fn planned(runs: Vec<Vec<String>>, base: &Path, overwrite: bool) -> R
     let planned: Vec<Planned> = runs.into_iter().enumerate().map(of).collect();
     if !overwrite && let Some(there) = planned.iter().find(|run| RunDirectory::open(&run.out).is_ok()) {
         return Err(CliError::bad_input(format!(
-            "{} already holds a run; replace the runs of the sweep with --overwrite, or choose another folder with --out",
+            "{} already holds a run; replace the sweep with --overwrite, or choose another folder with --out",
             there.out.display()
         )));
     }

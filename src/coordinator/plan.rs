@@ -72,8 +72,8 @@ pub struct RunPlan {
 }
 
 impl PlanError {
-    /// The same error of a scene with the fields of `--set`, which names the flag instead of a line that the file does not
-    /// have.
+    /// The same error of a scene with the fields of `--set`, which names the flag instead of a line that the file
+    /// does not have.
     pub fn blaming_set(self, scene_path: &Path, options: &RunOptions) -> PlanError {
         let PlanError::Scene(error) = self else { return self };
         let attempt = |set: &[String]| {
@@ -197,7 +197,7 @@ impl RunPlan {
         let (table_bytes, exchange) = (options.memory_limit_bytes.or(table_bytes), options.exchange);
         let stages = transfers.schedule.queues.iter().map(Vec::len).max().unwrap_or(0);
         tracing::debug!(
-            "plan: {rows} rows on {workers} ranks, schedule {} with {stages} stages on {topology}, exchange {exchange:?}",
+            "plan: {rows} rows on {workers} ranks, schedule {} of {stages} stages on {topology}, exchange {exchange:?}",
             transfers.kind.name()
         );
         let (untangled, started, steering) = (None, None, None);

@@ -1,8 +1,8 @@
 //! Pictures of triangle meshes, drawn by the device into memory: the host's side of `offscreen.wgsl`.
 //!
-//! It draws what `output/picture/` draws on the processor, with the same samples and the same shading; the two differ by
-//! roundings and in which of two surfaces a sample on an edge belongs to. Large pictures are drawn in tiles, so that no
-//! size is too large for an adapter.
+//! It draws what `output/picture/` draws on the processor, with the same samples and the same shading; the two differ
+//! by roundings and in which of two surfaces a sample on an edge belongs to. Large pictures are drawn in tiles, so
+//! that no size is too large for an adapter.
 
 use bytemuck::{Pod, Zeroable, bytes_of, cast_slice};
 
@@ -168,8 +168,8 @@ impl<'a> Offscreen<'a> {
         gpu.fault().map_or(Ok(Some(place)), Err)
     }
 
-    /// Draws triangles (all indices valid, counter-clockwise where the front is seen). Returns sRGB with 4 bytes a pixel,
-    /// row by row from the top. `maps`: by light, row by row; none if `look` says that there are none.
+    /// Draws triangles (all indices valid, counter-clockwise where the front is seen). Returns sRGB with 4 bytes a
+    /// pixel, row by row from the top. `maps`: by light, row by row; none if `look` says that there are none.
     ///
     /// # Errors
     /// The mesh does not fit on the device, or the device failed; then nothing can be drawn any more.

@@ -1,4 +1,5 @@
-//! 3-vectors and 3x3 blocks. Device code works in f32; f64 appears only where a sum or a geometric construction needs it.
+//! 3-vectors and 3x3 blocks. Device code works in f32; f64 appears only where a sum or a geometric construction needs
+//! it.
 
 mod local_origin;
 

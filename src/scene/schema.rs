@@ -5,8 +5,8 @@ use serde_json::Value;
 /// The schema. It names every field that the reader knows; which of them go together is checked by the reader alone.
 pub const SCHEMA: &str = include_str!("schema.json");
 
-/// Whether the field at a path (as `--set` has it, without numbers and names that choose one of several) may be a list of
-/// such values. A field that the schema does not know counts as one, so that the reader refuses it as it is.
+/// Whether the field at a path (as `--set` has it, without numbers and names that choose one of several) may be a
+/// list of such values. A field that the schema does not know counts as one, so that the reader refuses it as it is.
 pub(super) fn takes_list(names: &[&str], values: &[toml::Value]) -> bool {
     let Ok(root) = serde_json::from_str::<Value>(SCHEMA) else { return true };
     let mut node = &root;

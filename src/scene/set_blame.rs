@@ -2,8 +2,8 @@
 
 use super::SceneError;
 
-/// The error of a scene whose text was made from a file and the fields `set`: it names the flag that it is due to, or the
-/// line of the file if it is due to none. `attempt`: the error with other fields of `set`, if there is one.
+/// The error of a scene whose text was made from a file and the fields `set`: it names the flag that it is due to, or
+/// the line of the file if it is due to none. `attempt`: the error with other fields of `set`, if there is one.
 pub fn blame(error: SceneError, set: &[String], attempt: impl Fn(&[String]) -> Option<SceneError>) -> SceneError {
     if set.is_empty() || matches!(error, SceneError::File { .. } | SceneError::Mesh(_)) {
         return error;

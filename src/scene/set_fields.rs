@@ -11,8 +11,8 @@ use super::settings_file::{FRAMES, STEP_S, STEPS_PER_FRAME};
 const RUNS_MOST: usize = 1000;
 
 /// The fields of every run that `fields` ask for. A list of values for a field that is none itself
-/// (`simulation.friction=[0.1, 0.3]`) asks for a run with each of them, several lists for all combinations, of which the
-/// values of the last list change first. Without lists there is one run.
+/// (`simulation.friction=[0.1, 0.3]`) asks for a run with each of them, several lists for all combinations, of which
+/// the values of the last list change first. Without lists there is one run.
 ///
 /// # Errors
 /// One sentence: a list is empty, or there are too many runs.

@@ -1,4 +1,5 @@
-//! `loomtree render` on real runs: parts by name, colors that need the scene, cameras, movies, several runs in a picture.
+//! `loomtree render` on real runs: parts by name, colors that need the scene, cameras, movies, several runs in a
+//! picture.
 
 use std::fs::{self, File};
 use std::io::BufReader;

@@ -100,7 +100,8 @@ impl FigureTable {
         })
     }
 
-    /// Writes `name.json`, and `name.svg` with the columns of `curves` over its first one if there are at least two rows.
+    /// Writes `name.json`, and `name.svg` with the columns of `curves` over its first one if there are at least two
+    /// rows.
     pub(super) fn write(&self, folder: &Path, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         std::fs::create_dir_all(folder)
             .map_err(|error| CliError::bad_input(format!("cannot write to {}: {error}", folder.display())))?;

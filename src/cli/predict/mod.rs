@@ -1,5 +1,5 @@
-//! `loomtree predict`: re-times a recorded run on the machine of a topology file. All times it prints are modelled, unless
-//! they are called measured.
+//! `loomtree predict`: re-times a recorded run on the machine of a topology file. All times it prints are modelled,
+//! unless they are called measured.
 
 mod pictures;
 mod recorded_run;
@@ -22,7 +22,8 @@ pub(super) use recorded_run::RecordedRun;
 /// Arguments of `loomtree predict`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PredictArgs {
-    /// Directory of a run that recorded events (`loomtree run --trace-steps N`), or of a solve (`loomtree solve --trace DIR`)
+    /// Directory of a run that recorded events (`loomtree run --trace-steps N`), or of a solve (`loomtree solve
+    /// --trace DIR`)
     pub run: PathBuf,
     /// Machine to predict (topology file)
     #[arg(long)]

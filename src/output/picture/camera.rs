@@ -29,7 +29,8 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    /// A camera at `eye` that looks at `target`, with `top` up in the picture. `extent_m`: diameter of what it looks at.
+    /// A camera at `eye` that looks at `target`, with `top` up in the picture. `extent_m`: diameter of what it looks
+    /// at.
     pub(super) fn looking(
         [eye, target, top]: [Vec3; 3],
         world_up: Vec3,
@@ -112,8 +113,8 @@ impl View {
         }
     }
 
-    /// Azimuth and elevation in degrees. Upright cloth is seen 30 degrees from the side that it shows most of; cloth that
-    /// lies is seen from higher up.
+    /// Azimuth and elevation in degrees. Upright cloth is seen 30 degrees from the side that it shows most of; cloth
+    /// that lies is seen from higher up.
     pub(super) fn direction(&self) -> (f32, f32) {
         let [xx, xy, yy, zz] = self.sums;
         let lying = zz > xx + yy;

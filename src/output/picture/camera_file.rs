@@ -95,8 +95,8 @@ impl CameraFile {
 
     /// As a file with a comment.
     pub fn text(&self) -> String {
-        let head = "# A camera of `loomtree render --camera`: meters, and the lens for a sensor 24 mm high. More keys with \
-                    rising frames\n# make it move; `up = [x, y, z]` in a key tilts it.\n";
+        let head = "# A camera of `loomtree render --camera`: meters, and the lens for a sensor 24 mm high.\n\
+                    # More keys with rising frames make it move; `up = [x, y, z]` in a key tilts it.\n";
         format!("{head}{}", toml::to_string(self).unwrap_or_default())
     }
 

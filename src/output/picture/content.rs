@@ -42,8 +42,8 @@ impl Content {
         content
     }
 
-    /// Every triangle gets corners of its own: their normals are the vertex's where the surface is smooth there, else the
-    /// triangle's.
+    /// Every triangle gets corners of its own: their normals are the vertex's where the surface is smooth there, else
+    /// the triangle's.
     fn add_obstacle(&mut self, obstacle: &FrameMesh) {
         let smooth = vertex_normals(&obstacle.positions, &obstacle.triangles);
         let color = palette::obstacle();

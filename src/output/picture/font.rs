@@ -75,8 +75,8 @@ pub(super) fn height(scale: usize) -> usize {
     ADVANCE.1 * scale
 }
 
-/// Writes `text` with its top left corner at (`left`, `top`). What is outside of the picture is cut off; characters without
-/// a glyph are question marks.
+/// Writes `text` with its top left corner at (`left`, `top`). What is outside of the picture is cut off; characters
+/// without a glyph are question marks.
 pub(super) fn text(image: &mut Image, text: &str, (left, top): (usize, usize), scale: usize, ink: [u8; 3]) {
     for (i, character) in text.chars().enumerate() {
         let find = |character| GLYPHS.binary_search_by_key(&character, |(known, _)| *known).ok();

@@ -2,8 +2,8 @@
 //!
 //! One camera for the whole sequence, so that pictures of different frames can be compared. Frames are drawn in
 //! parallel; a picture depends on its frame and on what the sequence has in common (`survey`) only. A device draws
-//! through `gpu::Offscreen`, the native executor with `raster` and `shade`: the same samples, light and shading, but not
-//! the same bits.
+//! through `gpu::Offscreen`, the native executor with `raster` and `shade`: the same samples, light and shading, but
+//! not the same bits.
 
 mod camera;
 mod camera_file;
@@ -169,8 +169,8 @@ pub fn draw_images(
     Ok(images)
 }
 
-/// Draws a sheet with a row of pictures for each subject, with one camera, and their names in front: those of the frames
-/// `numbers` that a subject has.
+/// Draws a sheet with a row of pictures for each subject, with one camera, and their names in front: those of the
+/// frames `numbers` that a subject has.
 ///
 /// # Errors
 /// As [`draw_frames`].

@@ -37,8 +37,8 @@ fn program(name: &str) -> Option<PathBuf> {
     std::env::split_paths(&std::env::var_os("PATH")?).map(|folder| folder.join(name)).find(|file| file.is_file())
 }
 
-/// A movie that is being written. Pictures come from many threads in any order; they are written in theirs, and a thread
-/// that is far ahead waits.
+/// A movie that is being written. Pictures come from many threads in any order; they are written in theirs, and a
+/// thread that is far ahead waits.
 pub(super) struct Movie {
     path: PathBuf,
     part: PathBuf,

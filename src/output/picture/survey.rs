@@ -1,5 +1,5 @@
-//! What all pictures of a sequence have in common: camera, ground, lights, range of a scale. It is chosen from the frames
-//! that are drawn, so that they can be compared.
+//! What all pictures of a sequence have in common: camera, ground, lights, range of a scale. It is chosen from the
+//! frames that are drawn, so that they can be compared.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
