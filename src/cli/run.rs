@@ -16,7 +16,7 @@ use crate::os::console::note;
 use crate::os::signals;
 use crate::output::{Existing, FrameFormat, RunDirectory, RunManifest};
 use crate::scene::{
-    Change, Edit, Overrides, ParsedScene, fields_of_fps, read, read_changes, read_str, read_time_table, runs_of_fields,
+    Change, Overrides, ParsedScene, fields_of_fps, read, read_changes, read_str, read_time_table, runs_of_fields,
 };
 use crate::transport::RANKS_MAX;
 
@@ -273,7 +273,7 @@ fn resolve(args: &RunArgs) -> Result<Resolved, CliError> {
             let unreadable = |error| CliError::bad_input(format!("{}: cannot be read: {error}", file.display()));
             let text = std::fs::read_to_string(file).map_err(unreadable)?;
             let mut changes = read_changes(&text, file).map_err(CliError::bad_input)?;
-            changes.retain(|change| change.edit != Edit::Welded);
+            changes.retain(|change| !change.edit.is_note());
             recorded = Some(changes);
         }
         return Ok(Resolved { places, options, recorded_scene: None, recorded });

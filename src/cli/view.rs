@@ -14,7 +14,7 @@ use crate::view::{Answers, Server, Watched};
 /// Show a run in the browser, while it goes on or afterwards; two runs side by side.
 ///
 /// The page is served on 127.0.0.1 to whoever has the address that is printed, until Ctrl-C. It reads the run
-/// directory and changes nothing.
+/// directory; a run with --live can be steered from it.
 #[derive(Args, Clone, Debug)]
 pub struct ViewArgs {
     /// Run directory, or two of them to compare [default: the run in out/ that was written last]

@@ -316,7 +316,7 @@ impl Listener<'_> {
         self.recorder.begin_mesh(&plan, self.stage.mesh, step)?;
         let (mesh, origin) = (&plan.scene.mesh, self.stage.origin);
         note(format_args!(
-            "{origin} after step {step}: sewn to {} vertices, {} triangles",
+            "{origin} after step {step}: {} vertices, {} triangles",
             mesh.positions.len(),
             mesh.triangles.len()
         ));

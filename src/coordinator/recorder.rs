@@ -222,7 +222,7 @@ impl Recorder {
         let (triangles, vertices) = (scene.mesh.triangles.len(), scene.mesh.positions.len());
         let record = StageRecord { step: u64::from(step), first_frame, triangles, vertices };
         if let Some(report) = &mut self.report {
-            report.stage(mesh.saturating_sub(1), record);
+            report.stage(record);
         }
         self.frames = Some(self.writer(plan, Some(first_frame), first_frame)?);
         Ok(())
@@ -239,7 +239,7 @@ impl Recorder {
     /// The first frame of the mesh of now, which is not the first one, if `first_frame` is the next one to be written.
     fn mesh_since(&self, first_frame: u32) -> u32 {
         let stages = self.report.as_ref().map(|report| &report.report().header.stages);
-        stages.and_then(|stages| stages.get(self.mesh - 1)).map_or(first_frame, |stage| stage.first_frame)
+        stages.and_then(|stages| stages.last()).map_or(first_frame, |stage| stage.first_frame)
     }
 
     /// Tracks for the ranks of a session.

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::live::{Desk, Record, Turn};
 use super::shot::{Segment, Source};
-use super::stages::{Attempt, Begin, Stage, Stages};
+use super::stages::{Attempt, Begin, Changed, Stage, Stages};
 use crate::model::State;
 use crate::os::console::note;
 use crate::scene::{Change, Scene};
@@ -98,7 +98,9 @@ impl Shared<'_> {
             let Some(change) = due else { break };
             let made = self.stages.changed(&stage, &change, self.state(&stage, &state));
             let what = change.table.get("do").and_then(toml::Value::as_str).unwrap_or_default();
-            (stage, state) = made.map_err(|why| format!("the change `{what}` of step {step} cannot be made: {why}"))?;
+            let made = made.map_err(|why| format!("the change `{what}` of step {step} cannot be made: {why}"))?;
+            self.note_threads(step, &made)?;
+            (stage, state) = (made.stage, made.state);
             note(format_args!("after step {step}: {what}"));
         }
         let Some(desk) = &self.desk else { return Ok(Some((stage, step, state))) };
@@ -112,11 +114,12 @@ impl Shared<'_> {
             let made = Change::of_request(asked.table.clone(), step).and_then(|change| {
                 let made = self.stages.changed(&stage, &change, self.state(&stage, &state))?;
                 lock(record).add(change)?;
+                self.note_threads(step, &made)?;
                 Ok(made)
             });
             match made {
                 Ok(made) => {
-                    (stage, state) = made;
+                    (stage, state) = (made.stage, made.state);
                     desk.summarize(summary(&stage, self.last_step));
                     let what = asked.table.get("do").and_then(toml::Value::as_str).unwrap_or_default();
                     note(format_args!("after step {step}: {what}"));
@@ -124,6 +127,14 @@ impl Shared<'_> {
                 }
                 Err(why) => asked.answer(Err(&why)),
             }
+        }
+    }
+
+    /// Notes with which lengths threads begin anew, because they follow from the state of now.
+    fn note_threads(&self, step: u32, made: &Changed) -> Result<(), String> {
+        match (&self.record, &made.gaps_m) {
+            (Some(record), Some(gaps_m)) => lock(record).add(Change::threads(step, gaps_m.clone())),
+            _ => Ok(()),
         }
     }
 

@@ -13,9 +13,9 @@ use super::time_plan::surface;
 use crate::collision::{LeftOut, StraightWay};
 use crate::math::Vec3;
 use crate::mesh::{Group, GroupKind, crossings};
-use crate::model::{Sewn, State};
+use crate::model::{Cut, Sewn, State};
 use crate::output::{Checkpoint, SeamGap, scene_fingerprint};
-use crate::scene::{Change, Edit, Handles, Obstacles, Scene};
+use crate::scene::{Change, Edit, Handles, Obstacles, RESOLUTIONS, Scene, SeamEnd};
 
 /// Share of the way to each other that vertices go first, all pairs of features being proven apart on it; on the rest
 /// features that get a common vertex are not looked at.
@@ -56,6 +56,14 @@ pub(super) struct Stages {
     /// Those that somebody may still ask for, by number.
     known: Mutex<BTreeMap<usize, Arc<Stage>>>,
     next_number: AtomicUsize,
+}
+
+/// What a change makes.
+pub(super) struct Changed {
+    pub stage: Arc<Stage>,
+    pub state: Option<Arc<State>>,
+    /// Lengths with which the threads of all seams begin anew, meters; none if they do not.
+    pub gaps_m: Option<Vec<f32>>,
 }
 
 /// What became of an attempt to sew.
@@ -132,7 +140,7 @@ impl Stages {
         for change in self.changes.iter().filter(|change| u64::from(change.step) < checkpoint.step) {
             stage = match change.edit {
                 Edit::Welded => self.sewn(&stage)?,
-                _ => self.changed(&stage, change, None).ok()?.0,
+                _ => self.changed(&stage, change, None).ok()?.stage,
             };
         }
         let fits = |stage: &Stage| {
@@ -143,7 +151,7 @@ impl Stages {
     }
 
     /// The stage that a change makes of another one, and the state there. Without a state it follows from what the
-    /// change has recorded.
+    /// record notes.
     ///
     /// # Errors
     /// A sentence.
@@ -152,14 +160,59 @@ impl Stages {
         stage: &Arc<Stage>,
         change: &Change,
         state: Option<Arc<State>>,
-    ) -> Result<(Arc<Stage>, Option<Arc<State>>), String> {
+    ) -> Result<Changed, String> {
         let (mut scene, mut handles) = (stage.plan.scene.clone(), stage.handles.clone());
-        if scene.edit(&mut handles, &change.edit)? {
-            let plan = stage.plan.with_scene(scene, &self.options).map_err(|error| error.to_string())?;
-            let make = |number| Stage::new(number, stage.mesh, plan, handles, "", &self.options);
-            return Ok((self.enter(make).map_err(|error| error.to_string())?, state));
+        let (mut mesh, mut state, mut origin) = (stage.mesh, state, stage.origin);
+        let mut gaps_m = None;
+        match &change.edit {
+            Edit::Sew(seam) => {
+                let added = scene.added_seam(&handles, seam)?;
+                let cut = if added.cuts.is_empty() {
+                    None
+                } else {
+                    let (after, cut) = Cut::of(&scene, &added.cuts);
+                    handles.renumber(|v| cut.vertex(v), &[]);
+                    (scene, mesh, origin) = (after, mesh + 1, "a side of a seam has more vertices");
+                    state = state.map(|state| Arc::new(cut.state(&state)));
+                    Some(cut)
+                };
+                let vertex = |end: SeamEnd| match (end, &cut) {
+                    (SeamEnd::Vertex(v), Some(cut)) => cut.vertex(v),
+                    (SeamEnd::Cut(number), Some(cut)) => cut.added(number),
+                    (SeamEnd::Vertex(v), None) => v,
+                    // Without cuts no end is one.
+                    (SeamEnd::Cut(_), None) => 0,
+                };
+                let pairs = added.ends.iter().map(|ends| ends.map(vertex));
+                let start_s = f64::from(change.step) * scene.settings.step_s;
+                let positions = state.as_ref().map(|state| &state.positions[..]);
+                scene.sew(seam, added.name.clone(), pairs, start_s, positions)?;
+                gaps_m = scene.sewing.as_ref().and_then(|sewing| sewing.first_m.clone()).filter(|_| state.is_some());
+            }
+            Edit::Refine { times } => {
+                if scene.sewing.is_some() {
+                    return Err("seams are open: cloth can be divided when they are sewn or taken out".into());
+                }
+                let triangles = scene.mesh.triangles.len() << (2 * times);
+                if triangles > *RESOLUTIONS.end() as usize {
+                    return Err(format!("{triangles} triangles would be more than {}", RESOLUTIONS.end()));
+                }
+                let (after, way) =
+                    Sewn::divided(&scene, *times).ok_or("the cloth cannot be divided: its mesh is not manifold")?;
+                handles.renumber(|v| way.vertex(v), &way.halves());
+                state = state.map(|state| Arc::new(way.state(&state, &state.positions)));
+                (scene, mesh, origin) = (after, mesh + 1, "the triangles are divided");
+            }
+            edit => {
+                if !scene.edit(&mut handles, edit)? {
+                    return Err("only a run welds its seams".into());
+                }
+            }
         }
-        Err("this kind of change is not there yet".into())
+        let plan = stage.plan.with_scene(scene, &self.options).map_err(|error| error.to_string())?;
+        let make = |number| Stage::new(number, mesh, plan, handles, origin, &self.options);
+        let stage = self.enter(make).map_err(|error| error.to_string())?;
+        Ok(Changed { stage, state, gaps_m })
     }
 
     /// Where a run goes on that has come to `state` (none: the start) of `stage` after `step`.

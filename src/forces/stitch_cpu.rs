@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn a_thread_pulls_to_its_length_and_does_not_push() {
-        let closing = Closing { close_s: 1.0, last_m: 0.001 };
+        let closing = Closing { start_s: 0.0, close_s: 1.0, last_m: 0.001 };
         let at = |closed| StitchParams { damping_s: 0.0, ..StitchParams::new(0.01, 0.0, &closing, closed) };
         let (force, _) = thread(Vec3::new(0.0, 0.5, 0.0), Vec3::ZERO, at(0.0));
         assert_eq!(force, Vec3::ZERO);
@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn the_stiffness_is_the_slope_of_the_force() {
-        let closing = Closing { close_s: 0.5, last_m: 0.0 };
+        let closing = Closing { start_s: 0.0, close_s: 0.5, last_m: 0.0 };
         let params = StitchParams { damping_s: 0.0, ..StitchParams::new(0.01, 0.0, &closing, 0.3) };
         let gap = Vec3::new(0.3, -0.2, 0.25);
         let (_, stiffness) = thread(gap, Vec3::ZERO, params);

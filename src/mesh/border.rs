@@ -99,19 +99,18 @@ pub struct EdgeCut {
     pub share: f64,
 }
 
-impl FileMesh {
+impl TriangleMesh {
     /// Adds a vertex at every cut, on the straight edge in space and at rest, and divides the triangles there. The
     /// surface stays the same. Returns the added vertices in the order of the cuts, which must all differ; they follow
-    /// all others.
-    pub fn cut_edges(&mut self, cuts: &[EdgeCut]) -> Vec<u32> {
+    /// all others. The second list has the first part of every triangle, and the number of all parts.
+    pub fn cut_edges(&mut self, cuts: &[EdgeCut]) -> (Vec<u32>, Vec<u32>) {
         let mut on_edge: HashMap<[u32; 2], Vec<(f64, u32)>> = HashMap::new();
         let mut added = Vec::with_capacity(cuts.len());
         for cut in cuts {
             let [a, b] = cut.edge;
-            let vertex = self.mesh.positions.len() as u32;
-            let [from, to] = [a, b].map(|v| self.mesh.positions[v as usize].as_dvec3());
-            self.mesh.positions.push(from.lerp(to, cut.share).as_vec3());
-            self.note_added([a, b]);
+            let vertex = self.positions.len() as u32;
+            let [from, to] = [a, b].map(|v| self.positions[v as usize].as_dvec3());
+            self.positions.push(from.lerp(to, cut.share).as_vec3());
             let share = if a < b { cut.share } else { 1.0 - cut.share };
             on_edge.entry(ascending([a, b])).or_default().push((share, vertex));
             added.push(vertex);
@@ -119,17 +118,26 @@ impl FileMesh {
         on_edge.values_mut().for_each(|on| on.sort_by(|a, b| a.0.total_cmp(&b.0)));
         let mut first_part = vec![0u32];
         let (mut triangles, mut material_uv) = (Vec::new(), Vec::new());
-        for (corners, uv) in self.mesh.triangles.iter().zip(&self.mesh.material_uv) {
+        for (corners, uv) in self.triangles.iter().zip(&self.material_uv) {
             for (corners, uv) in divided(*corners, *uv, &on_edge) {
                 triangles.push(corners);
                 material_uv.push(uv);
             }
             first_part.push(triangles.len() as u32);
         }
+        (self.triangles, self.material_uv) = (triangles, material_uv);
+        (added, first_part)
+    }
+}
+
+impl FileMesh {
+    /// As [`TriangleMesh::cut_edges`]; the parts of the mesh go on to the parts of their triangles.
+    pub fn cut_edges(&mut self, cuts: &[EdgeCut]) -> Vec<u32> {
+        let (added, first_part) = self.mesh.cut_edges(cuts);
+        cuts.iter().for_each(|cut| self.note_added(cut.edge));
         for part in &mut self.parts {
             part.triangles = first_part[part.triangles.start as usize]..first_part[part.triangles.end as usize];
         }
-        (self.mesh.triangles, self.mesh.material_uv) = (triangles, material_uv);
         added
     }
 }

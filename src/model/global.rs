@@ -178,17 +178,17 @@ fn stitches(scene: &Scene, map: impl Fn(u32) -> u32) -> Vec<StitchElement> {
         let [warp, _, weft, _] = scene.fabrics[usize::from(fabric)].stretching_n_m[0];
         corners.iter().for_each(|&v| stiffness[v as usize] = stiffness[v as usize].max(warp.max(weft)));
     }
-    let thread = |pair: &[u32; 2]| {
+    let thread = |(number, pair): (usize, &[u32; 2])| {
         let [a, b] = pair.map(|v| scene.mesh.positions[v as usize].as_dvec3());
         let [ka, kb] = pair.map(|v| stiffness[v as usize]);
         let [a_row, b_row] = pair.map(&map);
         StitchElement {
             vertices: [a_row.min(b_row), a_row.max(b_row)],
             stiffness_n_m: (0.5 * (ka + kb)) as f32,
-            first_m: a.distance(b) as f32,
+            first_m: sewing.first_m.as_ref().map_or(a.distance(b) as f32, |first_m| first_m[number]),
         }
     };
-    let mut stitches: Vec<StitchElement> = sewing.pairs.iter().map(thread).collect();
+    let mut stitches: Vec<StitchElement> = sewing.pairs.iter().enumerate().map(thread).collect();
     stitches.sort_by_key(|stitch| stitch.vertices);
     stitches
 }

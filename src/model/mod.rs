@@ -3,6 +3,7 @@
 //! needs for collisions ([`CollisionModel`]), and the state that steps advance ([`State`]).
 
 mod collision;
+mod cut;
 mod global;
 mod grips;
 mod rank;
@@ -10,6 +11,7 @@ mod sewn;
 mod state;
 
 pub use collision::{CollisionArrays, CollisionModel, PinSpan};
+pub use cut::Cut;
 pub use global::{GlobalModel, stiffness_ratio};
 pub use rank::{RankArrays, RankModel, RankModelError};
 pub use sewn::Sewn;

@@ -10,7 +10,7 @@ use super::state::creases_of;
 use super::{Crease, LetGo, State};
 use crate::math::{DVec3, Vec3};
 use crate::mesh::{Part, SewnMesh, TriangleMesh, ascending, hinges};
-use crate::scene::{Cloth, Pin, Scene, Settings};
+use crate::scene::{Closing, Cloth, Pin, Scene, Settings, Sewing};
 
 /// The way from a state of panels to one of the sewn cloth.
 pub struct Sewn {
@@ -116,6 +116,21 @@ impl Sewn {
             ..scene.clone()
         };
         Some((after, sewn))
+    }
+
+    /// `scene`, which has no seams, with every triangle divided into four, `times` times, and the way to it.
+    pub fn divided(scene: &Scene, times: u32) -> Option<(Scene, Sewn)> {
+        let sewing = Sewing {
+            pairs: Vec::new(),
+            names: Vec::new(),
+            seam_of_pair: Vec::new(),
+            closing: Closing { start_s: 0.0, close_s: 1.0, last_m: 0.0 },
+            first_m: None,
+            weld_m: 0.0,
+            refine: times,
+            gravity_m_s2: scene.settings.gravity_m_s2,
+        };
+        Sewn::of(&Scene { sewing: Some(sewing), ..scene.clone() })
     }
 
     /// The largest distance that two vertices to be joined have from each other by way of the place where they meet,

@@ -47,7 +47,11 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     }
     if let Some(sewing) = &scene.sewing {
         hash_words(&mut hasher, &sewing.pairs);
-        let _ = write!(TextSink(&mut hasher), "{:?} {} {}", sewing.closing, sewing.weld_m, sewing.refine);
+        let closing = format!("{:?}", sewing.closing).replace("start_s: 0.0, ", "");
+        let _ = write!(TextSink(&mut hasher), "{closing} {} {}", sewing.weld_m, sewing.refine);
+        if let Some(first_m) = &sewing.first_m {
+            hash_words(&mut hasher, first_m);
+        }
     }
     hasher.digest()
 }

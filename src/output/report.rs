@@ -497,10 +497,10 @@ impl ReportWriter {
         Ok(ReportWriter { path: path.to_path_buf(), report, written: Instant::now() })
     }
 
-    /// Notes that a stage begins, after the `before` first ones of the list.
-    pub fn stage(&mut self, before: usize, record: StageRecord) {
+    /// Notes that a stage begins. Those of this step and of later ones are dropped, because they are made again.
+    pub fn stage(&mut self, record: StageRecord) {
         let stages = &mut self.report.header.stages;
-        stages.truncate(before);
+        stages.retain(|stage| stage.step < record.step);
         stages.push(record);
     }
 

@@ -58,16 +58,17 @@ pub(super) const CHANGE_FIELDS: [&str; 25] = [
 ];
 
 /// Fields of each kind of change, besides `step` and `do`.
-const FIELDS_OF: [(&str, &[&str]); 9] = [
+const FIELDS_OF: [(&str, &[&str]); 10] = [
     ("gravity", &["gravity_m_s2"]),
     ("wind", &["wind_m_s", "air_density_kg_m3", "air_drag_kg_m2_s"]),
     ("friction", &["friction", "cloth", "obstacle"]),
     ("fabric", &["cloth", "of_fabric", "fabric", "density_kg_m2", "stretching_n_m", "bending_n_m", "damping_s"]),
     ("unpin", &["pin"]),
-    ("sew", &["name", "a", "b", "cloths", "pairs", "close_s", "weld_m", "gaps_m"]),
+    ("sew", &["name", "a", "b", "cloths", "pairs", "close_s", "weld_m"]),
     ("unsew", &["name"]),
     ("refine", &["times"]),
     ("welded", &[]),
+    ("threads", &["gaps_m"]),
 ];
 
 /// Fields of a side of a seam.
@@ -109,6 +110,16 @@ pub enum Edit {
     Refine { times: u32 },
     /// Seams were welded here. It notes what the run does by itself, so that a run that goes on later knows its mesh.
     Welded,
+    /// Lengths of the threads of all seams, which begin to shorten here, meters. It notes what follows from the state
+    /// when a seam is sewn, as [`Edit::Welded`] does.
+    Threads { gaps_m: Vec<f32> },
+}
+
+impl Edit {
+    /// Whether it notes what the run does by itself.
+    pub fn is_note(&self) -> bool {
+        matches!(self, Edit::Welded | Edit::Threads { .. })
+    }
 }
 
 /// What a change is for.
@@ -150,8 +161,6 @@ pub struct SeamEdit {
     pub close_s: Option<f64>,
     /// The gap at which seams count as closed, meters; none: as the scene has it.
     pub weld_m: Option<f64>,
-    /// Lengths of the threads of all seams when they begin anew, meters, in a record of a run.
-    pub gaps_m: Option<Vec<f32>>,
 }
 
 /// What a seam that is added joins.
@@ -183,8 +192,8 @@ impl Change {
         if table.contains_key("step") {
             return Err("field `step`: a request acts at the next step".into());
         }
-        if table.get("do").and_then(TomlValue::as_str) == Some("welded") {
-            return Err("field `do`: `welded` is for records; `refine` and `sew` change the mesh".into());
+        if let Some(note @ ("welded" | "threads")) = table.get("do").and_then(TomlValue::as_str) {
+            return Err(format!("field `do`: `{note}` is for records; `refine` and `sew` change the mesh"));
         }
         table.insert("step".into(), i64::from(step).into());
         let text = text_of(std::iter::once(&table)).map_err(|error| error.to_string())?;
@@ -194,11 +203,24 @@ impl Change {
 
     /// A note that seams were welded after `step`.
     pub fn welded(step: u32) -> Change {
-        let mut table = Table::new();
-        table.insert("step".into(), i64::from(step).into());
-        table.insert("do".into(), "welded".into());
-        Change { step, edit: Edit::Welded, table }
+        Change { step, edit: Edit::Welded, table: note(step, "welded") }
     }
+
+    /// A note that the threads of all seams begin after `step` with these lengths, meters.
+    pub fn threads(step: u32, gaps_m: Vec<f32>) -> Change {
+        let mut table = note(step, "threads");
+        // As f64 every f32 is written with digits that read as the same number.
+        let gaps = gaps_m.iter().map(|&gap| TomlValue::from(f64::from(gap))).collect();
+        table.insert("gaps_m".into(), TomlValue::Array(gaps));
+        Change { step, edit: Edit::Threads { gaps_m }, table }
+    }
+}
+
+fn note(step: u32, what: &str) -> Table {
+    let mut table = Table::new();
+    table.insert("step".into(), i64::from(step).into());
+    table.insert("do".into(), what.into());
+    table
 }
 
 /// The text of changes, as a scene or a record holds them.
@@ -302,6 +324,11 @@ fn edit(fields: &Fields) -> Result<Edit, SceneError> {
         "sew" => Edit::Sew(Box::new(seam(fields)?)),
         "unsew" => Edit::Unsew { name: name_or_number(&fields.required("name")?)? },
         "refine" => Edit::Refine { times: fields.or("times", 1, |value| value.whole(1..=REFINE_MOST))? as u32 },
+        "threads" => {
+            let gap = |value: &Value| Ok(value.not_negative()? as f32);
+            let gaps = fields.required("gaps_m")?.array()?;
+            Edit::Threads { gaps_m: gaps.iter().map(gap).collect::<Result<_, SceneError>>()? }
+        }
         _ => Edit::Welded,
     })
 }
@@ -347,9 +374,6 @@ fn seam(fields: &Fields) -> Result<SeamEdit, SceneError> {
         shape,
         close_s: fields.optional("close_s", Value::positive)?,
         weld_m: fields.optional("weld_m", Value::positive)?,
-        gaps_m: fields.optional("gaps_m", |value| {
-            value.array()?.iter().map(|gap| Ok(gap.not_negative()? as f32)).collect::<Result<Vec<f32>, SceneError>>()
-        })?,
     })
 }
 
@@ -407,6 +431,14 @@ mod tests {
         };
         let sides = [SideEdit::Edge(None, "left".into()), SideEdit::Vertices(Some("back".into()), vec![3, 4])];
         assert_eq!((seam.shape, seam.close_s), (SeamEditShape::Sides(sides), Some(0.2)));
+    }
+
+    #[test]
+    fn lengths_of_threads_keep_their_bits() {
+        let gaps: Vec<f32> = vec![0.1, 1.0 / 3.0, 1e-7, f32::MIN_POSITIVE, 0.0];
+        let threads = Change::threads(9, gaps);
+        let again = read_changes(&changes_text(std::iter::once(&threads)).unwrap(), Path::new("x.toml")).unwrap();
+        assert_eq!(again, [threads]);
     }
 
     #[test]

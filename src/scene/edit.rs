@@ -27,7 +27,9 @@ impl Scene {
             Edit::Friction { of, friction } => self.set_friction(handles, of, *friction)?,
             Edit::Fabric { of, fabric } => self.set_fabric(handles, of, fabric)?,
             Edit::Unpin { pin } => self.unpin(handles, pin)?,
-            Edit::Sew(_) | Edit::Unsew { .. } | Edit::Refine { .. } | Edit::Welded => return Ok(false),
+            Edit::Unsew { name } => self.unsew(name)?,
+            Edit::Threads { gaps_m } => self.restart_threads(gaps_m),
+            Edit::Sew(_) | Edit::Refine { .. } | Edit::Welded => return Ok(false),
         }
         Ok(true)
     }

@@ -23,7 +23,7 @@ use super::{
 
 /// Last length of a thread over `weld_m`. A thread that shrank to nothing would draw the sides through each other, and
 /// what keeps them apart would work against it in every step.
-const LAST_LENGTH: f64 = 0.25;
+pub(super) const LAST_LENGTH: f64 = 0.25;
 
 /// A scene file that was read and checked, before a resolution is chosen.
 ///
@@ -289,9 +289,9 @@ impl ParsedScene {
         let SewingSource { close_s, close_speed_m_s, weld_m, refine, .. } = self.sewing;
         let gravity_m_s2 = self.settings.gravity_m_s2;
         let close_s = close_speed_m_s.map_or(close_s, |speed| (longest_m / speed).max(self.settings.step_s));
-        let closing = Closing { close_s, last_m: LAST_LENGTH * weld_m };
+        let closing = Closing { start_s: 0.0, close_s, last_m: LAST_LENGTH * weld_m };
         let names = joints.names.clone();
-        let sewing = Sewing { pairs, names, seam_of_pair, closing, weld_m, refine, gravity_m_s2 };
+        let sewing = Sewing { pairs, names, seam_of_pair, closing, first_m: None, weld_m, refine, gravity_m_s2 };
         Ok((Some(sewing), left_out))
     }
 

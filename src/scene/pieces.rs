@@ -54,6 +54,12 @@ impl<'a> Piece<'a> {
         Ok(Piece { source, cloth, sheet, is_cut: false, refinement })
     }
 
+    /// A mesh that is there already.
+    pub(super) fn of_mesh(source: &'a ClothSource, mesh: FileMesh) -> Piece<'a> {
+        let refinement = Refinement::none(mesh.mesh.positions.len(), mesh.mesh.triangles.len());
+        Piece { source, cloth: Cow::Owned(mesh), sheet: None, is_cut: false, refinement }
+    }
+
     /// Adds vertices on edges of the piece, which has no coarser level from then on.
     pub(super) fn cut_edges(&mut self, cuts: &[EdgeCut]) -> Vec<u32> {
         let added = self.cloth.to_mut().cut_edges(cuts);

@@ -44,6 +44,8 @@ pub(super) enum SideSelection {
     Vertices(Vec<u32>),
     /// An edge that the file names.
     Named(String),
+    /// As `Vertices`, from either end.
+    Way(Vec<u32>),
 }
 
 /// Two vertices that a seam makes one: the cloth of each and its number in the piece.
@@ -98,6 +100,45 @@ impl Side {
 /// # Errors
 /// A side is not part of the border, belongs to two seams, or both sides of a seam run the same way.
 pub(super) fn sew(pieces: &mut [Piece], seams: &[SeamSource]) -> Result<Joints, SceneError> {
+    Ok(work(pieces, seams)?.finish())
+}
+
+/// An end of a joint on a mesh to which no vertex has been added yet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SeamEnd {
+    /// A vertex.
+    Vertex(u32),
+    /// The vertex that will be at a cut, by its number.
+    Cut(usize),
+}
+
+/// What a seam of one piece joins.
+pub(super) struct JointsOfOne {
+    pub ends: Vec<[SeamEnd; 2]>,
+    /// Where vertices have to be added.
+    pub cuts: Vec<EdgeCut>,
+    /// The edges along its sides, ascending.
+    pub edges: Vec<[u32; 2]>,
+}
+
+/// The joints of a seam of one piece.
+///
+/// # Errors
+/// Those of [`sew`].
+pub(super) fn joints_of_one(piece: Piece, seam: SeamSource) -> Result<JointsOfOne, SceneError> {
+    let (mut pieces, seams) = ([piece], [seam]);
+    let mut work = work(&mut pieces, &seams)?;
+    let end = |end: End| match end {
+        End::Vertex(_, vertex) => SeamEnd::Vertex(vertex),
+        End::Cut(_, cut) => SeamEnd::Cut(cut),
+    };
+    let ends = work.ends.iter().map(|(_, ends)| ends.map(end)).collect();
+    let mut edges: Vec<[u32; 2]> = work.seam_of_edge.keys().map(|(_, edge)| *edge).collect();
+    edges.sort_unstable();
+    Ok(JointsOfOne { ends, cuts: work.cuts.remove(&0).unwrap_or_default(), edges })
+}
+
+fn work<'p, 's>(pieces: &'p mut [Piece<'s>], seams: &[SeamSource]) -> Result<Work<'p, 's>, SceneError> {
     let mut work = Work {
         borders: pieces.iter().map(|piece| Border::new(&piece.cloth.mesh)).collect(),
         pieces,
@@ -111,7 +152,8 @@ pub(super) fn sew(pieces: &mut [Piece], seams: &[SeamSource]) -> Result<Joints, 
     for seam in seams {
         match &seam.shape {
             SeamShape::Sides(sides) => {
-                let turns = sides.iter().any(|side| matches!(side.select, SideSelection::Named(_)));
+                let turns =
+                    sides.iter().any(|side| matches!(side.select, SideSelection::Named(_) | SideSelection::Way(_)));
                 let mut sides = [work.side(seam, &seam.name, &sides[0])?, work.side(seam, &seam.name, &sides[1])?];
                 // A named edge has no direction of its own.
                 if turns && sides[0].ascends == sides[1].ascends {
@@ -161,7 +203,7 @@ pub(super) fn sew(pieces: &mut [Piece], seams: &[SeamSource]) -> Result<Joints, 
             }
         }
     }
-    Ok(work.finish())
+    Ok(work)
 }
 
 struct Work<'p, 's> {
@@ -206,7 +248,7 @@ impl Work<'_, '_> {
         let file: &FileMesh = &self.pieces[cloth].cloth;
         let cloth_name = &self.pieces[cloth].source.name;
         let listed = match &source.select {
-            SideSelection::Vertices(numbers) => numbers.clone(),
+            SideSelection::Vertices(numbers) | SideSelection::Way(numbers) => numbers.clone(),
             SideSelection::Named(edge) if self.pieces[cloth].sheet.is_some() => {
                 self.pieces[cloth].sheet.as_ref().and_then(|sheet| sheet_edge(sheet, edge)).ok_or_else(|| {
                     seam.at.error(format!("a sheet has the edges left, right, bottom and top, not `{edge}`"))

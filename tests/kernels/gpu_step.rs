@@ -59,7 +59,7 @@ fn a_device_sews_as_the_native_executor_does() {
     if device::executor().is_none() {
         return;
     }
-    let mut scene = sewn_sheets(12, Closing { close_s: 0.1, last_m: 0.0 });
+    let mut scene = sewn_sheets(12, Closing { start_s: 0.0, close_s: 0.1, last_m: 0.0 });
     // Loose solves differ by more: the threads draw both sheets along by centimeters.
     scene.settings.relative_tolerance = 1e-6;
     let expected = simulate(&scene, 1, ExchangeMode::Halo, 6, cpu);

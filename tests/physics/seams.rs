@@ -20,7 +20,7 @@ fn momentum(scene: &Scene, outcome: &Outcome) -> DVec3 {
 
 #[test]
 fn a_seam_closes_in_its_time_at_its_speed() {
-    let mut scene = sewn_sheets(9, Closing { close_s: 0.2, last_m: 0.0 });
+    let mut scene = sewn_sheets(9, Closing { start_s: 0.0, close_s: 0.2, last_m: 0.0 });
     scene.settings.relative_tolerance = 1e-4;
     let first = gaps(&scene, &scene.mesh.positions);
     for steps in [10, 25, 40] {
@@ -40,7 +40,7 @@ fn a_seam_closes_in_its_time_at_its_speed() {
 
 #[test]
 fn threads_move_no_center_of_mass_and_have_the_same_bits_everywhere() {
-    let mut scene = sewn_sheets(9, Closing { close_s: 0.1, last_m: 2.5e-4 });
+    let mut scene = sewn_sheets(9, Closing { start_s: 0.0, close_s: 0.1, last_m: 2.5e-4 });
     scene.settings.collisions = true;
     scene.settings.relative_tolerance = 1e-6;
     let one = simulate(&scene, 1, ExchangeMode::Halo, 20, cpu);
@@ -56,7 +56,7 @@ fn threads_move_no_center_of_mass_and_have_the_same_bits_everywhere() {
 
 #[test]
 fn both_sides_of_a_seam_come_closer_than_the_thickness() {
-    let mut scene = sewn_sheets(9, Closing { close_s: 0.15, last_m: 2.5e-4 });
+    let mut scene = sewn_sheets(9, Closing { start_s: 0.0, close_s: 0.15, last_m: 2.5e-4 });
     (scene.settings.collisions, scene.settings.thickness_m) = (true, 0.004);
     let outcome = simulate(&scene, 1, ExchangeMode::Halo, 60, cpu);
     let widest = gaps(&scene, &outcome.positions).into_iter().fold(0.0, f32::max);

@@ -249,3 +249,112 @@ fn rude_clients_hold_nobody_up() {
     assert!(!place.path(&out).join("live.sock").exists());
     drop(deaf);
 }
+
+/// Two panels of different counts that face each other, without a seam.
+const PANELS: &str = r#"
+name = "panels"
+[simulation]
+step_s = 0.005
+steps_per_frame = 4
+frames = 24
+thickness_m = 0.001
+gravity_m_s2 = [0, 0, 0]
+[air]
+drag_kg_m2_s = 0.05
+[[cloth]]
+name = "front"
+sheet = { size_m = [0.2, 0.16], triangles = 100 }
+origin_m = [0, 0, 0.02]
+[[cloth]]
+name = "back"
+sheet = { size_m = [0.2, 0.16], triangles = 60 }
+rotate_deg = [180, 0, 1, 0]
+origin_m = [0.2, 0, -0.02]
+[[pin]]
+cloth = "front"
+corners = ["top-left"]
+"#;
+
+/// Interactive stitching: seams are added and taken out, welded by the run, the cloth is refined and sewn once more.
+#[test]
+fn seams_that_are_sewn_by_hand_are_sewn_again_with_the_same_bits() {
+    let place = Place::new();
+    place.write("panels.toml", PANELS);
+    let mut running = place.start("run panels.toml --executor cpu --workers 2 --live --paused --out out");
+    let mut client = Client::new(&place, &mut running, "out");
+    let seam = |name: &str, front: &str, back: &str| {
+        let side = |cloth: &str, edge: &str| json!({ "cloth": cloth, "edge": edge });
+        json!({ "do": "sew", "name": name, "a": side("front", front), "b": side("back", back), "close_s": 0.1 })
+    };
+    for (request, sentence) in [
+        (seam("x", "left", "middle"), "`back` has no edge named `middle` (left, right, bottom, top)"),
+        (json!({ "do": "sew", "a": "left", "b": "top" }), "several cloths have an edge named `left`"),
+        (
+            json!({ "do": "sew", "a": { "frame_vertices": [0, 1] }, "b": { "frame_vertices": [0, 1] } }),
+            "sewn onto itself",
+        ),
+        (
+            json!({ "do": "sew", "a": { "frame_vertices": [0] }, "b": { "frame_vertices": [9, 3] } }),
+            "at least 2 vertices",
+        ),
+        (json!({ "do": "sew", "pairs": [[0, 1]] }), "a seam must say which"),
+        (json!({ "do": "unsew", "name": "x" }), "no seam is open"),
+    ] {
+        let error = client.refused(&request.to_string());
+        assert!(error.contains(sentence), "{request}: {error}");
+    }
+    client.ask(seam("one side", "left", "right"));
+    client.ask(json!({ "do": "step", "steps": 3 }));
+    client.ask(seam("other side", "right", "left"));
+    client.ask(seam("top", "top", "top"));
+    let again = client.refused(&seam("top", "bottom", "bottom").to_string());
+    assert!(again.contains("a seam is named `top` already"), "{again}");
+    let twice = client.refused(&seam("twice", "left", "right").to_string());
+    assert!(twice.contains("is in two seams, `one side` and `twice`"), "{twice}");
+    client.ask(json!({ "do": "step", "steps": 4 }));
+    client.ask(json!({ "do": "unsew", "name": "top" }));
+    let open = client.refused(r#"{"do":"refine"}"#);
+    assert!(open.contains("seams are open"), "{open}");
+    // Until the run has welded them, which it does at a frame.
+    let status = loop {
+        client.ask(json!({ "do": "step" }));
+        let status = client.line(r#"{"do":"status"}"#);
+        if status["seams"].as_array().expect("seams").is_empty() {
+            break status;
+        }
+        assert!(status["step"].as_u64() < Some(70), "the seams do not close");
+    };
+    let (step, triangles) = (status["step"].as_u64().unwrap(), status["triangles"].as_u64().unwrap());
+    client.ask(json!({ "do": "refine" }));
+    client.ask(json!({ "do": "gravity", "gravity_m_s2": [0, -2, 0] }));
+    client.ask(seam("top", "top", "top"));
+    assert_eq!(client.line(r#"{"do":"status"}"#)["triangles"], 4 * triangles);
+    client.ask(json!({ "do": "save", "file": "saved.toml" }));
+    client.ask(json!({ "do": "continue" }));
+    running.wait().expect(0).says(&["the seams are closed after step", "the triangles are divided after step"]);
+    let (hashes, report) = (place.hashes("out"), place.report("out"));
+    let stages = report["stages"].as_array().expect("stages");
+    assert_eq!(stages.last().expect("a stage")["triangles"], 4 * triangles);
+    assert!(stages.iter().any(|stage| stage["step"] == step || stage["step"] == step - 1), "{step}: {stages:?}");
+    for workers in [1, 3, 8] {
+        let out = format!("by{workers}");
+        let flags = format!("--executor cpu --workers {workers} --replay out/run_changes.toml --out {out}");
+        place.run(&format!("run panels.toml {flags}")).expect(0);
+        assert_eq!(place.hashes(&out), hashes, "{workers} workers");
+        assert_eq!(place.report(&out)["stages"], report["stages"], "{workers} workers");
+    }
+    place.run("run out/saved.toml --executor cpu --workers 2 --out saved").expect(0);
+    assert_eq!(place.hashes("saved"), hashes);
+    let welded = step / 4;
+    for (i, frames) in [1, 2, welded, welded + 1, welded + 3].into_iter().enumerate() {
+        let out = format!("stopped{i}");
+        let from = if i % 2 == 0 { "panels.toml --replay out/run_changes.toml" } else { "out/saved.toml" };
+        place.run(&format!("run {from} --executor cpu --workers 2 --frames {frames} --out {out}")).expect(0);
+        place.run(&format!("run --resume --out {out} --workers {} --frames 24", 1 + i)).expect(0);
+        assert_eq!(place.hashes(&out), hashes, "after frame {frames}");
+        assert_eq!(place.report(&out)["stages"], report["stages"], "after frame {frames}");
+    }
+    // Frames of every mesh can be read again.
+    place.run("compare out by3").expect(0);
+    place.run("render out --size 64x64").expect(0);
+}

@@ -23,7 +23,7 @@ impl Record {
     /// The record `path` of a run that goes on after `step`, with what is known before.
     pub(crate) fn new(path: PathBuf, of_scene: &[Change], own: Vec<Change>, step: u32) -> Record {
         let mut ahead: Vec<Change> =
-            merged(of_scene, &own).into_iter().filter(|one| one.step >= step && one.edit != Edit::Welded).collect();
+            merged(of_scene, &own).into_iter().filter(|one| one.step >= step && !one.edit.is_note()).collect();
         ahead.reverse();
         Record { path, own, ahead }
     }
@@ -55,7 +55,8 @@ impl Record {
         // What is welded is welded before anything else is changed after that step.
         let before = |one: &Change| one.step < change.step || (!welded && one.step == change.step);
         let place = self.own.partition_point(before);
-        if welded && self.own.get(place).is_some_and(|there| *there == change) {
+        // What is made again notes the same again.
+        if change.edit.is_note() && self.own.contains(&change) {
             return Ok(());
         }
         self.own.insert(place, change);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::output::{RunDirectory, RunManifest, write_atomically};
-use crate::scene::{Edit, changes_text, read_changes, with_absolute_files};
+use crate::scene::{changes_text, read_changes, with_absolute_files};
 
 /// Writes `file` (beside the files of `run` if it is a name alone) and returns its path.
 ///
@@ -26,7 +26,7 @@ pub(super) fn save(run: &Path, file: &str) -> Result<PathBuf, String> {
         Ok(record) => read_changes(&record, &directory.changes()).map_err(|error| text(&error))?,
         Err(_) => Vec::new(),
     };
-    let changes = changes_text(changes.iter().filter(|change| change.edit != Edit::Welded))?;
+    let changes = changes_text(changes.iter().filter(|change| !change.edit.is_note()))?;
     let number = |name: &str| manifest.flags.get(name).and_then(toml::Value::as_integer);
     let flags = ["resolution", "frames"].into_iter().filter_map(|name| Some(format!(" --{name} {}", number(name)?)));
     let heading = format!(

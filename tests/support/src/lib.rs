@@ -198,6 +198,7 @@ pub fn sewn_sheets(n: usize, closing: Closing) -> Scene {
         names: vec!["middle".into()],
         seam_of_pair: vec![0; n],
         closing,
+        first_m: None,
         weld_m: 0.001,
         refine: 1,
         gravity_m_s2: Vec3::ZERO,
