@@ -5,7 +5,7 @@ use std::sync::Mutex;
 
 use serde_json::json;
 
-use super::{Answer, Watched, layer, page, state::state};
+use super::{Answer, Watched, layer, page, state::state, steer};
 use crate::time_parallel::Comparison;
 
 /// Answers for some runs.
@@ -41,13 +41,24 @@ impl Answers {
         }
     }
 
+    /// The answer to a request for a run that is steered: its protocol, a line each way.
+    pub fn of_request(&self, path: &str, body: &[u8]) -> Answer {
+        let run = path.strip_prefix("run/").and_then(|rest| rest.strip_suffix("/live"));
+        match run.and_then(|run| run.parse().ok()).and_then(|run: usize| self.runs.get(run)) {
+            Some(run) => steer::ask(run.path(), body).unwrap_or_else(Answer::unavailable),
+            None => Answer::refused(405, "this page is only read, but for runs with --live"),
+        }
+    }
+
     fn of_run(&self, run: &Watched, rest: &[&str], query: &str) -> Answer {
         let wanted = |name: &str| query.split('&').find_map(|pair| pair.strip_prefix(name)?.strip_prefix('='));
         match rest {
             ["state"] => Answer::json(&state(run, wanted("have").map(percent_decoded).as_deref())),
             ["names"] => result(run.known(|known| Ok(Answer::json(&known.names())))),
-            ["mesh"] => layer::mesh(run.path()),
-            ["coarse", "mesh"] => layer::mesh(&run.preview()),
+            ["mesh"] => layer::mesh(run.path(), None),
+            ["mesh", number] => mesh_of(run.path(), number),
+            ["coarse", "mesh"] => layer::mesh(&run.preview(), None),
+            ["coarse", "mesh", number] => mesh_of(&run.preview(), number),
             ["frame", number] => frame_of(run.path(), number, wanted("obstacles")),
             ["coarse", "frame", number] => frame_of(&run.preview(), number, wanted("obstacles")),
             ["values", "rank"] => result(run.known(|known| Ok(Answer::bytes(layer::values(&known.ranks()))))),
@@ -109,6 +120,10 @@ fn unknown() -> Answer {
 
 fn result(result: Result<Answer, String>) -> Answer {
     result.unwrap_or_else(Answer::unavailable)
+}
+
+fn mesh_of(path: &std::path::Path, number: &str) -> Answer {
+    number.parse().map_or_else(|_| unknown(), |number| layer::mesh(path, Some(number)))
 }
 
 fn frame_of(path: &std::path::Path, number: &str, have: Option<&str>) -> Answer {
@@ -183,6 +198,8 @@ mod tests {
             "app.js/",
             "run/0/coarse/frame/%2e%2e",
             "run/0/frame/99999999999",
+            "run/0/mesh/one",
+            "run/0/live",
             "run/0/lanes/first",
         ] {
             let answer = answers.of(path, "");
@@ -197,6 +214,7 @@ mod tests {
         let answers = Answers::new(vec![Watched::new(&folder.path().join("run"))]);
         for path in [
             "run/0/mesh",
+            "run/0/mesh/1",
             "run/0/frame/1",
             "run/0/names",
             "run/0/links",
@@ -207,6 +225,25 @@ mod tests {
             let answer = answers.of(path, "");
             assert_eq!((answer.status, answer.kind), (200, "application/json"), "{path}");
             assert!(answer.body.starts_with(b"{\"error\":"), "{path}");
+        }
+    }
+
+    #[test]
+    fn only_runs_are_steered() {
+        let folder = tempfile::tempdir().unwrap();
+        let answers = Answers::new(vec![Watched::new(folder.path())]);
+        for path in ["", "runs", "run/0", "run/0/state", "run/1/live", "run/x/live", "run/0/live/"] {
+            assert_eq!(answers.of_request(path, b"{}").status, 405, "{path}");
+        }
+        let text = |body: &str| {
+            let answer = answers.of_request("run/0/live", body.as_bytes());
+            (answer.status, String::from_utf8_lossy(&answer.body).into_owned())
+        };
+        assert!(text(r#"{"do":"status"}"#).1.contains("no live run listens"));
+        assert!(text("{\n}").1.contains("one line"));
+        for file in ["../a.toml", "/tmp/a.toml", "a/b.toml"] {
+            let (status, body) = text(&format!(r#"{{"do":"save","file":"{file}"}}"#));
+            assert!(status == 200 && body.contains("a name alone"), "{body}");
         }
     }
 

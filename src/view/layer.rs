@@ -3,7 +3,7 @@
 //! All numbers are little-endian and start at multiples of four bytes. A mesh is eight u32 (`MESH`, vertices,
 //! triangles, obstacle vertices, obstacle triangles, pieces, 0, 0), the triangles and the obstacles' triangles (u32),
 //! and the piece of every vertex (u16). A frame is eight u32 (`FRAME`, vertices, obstacle vertices, low and high half
-//! of the obstacles' hash, 0, 0, 0), the positions and those of the obstacles (f32, meters). Where the page has the
+//! of the obstacles' hash, low and high half of the hash of its triangles, 0), the positions and those of the obstacles (f32, meters). Where the page has the
 //! obstacles of that hash already, a frame comes without them.
 
 use std::path::Path;
@@ -28,12 +28,15 @@ pub(super) fn open(path: &Path) -> Result<FrameSource, String> {
     FrameSource::open(&directory).map_err(|error| error.to_string())
 }
 
-/// Triangles of cloth and obstacles, as of the first frame.
-pub(super) fn mesh(path: &Path) -> Answer {
+/// Triangles of cloth and obstacles, as of a frame or else of the first one. A run that sews has other triangles later.
+pub(super) fn mesh(path: &Path, frame: Option<u32>) -> Answer {
     let read = || -> Result<Answer, String> {
         let frames = open(path)?;
-        let first = frames.numbers().first().copied().ok_or("no frame yet")?;
-        let (cloth, obstacle) = read_both(&frames, first).map_err(|error| error.to_string())?;
+        let wanted = frame.or(frames.numbers().first().copied()).ok_or("no frame yet")?;
+        if frames.numbers().binary_search(&wanted).is_err() {
+            return Err(format!("frame {wanted} is not there"));
+        }
+        let (cloth, obstacle) = read_both(&frames, wanted).map_err(|error| error.to_string())?;
         Ok(Answer::bytes(mesh_bytes(&cloth, &obstacle)))
     };
     read().unwrap_or_else(Answer::unavailable)
@@ -83,7 +86,11 @@ fn mesh_bytes(cloth: &FrameMesh, obstacle: &FrameMesh) -> Vec<u8> {
 fn frame_bytes(cloth: &FrameMesh, obstacle: &FrameMesh, have: Option<u64>) -> Vec<u8> {
     let hash = xxh3_64(bytemuck::cast_slice(&obstacle.positions));
     let sent = if have == Some(hash) { &[][..] } else { &obstacle.positions[..] };
-    let counts = [FRAME, cloth.positions.len() as u32, sent.len() as u32, hash as u32, (hash >> 32) as u32, 0, 0, 0];
+    let mesh = xxh3_64(bytemuck::cast_slice(&cloth.triangles));
+    let halves = |hash: u64| [hash as u32, (hash >> 32) as u32];
+    let ([low, high], [mesh_low, mesh_high]) = (halves(hash), halves(mesh));
+    let (vertices, sent_vertices) = (cloth.positions.len() as u32, sent.len() as u32);
+    let counts = [FRAME, vertices, sent_vertices, low, high, mesh_low, mesh_high, 0];
     let mut bytes = bytes_of(&counts);
     for points in [&cloth.positions[..], sent] {
         bytes.extend_from_slice(&values(bytemuck::cast_slice(points)));
@@ -120,6 +127,9 @@ mod tests {
         assert_eq!(&first[..4], b"LTF1");
         let word = |i: usize| u32::from_le_bytes(first[4 * i..4 * i + 4].try_into().unwrap());
         assert_eq!((word(1), word(2), f32::from_bits(word(8))), (3, 4, 1.0));
+        let other = FrameMesh { triangles: vec![[0, 2, 1]], ..cloth.clone() };
+        let words = |bytes: &[u8]| bytes[20..28].to_vec();
+        assert_ne!(words(&frame_bytes(&other, &obstacle, None)), words(&first));
         let hash = u64::from(word(3)) | u64::from(word(4)) << 32;
         let again = frame_bytes(&cloth, &obstacle, Some(hash));
         assert_eq!(again.len(), 32 + 12 * 3);

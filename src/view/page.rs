@@ -8,7 +8,7 @@ const SCRIPT: &str = "text/javascript; charset=utf-8";
 const ICON: &str = "image/svg+xml";
 
 /// Name, content type and text of every file; the first one is the page.
-const FILES: [(&str, &str, &str); 14] = [
+const FILES: [(&str, &str, &str); 15] = [
     ("", HTML, include_str!("page/index.html")),
     ("style.css", CSS, include_str!("page/style.css")),
     ("icon.svg", ICON, include_str!("page/icon.svg")),
@@ -19,6 +19,7 @@ const FILES: [(&str, &str, &str); 14] = [
     ("decode.js", SCRIPT, include_str!("page/decode.js")),
     ("dock.js", SCRIPT, include_str!("page/dock.js")),
     ("gl.js", SCRIPT, include_str!("page/gl.js")),
+    ("live.js", SCRIPT, include_str!("page/live.js")),
     ("lanes.js", SCRIPT, include_str!("page/lanes.js")),
     ("panel.js", SCRIPT, include_str!("page/panel.js")),
     ("run.js", SCRIPT, include_str!("page/run.js")),

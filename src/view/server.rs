@@ -2,7 +2,8 @@
 //!
 //! A page of another site that the same browser shows could send requests here, too. It does not know the token, its
 //! requests carry a foreign `Origin`, and a name that it makes point here (DNS rebinding) is a foreign `Host`; each
-//! of the three is refused. Only GET is answered, nothing is ever written, and a request has a head and nothing else.
+//! of the three is refused. GET is answered, and nothing is ever written; POST passes a request on to a run with `--live`
+//! and needs an `Origin` of its own.
 //!
 //! A connection has a thread, of which there are few, and is closed when nothing comes for a while.
 
@@ -21,6 +22,8 @@ use super::{Answer, Answers};
 const CONNECTIONS: usize = 48;
 /// Longest head of a request, bytes.
 const HEAD: usize = 16 << 10;
+/// Longest body of a request, bytes.
+const BODY: usize = 256 << 10;
 /// Most headers of a request.
 const HEADER_LINES: usize = 64;
 /// After this time without a request a connection is closed; the browser then opens another one.
@@ -117,15 +120,19 @@ impl Server {
         Ok(())
     }
 
-    fn answer(&self, request: &Request) -> Answer {
+    /// The answer to a request; `body`: what it brings, none if that cannot be read.
+    fn answer(&self, request: &Request, body: Option<&[u8]>) -> Answer {
         let header = |name: &str| {
             let found = request.headers.iter().find(|header| header.name.eq_ignore_ascii_case(name))?;
             std::str::from_utf8(found.value).ok()
         };
-        let asked = Asked { get: request.method == Some("GET"), host: header("Host"), origin: header("Origin") };
-        match self.guard.check(request.path.unwrap_or_default(), &asked) {
-            Ok((path, query)) => self.answers.of(path, query),
-            Err(refusal) => refusal,
+        let method = request.method.unwrap_or_default();
+        let asked = Asked { method, host: header("Host"), origin: header("Origin") };
+        match (self.guard.check(request.path.unwrap_or_default(), &asked), body) {
+            (Err(refusal), _) => refusal,
+            (Ok((path, query)), _) if method == "GET" => self.answers.of(path, query),
+            (Ok((path, _)), Some(body)) => self.answers.of_request(path, body),
+            (Ok(_), None) => Answer::refused(400, "a request brings its length and at most 256 KiB"),
         }
     }
 }
@@ -162,8 +169,12 @@ impl Connection {
             let mut request = Request::new(&mut lines);
             match request.parse(&head) {
                 Ok(Status::Complete(length)) => {
-                    let answer = self.server.answer(&request);
                     let named = |name: &str| request.headers.iter().find(|line| line.name.eq_ignore_ascii_case(name));
+                    let body = match request.method {
+                        Some("POST") => read_body(&mut stream, &head[length..], named("Content-Length"))?,
+                        _ => None,
+                    };
+                    let answer = self.server.answer(&request, body.as_deref());
                     let ends = named("Connection").is_some_and(|line| line.value.eq_ignore_ascii_case(b"close"));
                     // What follows a head with a body is not looked for.
                     let has_body = named("Content-Length").is_some() || named("Transfer-Encoding").is_some();
@@ -185,6 +196,17 @@ impl Connection {
             }
         }
     }
+}
+
+/// The body of a request, of which `begun` is read already; none if it does not say a length that is allowed.
+fn read_body(stream: &mut TcpStream, begun: &[u8], length: Option<&httparse::Header>) -> io::Result<Option<Vec<u8>>> {
+    let length = length.and_then(|line| std::str::from_utf8(line.value).ok()?.trim().parse::<usize>().ok());
+    let Some(length) = length.filter(|length| *length <= BODY) else { return Ok(None) };
+    let mut body = begun[..begun.len().min(length)].to_vec();
+    let there = body.len();
+    body.resize(length, 0);
+    stream.read_exact(&mut body[there..])?;
+    Ok(Some(body))
 }
 
 impl Drop for Connection {
@@ -219,7 +241,7 @@ fn send(stream: &mut TcpStream, answer: &Answer, goes_on: bool) -> io::Result<()
 
 /// What is looked at of a request besides its address.
 struct Asked<'a> {
-    get: bool,
+    method: &'a str,
     host: Option<&'a str>,
     origin: Option<&'a str>,
 }
@@ -235,7 +257,11 @@ impl Guard {
         if asked.origin.is_some_and(|origin| !own_origin(origin)) {
             return Err(Answer::refused(403, "this page does not answer other pages"));
         }
-        if !asked.get {
+        // A browser says where a POST comes from.
+        if asked.method == "POST" && asked.origin.is_none() {
+            return Err(Answer::refused(403, "this page is asked by itself only"));
+        }
+        if !["GET", "POST"].contains(&asked.method) {
             return Err(Answer::refused(405, "this page is only read"));
         }
         let (path, query) = address.split_once('?').unwrap_or((address, ""));
@@ -266,7 +292,7 @@ mod tests {
     #[test]
     fn only_the_own_page_is_answered() {
         let guard = Guard { token: "secret".into(), port: 8000 };
-        let own = Asked { get: true, host: Some("127.0.0.1:8000"), origin: None };
+        let own = Asked { method: "GET", host: Some("127.0.0.1:8000"), origin: None };
         fn status<'a>(guard: &Guard, address: &'a str, asked: &Asked) -> Result<(&'a str, &'a str), u16> {
             guard.check(address, asked).map_err(|refusal| refusal.status)
         }
@@ -295,7 +321,12 @@ mod tests {
         for origin in ["null", "http://evil.example", "https://127.0.0.1:8000", "http://127.0.0.1:80"] {
             assert_eq!(status("/secret/", Asked { origin: Some(origin), ..own }), Err(403), "{origin}");
         }
-        assert_eq!(status("/secret/", Asked { get: false, ..own }), Err(405));
+        assert_eq!(status("/secret/", Asked { method: "PUT", ..own }), Err(405));
+        let post = Asked { method: "POST", ..own };
+        assert_eq!(status("/secret/a", Asked { ..post }), Err(403));
+        let origin = Some("http://127.0.0.1:8000");
+        assert_eq!(status("/secret/a", Asked { origin, ..post }), Ok(("a", "")));
+        assert_eq!(status("/other/a", Asked { origin, ..post }), Err(403));
     }
 
     #[test]

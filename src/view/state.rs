@@ -15,6 +15,7 @@ pub(super) fn state(run: &Watched, have: Option<&str>) -> Value {
         "frames": ranges(&frames),
         "coarse": ranges(&coarse),
         "silent_s": silent_s,
+        "steered": run.path().join("live.sock").exists(),
     });
     if let Some((version, report)) = report {
         state["version"] = json!(version);

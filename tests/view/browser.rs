@@ -151,6 +151,14 @@ impl Page {
         decoded(shot["data"].as_str().expect("a picture"))
     }
 
+    /// Keeps a picture of the whole page for people, where they say a folder for it.
+    pub(crate) fn keep_picture(&mut self, name: &str) {
+        let Some(folder) = std::env::var_os("LOOMTREE_TEST_PICTURES") else { return };
+        let shot = self.call("Page.captureScreenshot", json!({ "format": "png" }));
+        let bytes = base64::engine::general_purpose::STANDARD.decode(shot["data"].as_str().expect("a picture"));
+        std::fs::write(PathBuf::from(folder).join(name), bytes.expect("base64")).expect("a picture");
+    }
+
     /// What the page has complained of so far: errors of the console, exceptions.
     pub(crate) fn complaints(&mut self) -> Vec<String> {
         self.value("1");

@@ -138,3 +138,119 @@ fn two_runs_are_shown_side_by_side_with_their_distance() {
     drop(page);
     end(view);
 }
+
+#[test]
+fn a_live_run_is_steered_from_the_page() {
+    let place = Place::new();
+    place.write("flag.toml", flag(512, 4, 100_000).replace("edge = \"left\"", "name = \"pole\"\nedge = \"left\""));
+    let mut run = place.start("run flag.toml --executor cpu --workers 2 --threads 1 --out run --live --view");
+    let Some(mut page) = Page::open(&address(&mut run)) else { return end(run) };
+    // The page of a live run begins with what steers it.
+    page.wait_for("window.loomtree !== undefined && loomtree.shown[0].frame !== null");
+    page.wait_for("loomtree.dock.now === 'Live' && loomtree.dock.sheets.Live.status !== null");
+    let status = |page: &mut Page, what: &str| page.value(&format!("loomtree.dock.sheets.Live.status.{what}"));
+    let click = |page: &mut Page, id: &str| drop(page.value(&format!("document.getElementById('live-{id}').click()")));
+    click(&mut page, "pause");
+    page.wait_for("loomtree.dock.sheets.Live.status.state === 'paused'");
+    let step = status(&mut page, "step").as_u64().unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    click(&mut page, "step");
+    page.wait_for(&format!("loomtree.dock.sheets.Live.status.step === {}", step + 1));
+    // Up to the next frame, which the page then shows.
+    click(&mut page, "frame");
+    page.wait_for("loomtree.dock.sheets.Live.status.step % 4 === 0");
+    page.wait_for("loomtree.shown[0].frame.number === loomtree.dock.sheets.Live.status.frame");
+    page.keep_picture("live.png");
+    let height = "(() => { const p = loomtree.shown[0].frame.positions; let sum = 0; \
+                  for (let i = 1; i < p.length; i += 3) sum += p[i]; return sum / (p.length / 3); })()";
+    let (frame, before) = (status(&mut page, "frame").as_u64().unwrap(), page.value(height).as_f64().unwrap());
+    // Gravity the other way round, and no wind: the flag rises.
+    for (name, values) in [("gravity", "['0', '30', '0']"), ("wind", "['0', '0', '0']")] {
+        page.value(&format!(
+            "{values}.forEach((value, i) => (loomtree.dock.sheets.Live.vectors.{name}[i].value = value))"
+        ));
+        click(&mut page, name);
+    }
+    page.wait_for("loomtree.dock.sheets.Live.status.gravity_m_s2[1] === 30");
+    page.wait_for("loomtree.dock.sheets.Live.status.wind_m_s[0] === 0");
+    let record = std::fs::read_to_string(place.path("run/run_changes.toml")).unwrap();
+    assert!(record.contains("do = \"gravity\"") && record.contains("gravity_m_s2 = [0, 30, 0]"), "{record}");
+    click(&mut page, "pause");
+    page.wait_for(&format!("loomtree.shown[0].frame.number >= {}", frame + 25));
+    let after = page.value(height).as_f64().unwrap();
+    assert!(after > before + 0.05, "{before} {after}");
+    // What is wrong is said, and the pin is a button that lets it go.
+    page.value("loomtree.dock.sheets.Live.friction.value = '-1'");
+    click(&mut page, "friction");
+    page.wait_for("document.getElementById('live-said').textContent.includes('at least 0')");
+    page.value("loomtree.dock.sheets.Live.pins.querySelector('button').click()");
+    page.wait_for("loomtree.dock.sheets.Live.status.pins.length === 0");
+    click(&mut page, "save");
+    page.wait_for("document.getElementById('live-said').textContent.includes('saved.toml')");
+    assert!(std::fs::read_to_string(place.path("run/saved.toml")).unwrap().contains("pin = \"pole\""));
+    assert_eq!(page.complaints(), [""; 0]);
+    drop(page);
+    end(run);
+}
+
+#[test]
+fn a_seam_is_sewn_by_clicks_and_the_sewn_mesh_is_shown() {
+    let place = Place::new();
+    place.write(
+        "panels.toml",
+        r#"
+        name = "panels"
+        [simulation]
+        step_s = 0.004
+        steps_per_frame = 2
+        frames = 100000
+        gravity_m_s2 = [0, 0, 0]
+        thickness_m = 0.001
+        [[cloth]]
+        name = "one"
+        sheet = { size_m = [0.2, 0.16], triangles = 120 }
+        [[cloth]]
+        name = "other"
+        sheet = { size_m = [0.2, 0.16], triangles = 120 }
+        origin_m = [0.3, 0, 0]
+        "#,
+    );
+    let words = "run panels.toml --executor cpu --workers 2 --threads 1 --out run --live --paused --view";
+    let mut run = place.start(words);
+    let Some(mut page) = Page::open(&address(&mut run)) else { return end(run) };
+    page.wait_for("window.loomtree !== undefined && loomtree.shown[0].frame !== null && !loomtree.dirty");
+    page.wait_for("loomtree.dock.now === 'Live' && loomtree.dock.sheets.Live.status !== null");
+    page.value("loomtree.dock.sheets.Live.closeS.value = '0.05'");
+    page.value("document.getElementById('live-pick').click()");
+    for (x, y) in [(0.2, 0.0), (0.2, 0.16), (0.3, 0.0), (0.3, 0.16)] {
+        page.value(&format!(
+            "(() => {{ const live = loomtree.dock.sheets.Live, canvas = document.getElementById('view'); \
+             const p = loomtree.shown[0].frame.positions, box = canvas.getBoundingClientRect(); \
+             const far = (v) => Math.hypot(p[3 * v] - {x}, p[3 * v + 1] - {y}, p[3 * v + 2]); \
+             let best = 0; for (let v = 0; v < p.length / 3; v++) if (far(v) < far(best)) best = v; \
+             const [sx, sy] = live.onScreen(p, best, box); \
+             const at = {{ clientX: box.left + sx + 3, clientY: box.top + sy - 2, bubbles: true }}; \
+             canvas.dispatchEvent(new MouseEvent('click', at)); }})()"
+        ));
+        if x == 0.3 && y == 0.0 {
+            page.wait_for("document.querySelectorAll('#marks i').length === 3");
+            page.keep_picture("live_seam.png");
+        }
+    }
+    page.wait_for("loomtree.dock.sheets.Live.status.seams.length === 1");
+    let vertices = page.value("loomtree.dock.sheets.Live.status.vertices").as_u64().unwrap();
+    page.value("document.getElementById('live-pause').click()");
+    // Welded: fewer vertices, and the picture has the new mesh.
+    page.wait_for(&format!("loomtree.dock.sheets.Live.status.vertices < {vertices}"));
+    page.wait_for("loomtree.shown[0].frame.mesh.vertices === loomtree.dock.sheets.Live.status.vertices");
+    page.wait_for("loomtree.shown[0].layers.fine.mesh === loomtree.shown[0].frame.mesh");
+    // A frame of before is shown with its own mesh.
+    page.value("loomtree.seek(0)");
+    page.wait_for(&format!(
+        "loomtree.shown[0].frame.number === 0 && loomtree.shown[0].frame.mesh.vertices === {vertices}"
+    ));
+    page.keep_picture("live_sewn.png");
+    assert_eq!(page.complaints(), [""; 0]);
+    drop(page);
+    end(run);
+}

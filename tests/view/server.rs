@@ -80,9 +80,21 @@ fn only_the_printed_address_is_answered() {
     for headers in [("Host", "evil.example"), ("Origin", "http://evil.example"), ("Origin", "null")] {
         assert_eq!(status("GET", &base, &[headers]), 403, "{headers:?}");
     }
-    for method in ["POST", "PUT", "DELETE", "OPTIONS"] {
+    for method in ["PUT", "DELETE", "OPTIONS"] {
         assert_eq!(status(method, &base, &[("Content-Length", "0")]), 405, "{method}");
     }
+    // Only the page itself may ask a run to change, and only where a run is.
+    let own = ("Origin", &address[..address["http://".len()..].find('/').unwrap() + "http://".len()]);
+    let empty = ("Content-Length", "0");
+    let steer = format!("{base}run/0/live");
+    assert_eq!(status("POST", &steer, &[empty]), 403);
+    assert_eq!(status("POST", &steer, &[empty, ("Origin", "http://evil.example")]), 403);
+    assert_eq!(status("POST", &steer, &[own]), 400);
+    assert_eq!(status("POST", &steer, &[own, ("Content-Length", "99999999999")]), 400);
+    assert_eq!(status("POST", &base, &[own, empty]), 405);
+    let (code, body, _) = ask(&address, "POST", &steer, &[own, empty]);
+    assert_eq!(code, 200);
+    assert!(String::from_utf8_lossy(&body).contains("no live run listens"));
     // Nothing outside of the run, and nothing of it but what the page needs.
     place.write("secret", "not to be read");
     for path in [

@@ -36,8 +36,14 @@ class Shown {
   /** The layer of a frame, made when it is first shown. */
   layer(run, frame, app) {
     const name = frame.coarse ? "coarse" : "fine";
+    const { mesh } = frame;
+    if (this.layers[name] && this.layers[name].mesh !== mesh) {
+      // A run that sews goes on with another mesh.
+      this.layers[name].cloth.free();
+      this.layers[name].obstacle.free();
+      delete this.layers[name];
+    }
     if (!this.layers[name]) {
-      const { mesh } = run[name];
       const cloth = this.renderer.surface();
       const made = { cloth, obstacle: this.renderer.surface(), mesh, hidden: null, color: null, obstacleHash: null };
       cloth.positions(frame.positions);
@@ -260,7 +266,7 @@ class App {
   /** The piece of every vertex: that of the scene where it is known, else what hangs together. */
   pieceOf(run, mesh) {
     const pieces = run.names?.pieces || [];
-    if (pieces.length === 0 || mesh !== run.fine.mesh || pieces[pieces.length - 1].to !== mesh.vertices) return mesh.piece;
+    if (pieces.length === 0 || mesh === run.coarse.mesh || pieces[pieces.length - 1].to !== mesh.vertices) return mesh.piece;
     if (!mesh.named) {
       mesh.named = new Uint16Array(mesh.vertices);
       pieces.forEach(({ from, to }, i) => mesh.named.fill(i, from, to));
@@ -281,6 +287,7 @@ class App {
     this.renderer.resize(this.scale * Math.min(2, window.devicePixelRatio || 1));
     views.forEach((view) => (view.box = this.shadowBox(view.frame)));
     this.renderer.draw(views, this.camera, this.options);
+    this.dock.sheets.Live.mark();
     this.rate.drawMs = performance.now() - begin;
     this.count(now);
     if (this.news) {

@@ -6,8 +6,8 @@ const FRAME = 0x3146544c;
 /** Obstacles keep edges at which their triangles meet more sharply: cosine of 40 degrees. */
 const SMOOTH = 0.766;
 
-/** By layer (a run, or the coarse run of one): triangles, and the triangles of the obstacles. */
-const layers = new Map();
+/** By layer (a run, or the coarse run of one) and mesh: triangles, and the triangles of the obstacles. */
+const meshes = new Map();
 
 async function fetched(url) {
   const response = await fetch(url);
@@ -19,7 +19,8 @@ async function fetched(url) {
   return response.arrayBuffer();
 }
 
-async function mesh({ layer, url }) {
+/** The mesh of a frame. A run that sews has another one later. */
+async function mesh(key, url) {
   const buffer = await fetched(url);
   const head = new Uint32Array(buffer, 0, 8);
   if (head[0] !== MESH) throw new Error("this is no mesh");
@@ -27,8 +28,10 @@ async function mesh({ layer, url }) {
   const cloth = new Uint32Array(buffer, 32, 3 * triangles);
   const obstacle = new Uint32Array(buffer, 32 + 12 * triangles, 3 * obstacleTriangles);
   const piece = new Uint16Array(buffer, 32 + 12 * (triangles + obstacleTriangles), vertices);
-  layers.set(layer, { vertices, cloth, obstacle, obstacleVertices });
-  return { vertices, pieces, triangles: cloth.slice(), piece: piece.slice(), obstacleTriangles };
+  const made = { vertices, cloth, obstacle, obstacleVertices };
+  meshes.set(key, made);
+  const shown = { vertices, pieces, triangles: cloth.slice(), piece: piece.slice(), obstacleTriangles };
+  return { made, shown };
 }
 
 /** Normals of vertices, weighted by area, as 16-bit numbers with a fourth one to pad. */
@@ -95,24 +98,32 @@ function obstacleCorners(positions, triangles, vertices) {
   return { corners, normals: packed(sum, triangles.length) };
 }
 
-async function frame({ layer, url }) {
-  const known = layers.get(layer);
-  if (!known) throw new Error("no mesh yet");
+async function frame({ layer, url, number, epoch }) {
   const buffer = await fetched(url);
-  const begin = performance.now();
   const head = new Uint32Array(buffer, 0, 8);
   if (head[0] !== FRAME) throw new Error("this is no frame");
-  const [, vertices, sent, low, high] = head;
+  const [, vertices, sent, low, high, meshLow, meshHigh] = head;
+  const key = `${layer}${epoch}/${meshHigh.toString(16)}-${meshLow.toString(16)}`;
+  let known = meshes.get(key);
+  let shown = null;
+  if (!known) {
+    const found = await mesh(key, `${layer}mesh/${number}`);
+    [known, shown] = [found.made, found.shown];
+  }
   if (vertices !== known.vertices) throw new Error("this frame is of another mesh");
+  const begin = performance.now();
   const positions = new Float32Array(buffer, 32, 3 * vertices);
   const own = positions.slice();
   const result = {
     positions: own,
     normals: packed(normals(own, known.cloth, vertices), vertices),
     bounds: bounds(own),
+    meshKey: key,
+    mesh: shown,
     obstacleHash: high.toString(16).padStart(8, "0") + low.toString(16).padStart(8, "0"),
   };
   const moved = [own.buffer, result.normals.buffer];
+  if (shown) moved.push(shown.triangles.buffer, shown.piece.buffer);
   if (sent > 0 && sent === known.obstacleVertices) {
     const points = new Float32Array(buffer, 32 + 12 * vertices, 3 * sent);
     result.obstacle = obstacleCorners(points, known.obstacle, sent);
@@ -126,10 +137,7 @@ async function frame({ layer, url }) {
 self.onmessage = async ({ data }) => {
   const { id, what } = data;
   try {
-    if (what === "mesh") {
-      const result = await mesh(data);
-      self.postMessage({ id, result }, [result.triangles.buffer, result.piece.buffer]);
-    } else if (what === "frame") {
+    if (what === "frame") {
       const [result, moved] = await frame(data);
       self.postMessage({ id, result }, moved);
     } else {

@@ -2,6 +2,7 @@
 
 import { Curves } from "./curves.js";
 import { Lanes } from "./lanes.js";
+import { Live } from "./live.js";
 import { blank, element } from "./panel.js";
 
 const MB = 2 ** 20;
@@ -158,7 +159,7 @@ export class Dock {
     this.tabs = root.querySelector("#tabs");
     this.sheet = root.querySelector("#sheet");
     this.sheets = {
-      Timeline: new Lanes(app), Curves: new Curves(app), "Links and memory": new Links(app), Seams: new Seams(app),
+      Live: new Live(app), Timeline: new Lanes(app), Curves: new Curves(app), "Links and memory": new Links(app), Seams: new Seams(app),
       Distance: new Distances(app),
     };
     this.open("Timeline");
@@ -176,7 +177,15 @@ export class Dock {
   layout() {
     const { app } = this;
     const split = app.runs.some((run) => (run.report?.split || 1) > 1);
-    const names = Object.keys(this.sheets).filter((name) => (name !== "Seams" || split) && (name !== "Distance" || app.runs.length > 1));
+    const steered = app.runs[app.active]?.steered;
+    const has = { Seams: split, Distance: app.runs.length > 1, Live: steered };
+    const names = Object.keys(this.sheets).filter((name) => has[name] ?? true);
+    // Somebody who started a run with --live wants to steer it; once it has ended there is nothing to steer.
+    if (steered && !this.wasSteered) {
+      this.wasSteered = true;
+      return this.open("Live");
+    }
+    if (!steered && this.now === "Live") return this.open("Timeline");
     const key = JSON.stringify([names, this.now, app.active, app.runs.length, this.root.className]);
     if (key === this.key) return;
     this.key = key;

@@ -14,8 +14,9 @@ class Layer {
     this.frames = new Map();
     this.pending = new Set();
     this.failed = new Map();
+    /** By key; `mesh` is the one that came last. */
+    this.meshes = new Map();
     this.mesh = null;
-    this.meshPending = false;
     this.obstacles = new Map();
     this.bytes = 0;
   }
@@ -71,9 +72,10 @@ export class Run {
     const response = await fetch(`${this.base}state?have=${encodeURIComponent(this.version)}`);
     if (!response.ok) throw new Error(`the server answers ${response.status}`);
     const state = await response.json();
-    const before = JSON.stringify([this.fineRanges, this.coarseRanges, this.version, this.gone]);
+    const before = JSON.stringify([this.fineRanges, this.coarseRanges, this.version, this.gone, this.steered]);
     this.path = state.path;
     this.silent = state.silent_s;
+    this.steered = Boolean(state.steered);
     const isGone = state.frames.length === 0 && state.coarse.length === 0 && !state.version;
     if (isGone && this.lastFrame >= 0) {
       // What was loaded stays on the screen until a run is there again.
@@ -90,7 +92,7 @@ export class Run {
       this.version = state.version || "";
       if (state.report) this.report = state.report;
     }
-    return before !== JSON.stringify([this.fineRanges, this.coarseRanges, this.version, this.gone]);
+    return before !== JSON.stringify([this.fineRanges, this.coarseRanges, this.version, this.gone, this.steered]);
   }
 
   get live() {
@@ -139,11 +141,19 @@ export class Run {
     const { epoch } = this;
     layer.pending.add(n);
     try {
-      if (!layer.mesh) await this.loadMesh(layer);
       const have = [...layer.obstacles.keys()].pop();
       const query = have ? `?obstacles=${have}` : "";
-      const frame = await this.call({ what: "frame", layer: layer.prefix, url: `${layer.prefix}frame/${n}${query}` });
+      const frame = await this.call({ what: "frame", layer: layer.prefix, url: `${layer.prefix}frame/${n}${query}`, number: n, epoch });
       if (epoch !== this.epoch) return;
+      if (frame.mesh && !layer.meshes.has(frame.meshKey)) {
+        layer.meshes.set(frame.meshKey, frame.mesh);
+        layer.mesh = frame.mesh;
+        layer.waiting?.forEach((go) => go());
+        layer.waiting = null;
+      }
+      // Two frames of a new mesh may have asked for it at once; the worker sends it with the first answer.
+      while (!layer.meshes.has(frame.meshKey)) await new Promise((go) => (layer.waiting ||= []).push(go));
+      frame.mesh = layer.meshes.get(frame.meshKey);
       if (frame.obstacle) {
         // Others than the last one are held by the frames that they belong to.
         layer.obstacles.clear();
@@ -169,20 +179,6 @@ export class Run {
     } finally {
       layer.pending.delete(n);
     }
-  }
-
-  /** One request, however many frames wait for it. */
-  loadMesh(layer) {
-    layer.meshPending ||= this.call({ what: "mesh", layer: layer.prefix, url: `${layer.prefix}mesh` }).then(
-      (mesh) => {
-        layer.mesh = mesh;
-      },
-      (error) => {
-        layer.meshPending = null;
-        throw error;
-      },
-    );
-    return layer.meshPending;
   }
 
   /** Names and ranges of pieces and obstacles, once they are known. */
