@@ -1,5 +1,5 @@
-//! Vertices that are added on the border of a cloth while it runs, so that a seam has as many on both sides. The surface
-//! stays the same, and so does everything that a state knows of it.
+//! Vertices that are added on the border of a cloth while it runs, so that a seam has as many on both sides. The
+//! surface stays the same, and so does everything that a state knows of it.
 
 use std::collections::HashMap;
 

@@ -136,8 +136,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Gives the threads of all seams the lengths that they begin with. Lengths of other seams are left out: a later note
-    /// of the same step has those of now.
+    /// Gives the threads of all seams the lengths that they begin with. Lengths of other seams are left out: a later
+    /// note of the same step has those of now.
     pub(super) fn restart_threads(&mut self, gaps_m: &[f32]) {
         if let Some(sewing) = self.sewing.as_mut().filter(|sewing| sewing.pairs.len() == gaps_m.len()) {
             sewing.first_m = Some(gaps_m.to_vec());

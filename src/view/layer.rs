@@ -3,8 +3,8 @@
 //! All numbers are little-endian and start at multiples of four bytes. A mesh is eight u32 (`MESH`, vertices,
 //! triangles, obstacle vertices, obstacle triangles, pieces, 0, 0), the triangles and the obstacles' triangles (u32),
 //! and the piece of every vertex (u16). A frame is eight u32 (`FRAME`, vertices, obstacle vertices, low and high half
-//! of the obstacles' hash, low and high half of the hash of its triangles, 0), the positions and those of the obstacles (f32, meters). Where the page has the
-//! obstacles of that hash already, a frame comes without them.
+//! of the obstacles' hash, low and high half of the hash of its triangles, 0), the positions and those of the obstacles
+//! (f32, meters). Where the page has the obstacles of that hash already, a frame comes without them.
 
 use std::path::Path;
 

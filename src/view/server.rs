@@ -2,8 +2,8 @@
 //!
 //! A page of another site that the same browser shows could send requests here, too. It does not know the token, its
 //! requests carry a foreign `Origin`, and a name that it makes point here (DNS rebinding) is a foreign `Host`; each
-//! of the three is refused. GET is answered, and nothing is ever written; POST passes a request on to a run with `--live`
-//! and needs an `Origin` of its own.
+//! of the three is refused. GET is answered, and nothing is ever written; POST passes a request on to a run with
+//! `--live` and needs an `Origin` of its own.
 //!
 //! A connection has a thread, of which there are few, and is closed when nothing comes for a while.
 

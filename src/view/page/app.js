@@ -266,7 +266,8 @@ class App {
   /** The piece of every vertex: that of the scene where it is known, else what hangs together. */
   pieceOf(run, mesh) {
     const pieces = run.names?.pieces || [];
-    if (pieces.length === 0 || mesh === run.coarse.mesh || pieces[pieces.length - 1].to !== mesh.vertices) return mesh.piece;
+    const fits = pieces.length > 0 && pieces[pieces.length - 1].to === mesh.vertices;
+    if (!fits || mesh === run.coarse.mesh) return mesh.piece;
     if (!mesh.named) {
       mesh.named = new Uint16Array(mesh.vertices);
       pieces.forEach(({ from, to }, i) => mesh.named.fill(i, from, to));

@@ -159,7 +159,8 @@ export class Dock {
     this.tabs = root.querySelector("#tabs");
     this.sheet = root.querySelector("#sheet");
     this.sheets = {
-      Live: new Live(app), Timeline: new Lanes(app), Curves: new Curves(app), "Links and memory": new Links(app), Seams: new Seams(app),
+      Live: new Live(app), Timeline: new Lanes(app),
+      Curves: new Curves(app), "Links and memory": new Links(app), Seams: new Seams(app),
       Distance: new Distances(app),
     };
     this.open("Timeline");

@@ -56,10 +56,14 @@ export class Live {
     return element("div", { class: "line" },
       this.toggle,
       button("Step", "Make one step", () => this.send({ do: "step", steps: 1 }), { id: "live-step" }),
-      button("Frame", "Make steps up to the next frame", () => this.send({ do: "step", steps: steps() }), { id: "live-frame" }),
+      button("Frame", "Make steps up to the next frame", () => this.send({ do: "step", steps: steps() }), {
+        id: "live-frame",
+      }),
       this.state,
       button("Refine", "Divide every triangle into four", () => this.send({ do: "refine" }), { id: "live-refine" }),
-      button("Save as scene", "Write the scene with all changes so far", () => this.send({ do: "save", file: name.value }), { id: "live-save" }),
+      button("Save as scene", "Write the scene with all changes so far", () => {
+        this.send({ do: "save", file: name.value });
+      }, { id: "live-save" }),
       name,
       button("Stop", "End the run; it can be resumed", () => this.send({ do: "stop" })),
       this.said,
@@ -98,10 +102,14 @@ export class Live {
       const density = this.density.value === "" ? {} : { density_kg_m2: Number(this.density.value) };
       this.send({ do: "fabric", ...fabric, ...density, ...of(this.fabricOf) });
     };
-    const setFriction = () => this.send({ do: "friction", friction: Number(this.friction.value), ...of(this.frictionOf) });
+    const setFriction = () => {
+      this.send({ do: "friction", friction: Number(this.friction.value), ...of(this.frictionOf) });
+    };
+    const ofFriction = button("Set", "Set friction", setFriction, { id: "live-friction" });
+    const ofFabric = button("Set", "Set the fabric", setFabric, { id: "live-fabric" });
     return element("div", { class: "line" },
-      field("Friction", this.frictionOf, this.friction, button("Set", "Set friction", setFriction, { id: "live-friction" })),
-      field("Fabric", this.fabricOf, this.fabric, this.density, button("Set", "Set the fabric", setFabric, { id: "live-fabric" })),
+      field("Friction", this.frictionOf, this.friction, ofFriction),
+      field("Fabric", this.fabricOf, this.fabric, this.density, ofFabric),
     );
   }
 
@@ -116,14 +124,16 @@ export class Live {
       const [a, b] = this.sides.map((side) => (side.value ? JSON.parse(side.value) : ""));
       this.send({ do: "sew", a, b, ...closing() });
     };
-    this.pick = button("Click two edges", "Click the two ends of an edge on the cloth, then those of the other one", () => {
+    const how = "Click the two ends of an edge on the cloth, then those of the other one";
+    this.pick = button("Click two edges", how, () => {
       this.picked = this.picked ? null : [];
       this.refresh();
     }, { id: "live-pick" });
+    const both = button("Sew", "Sew these two edges", sew, { id: "live-sew" });
     return element("div", { class: "line" },
       field("Pins", this.pins),
       field("Seams", this.seams),
-      field("Sew", ...this.sides, "in", this.closeS, "s", button("Sew", "Sew these two edges", sew, { id: "live-sew" }), this.pick),
+      field("Sew", ...this.sides, "in", this.closeS, "s", both, this.pick),
     );
   }
 
@@ -168,7 +178,8 @@ export class Live {
     this.status = status;
     for (const [name, key] of [["gravity", "gravity_m_s2"], ["wind", "wind_m_s"]]) {
       this.vectors[name].forEach((input, i) => {
-        if (input !== document.activeElement && !input.classList.contains("own")) input.value = Number(status[key][i].toPrecision(6));
+        const isOwn = input === document.activeElement || input.classList.contains("own");
+        if (!isOwn) input.value = Number(status[key][i].toPrecision(6));
       });
     }
     const what = (of) => JSON.stringify([of?.cloths, of?.obstacles, of?.pins, of?.seams]);
@@ -190,7 +201,9 @@ export class Live {
       ...obstacles.map(({ name, friction }) => [{ obstacle: name }, `${name} (${friction})`]),
     ];
     fill(this.frictionOf, [option(null, "everything"), ...ofAll.map(([value, text]) => option(value, text))]);
-    const edges = cloths.flatMap(({ name, edges: named }) => (named || []).map((edge) => [{ cloth: name, edge }, `${name}: ${edge}`]));
+    const sideOf = (name, edge) => [{ cloth: name, edge }, `${name}: ${edge}`];
+    const edgesOf = ({ name, edges: named }) => (named || []).map((edge) => sideOf(name, edge));
+    const edges = cloths.flatMap(edgesOf);
     this.sides.forEach((side) => fill(side, edges.map(([value, text]) => option(value, text))));
     const chip = (text, title, request) => button(text, title, () => this.send(request), { class: "chip" });
     this.pins.replaceChildren(...(pins.length
@@ -207,7 +220,8 @@ export class Live {
     this.toggle.textContent = paused ? "Continue" : "Pause";
     if (status) {
       const size = `${status.triangles.toLocaleString("en")} triangles`;
-      this.state.textContent = `${status.state}, step ${status.step} of ${status.last_step}, ${status.time_s.toFixed(3)} s, ${size}`;
+      const step = `step ${status.step} of ${status.last_step}, ${status.time_s.toFixed(3)} s`;
+      this.state.textContent = `${status.state}, ${step}, ${size}`;
     }
     this.pick.classList.toggle("on", this.picked !== null);
     this.pick.textContent = this.picked ? `Click the ${PICKS[this.picked.length]}` : "Click two edges";

@@ -143,7 +143,8 @@ export class Run {
     try {
       const have = [...layer.obstacles.keys()].pop();
       const query = have ? `?obstacles=${have}` : "";
-      const frame = await this.call({ what: "frame", layer: layer.prefix, url: `${layer.prefix}frame/${n}${query}`, number: n, epoch });
+      const url = `${layer.prefix}frame/${n}${query}`;
+      const frame = await this.call({ what: "frame", layer: layer.prefix, url, number: n, epoch });
       if (epoch !== this.epoch) return;
       if (frame.mesh && !layer.meshes.has(frame.meshKey)) {
         layer.meshes.set(frame.meshKey, frame.mesh);
