@@ -63,8 +63,8 @@ impl Progress {
     }
 }
 
-/// Elapsed time, and the time left if the frames that are missing take as long as those made.
-fn times(elapsed: Duration, made: u32, missing: u32) -> String {
+/// Elapsed time, and the time left if what is missing takes as long as what was made.
+pub(super) fn times(elapsed: Duration, made: u32, missing: u32) -> String {
     let mut text = format!("{} so far", clock(elapsed));
     if made > 0 && missing > 0 {
         text += &format!(", {} left", clock(elapsed.mul_f64(f64::from(missing) / f64::from(made))));

@@ -13,6 +13,7 @@ use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Instant;
 
 use super::options::{KeepStates, RunOptions};
+use super::progress::times;
 use super::recorder::{RecordError, Recorder, RunPlaces};
 use super::seams::kept_state;
 use super::session::{SessionError, StepDone};
@@ -112,10 +113,18 @@ impl<'a> Listener<'a, '_> {
                     if every > 0 && frame.is_multiple_of(every) {
                         under.recorder.keep_last_state()?;
                     }
+                    // How long a seam takes is not known before it has closed.
+                    let last_step = settings.frames * settings.steps_per_frame;
+                    let end = match job {
+                        Job::Coarse => last_step,
+                        Job::Segment(j) => self.schedule.table().cuts.get(j + 1).copied().unwrap_or(last_step),
+                        Job::Seam(_) | Job::Again { .. } => step,
+                    };
+                    let times = times(under.begun.elapsed(), under.steps, end.saturating_sub(step));
                     let (stats, each_ms) = (&done.ranks[0], under.busy_s / f64::from(under.steps) * 1e3);
                     note(format_args!(
                         "{}: frame {frame}/{} (step {step}): {} iterations, {} contacts, {each_ms:.1} ms/step, \
-                         state {hash}",
+                         {times}, state {hash}",
                         job.name(),
                         settings.frames,
                         stats.iterations,

@@ -58,7 +58,7 @@ pub(super) fn category(i: usize) -> [Vec3; 2] {
 
 /// Front and back of a place on a scale, from 0 to 1.
 pub(super) fn on_scale(scale: &Scale, share: f32) -> [Vec3; 2] {
-    let x = share.clamp(0.0, 1.0) * 4.0;
+    let x = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) * 4.0 };
     let stop = (x as usize).min(3);
     let (low, high) = (Vec3::from_array(scale[stop]), Vec3::from_array(scale[stop + 1]));
     let front = linear(low.lerp(high, x - stop as f32).to_array());
