@@ -80,26 +80,19 @@ fn limit_by_direction(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2], ahe
 fn limit_of_every_direction(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2], ahead_s: f32) -> Limit {
     let least = fabric.strain_limit[0] * fabric.strain_limit[0];
     let most = fabric.strain_limit[1] * fabric.strain_limit[1];
-    // mean and half the difference of the squares of x_u and x_v, their product, and the radius of Mohr's circle.
-    let squares = |uu: f32, vv: f32, uv: f32| {
-        let (mean, half) = (0.5 * (uu + vv), 0.5 * (uu - vv));
-        (mean, half, uv, (half * half + uv * uv).sqrt())
-    };
-    let is_within = |(mean, _, _, radius): (f32, f32, f32, f32)| mean + radius <= most && mean - radius >= least;
     let ([u, v], [wu, wv]) = (now, rate);
     let (uu, vv, uv) = (u.dot(u), v.dot(v), u.dot(v));
-    let (mut at, mut ahead) = (squares(uu, vv, uv), ahead_s);
-    if is_within(at) {
+    let (mut at, mut ahead) = (MohrCircle::new(uu, vv, uv), ahead_s);
+    if at.is_within(least, most) {
         // To first order: with the square of the rate, a triangle that turns would seem to stretch.
         let (uu, vv) = (uu + 2.0 * ahead_s * u.dot(wu), vv + 2.0 * ahead_s * v.dot(wv));
-        (at, ahead) = (squares(uu, vv, uv + ahead_s * (u.dot(wv) + v.dot(wu))), 0.0);
-        if is_within(at) {
+        (at, ahead) = (MohrCircle::new(uu, vv, uv + ahead_s * (u.dot(wv) + v.dot(wu))), 0.0);
+        if at.is_within(least, most) {
             return Limit::default();
         }
     }
-    let (mean, half, uv, radius) = at;
-    let (largest, smallest) = (mean + radius, mean - radius);
-    let first = wide_direction(half, uv, radius);
+    let [largest, smallest] = at.principal();
+    let first = at.wide_direction();
     let mut found = Limit { direction: first, ahead_s: ahead, ..Limit::default() };
     let (mut beyond, mut stiffness) = (0, 0.0f32);
     for (squared, d) in [(largest, first), (smallest, Vec2::new(-first.y, first.x))] {
@@ -127,12 +120,46 @@ fn limit_of_every_direction(fabric: &FabricTable, now: [Vec3; 2], rate: [Vec3; 2
     found
 }
 
-/// Direction of the largest stretch; any if all are alike. `half`: half the difference of the squares of x_u and x_v,
-/// `uv` their product, `radius` that of Mohr's circle.
-pub(super) fn wide_direction(half: f32, uv: f32, radius: f32) -> Vec2 {
-    let wide = if half >= 0.0 { Vec2::new(half + radius, uv) } else { Vec2::new(uv, radius - half) };
-    let length = wide.length();
-    if length > 0.0 { wide / length } else { Vec2::X }
+/// Mohr's circle of a symmetric matrix in material space, such as the squares of x_u and x_v and their product.
+#[derive(Clone, Copy)]
+pub(super) struct MohrCircle {
+    mean: f32,
+    /// Half the difference of the diagonal.
+    half: f32,
+    uv: f32,
+}
+
+impl MohrCircle {
+    pub(super) fn new(uu: f32, vv: f32, uv: f32) -> MohrCircle {
+        MohrCircle { mean: 0.5 * (uu + vv), half: 0.5 * (uu - vv), uv }
+    }
+
+    fn radius(&self) -> f32 {
+        (self.half * self.half + self.uv * self.uv).sqrt()
+    }
+
+    /// Principal values, the larger one first.
+    pub(super) fn principal(&self) -> [f32; 2] {
+        let radius = self.radius();
+        [self.mean + radius, self.mean - radius]
+    }
+
+    /// Whether both are between `least` and `most`. Nearly all triangles are, and do not need the square root: the
+    /// radius is at most the sum of the two.
+    pub(super) fn is_within(&self, least: f32, most: f32) -> bool {
+        let bound = self.half.abs() + self.uv.abs();
+        let is_within = |radius: f32| self.mean + radius <= most && self.mean - radius >= least;
+        is_within(bound) || is_within(self.radius())
+    }
+
+    /// Direction of the larger one; any if they are alike.
+    pub(super) fn wide_direction(&self) -> Vec2 {
+        let MohrCircle { half, uv, .. } = *self;
+        let radius = self.radius();
+        let wide = if half >= 0.0 { Vec2::new(half + radius, uv) } else { Vec2::new(uv, radius - half) };
+        let length = wide.length();
+        if length > 0.0 { wide / length } else { Vec2::X }
+    }
 }
 
 /// Fills `records` (16 floats per triangle). Bytes per triangle: 48 element + 72 state read, 64 written.

@@ -2,7 +2,7 @@
 //! executors: `step` needs it for the few triangles that a solve leaves far beyond their limits.
 
 use super::element::{FREE, FabricTable, TriangleElement};
-use super::fiber_cpu::{deformation, wide_direction};
+use super::fiber_cpu::{MohrCircle, deformation};
 use crate::math::{Vec2, Vec3};
 
 /// A strain beyond a limit. It grows by the dot product of [`Overstretch::gradient`] with the displacement of a corner.
@@ -30,15 +30,14 @@ pub fn overstretch(fabric: &FabricTable, element: &TriangleElement, corners: [Ve
     }
     let [u, v] = deformation(element, corners);
     if fabric.has_fibers() {
-        let (mean, half) = (0.5 * (u.dot(u) + v.dot(v)), 0.5 * (u.dot(u) - v.dot(v)));
-        let radius = (half * half + u.dot(v) * u.dot(v)).sqrt();
+        let circle = MohrCircle::new(u.dot(u), v.dot(v), u.dot(v));
         let [least, most] = fabric.strain_limit;
-        if mean + radius <= most * most && mean - radius >= least * least {
+        if circle.is_within(least * least, most * most) {
             return found;
         }
-        let first = wide_direction(half, u.dot(v), radius);
-        found[0] = of_stretch([u, v], first, fabric.strain_limit, mean + radius);
-        found[1] = of_stretch([u, v], Vec2::new(-first.y, first.x), fabric.strain_limit, mean - radius);
+        let ([largest, smallest], first) = (circle.principal(), circle.wide_direction());
+        found[0] = of_stretch([u, v], first, fabric.strain_limit, largest);
+        found[1] = of_stretch([u, v], Vec2::new(-first.y, first.x), fabric.strain_limit, smallest);
         return found;
     }
     found[0] = of_stretch([u, v], Vec2::X, fabric.warp_limit, u.dot(u));

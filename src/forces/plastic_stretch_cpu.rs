@@ -1,7 +1,7 @@
 //! CPU twin of `plastic_stretch.wgsl`: the return map of every triangle, and its damage; `plastic_stretch` explains it.
 
 use super::element::{FabricTable, TriangleElement, vertex};
-use super::fiber_cpu::{deformation, wide_direction};
+use super::fiber_cpu::{MohrCircle, deformation};
 use super::plastic_stretch::{NO_HINGE, PlasticTriangle};
 use crate::gpu::CpuExecutor;
 use crate::math::{Vec2, Vec3};
@@ -96,9 +96,8 @@ fn excess(sizes: [f32; 2], fabric: &FabricTable, plastic_strain: f32) -> [f32; 2
 
 /// Principal values of a symmetric matrix (uu, vv, uv), the larger one first, and the direction of that.
 fn principal([uu, vv, uv]: [f32; 3]) -> ([f32; 2], Vec2) {
-    let (mean, half) = (0.5 * (uu + vv), 0.5 * (uu - vv));
-    let radius = (half * half + uv * uv).sqrt();
-    ([mean + radius, mean - radius], wide_direction(half, uv, radius))
+    let circle = MohrCircle::new(uu, vv, uv);
+    (circle.principal(), circle.wide_direction())
 }
 
 /// The symmetric matrix with the first of these principal values along `d` and the second across it.
