@@ -22,6 +22,7 @@ use crate::transport::RANKS_MAX;
 
 /// Arguments of `loomtree run`.
 #[derive(Clone, Debug, clap::Args)]
+#[allow(rustdoc::invalid_html_tags, reason = "doc comments are the texts of --help")]
 pub struct RunArgs {
     /// Scene file (.toml, or ARCSim's .json); with --resume it may be left out
     #[arg(required_unless_present_any = ["resume", "only_segment"])]

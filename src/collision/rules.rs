@@ -28,7 +28,7 @@ pub struct ContactParams {
     pub friction: Vec<f32>,
     /// Per vertex: 1/mass, 1/kg; 0 for vertices whose motion is imposed (pins, obstacles).
     pub inverse_masses_per_kg: Vec<f32>,
-    /// Per vertex: smallest altitude at rest of the triangles around it, meters: see [`smallest_altitudes`]. Not looked
+    /// Per vertex: smallest altitude at rest of the triangles around it, meters: see `smallest_altitudes`. Not looked
     /// at for obstacles.
     pub smallest_altitudes_m: Vec<f32>,
 }

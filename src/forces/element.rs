@@ -126,7 +126,7 @@ gpu_struct! {
         pub hardening: f32,
         /// As [`Plasticity::weakening`].
         pub weakening: f32,
-        /// Least and largest stretch in any direction; 0 and [`FREE`] = no limit, here and below.
+        /// Least and largest stretch in any direction; 0 and `FREE` = no limit, here and below.
         pub strain_limit: [f32; 2],
         /// Least and largest stretch of the warp.
         pub warp_limit: [f32; 2],

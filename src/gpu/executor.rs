@@ -21,7 +21,7 @@ impl Executor {
         Executor::Cpu(CpuExecutor::new(threads))
     }
 
-    /// A device. `adapter` is a number from [`adapters`]; by default ranks take turns among the best ones, software
+    /// A device. `adapter` is a number from `adapters`; by default ranks take turns among the best ones, software
     /// only where there is nothing else ([`Executor::device_name`] says so).
     pub fn gpu(adapter: Option<usize>, rank: usize) -> Result<Executor, GpuError> {
         Executor::gpu_binding(adapter, rank, u64::MAX)

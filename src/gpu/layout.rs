@@ -15,7 +15,7 @@ pub struct StructLayout {
     pub fields: &'static [(&'static str, usize)],
 }
 
-/// Plain data with the same layout in Rust and WGSL; made by [`gpu_struct!`].
+/// Plain data with the same layout in Rust and WGSL; made by `gpu_struct!`.
 pub trait GpuStruct: Pod {
     /// The layout on the Rust side.
     const LAYOUT: StructLayout;

@@ -17,7 +17,7 @@ pub struct Row {
     pub target: f64,
     /// Weights of the vertices; 0 for those that cannot move.
     pub weights: [f64; 4],
-    /// Vertices of the batch; [`IMMOVABLE`] for those that cannot move.
+    /// Vertices of the batch; `IMMOVABLE` for those that cannot move.
     pub vertices: [u32; 4],
     /// Change of the row's own gap per unit of its multiplier, 1/(unit of mass). It is set larger for rows whose
     /// vertices have hardly any weight, so that one update does not throw them far.

@@ -11,7 +11,7 @@ pub const FAR_M: f64 = 100.0;
 const GRID: f64 = 8.0;
 
 /// The local origin for points in the box from `low` to `high`. A coordinate of it is zero if the box stays within
-/// `far` on that axis. Otherwise it is the multiple of [`GRID`] next to the middle of the box. `far` has the unit of
+/// `far` on that axis. Otherwise it is the multiple of `GRID` next to the middle of the box. `far` has the unit of
 /// the box.
 pub fn local_origin(low: DVec3, high: DVec3, far: f64) -> DVec3 {
     let axis = |low: f64, high: f64| {

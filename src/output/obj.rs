@@ -152,7 +152,7 @@ fn push_index(buffer: &mut Vec<u8>, index: u32) {
     buffer.extend_from_slice(&digits[start..]);
 }
 
-/// Reads a triangle mesh written by [`write`], relative to `origin_m`. Texture coordinates are skipped.
+/// Reads a triangle mesh written by [`write()`], relative to `origin_m`. Texture coordinates are skipped.
 pub fn read(bytes: &[u8], origin_m: DVec3) -> Result<FrameMesh, ReadError> {
     let mut mesh = FrameMesh::default();
     for (number, line) in bytes.split(|b| *b == b'\n').enumerate() {

@@ -56,7 +56,7 @@ pub(super) fn positions_from_bytes(bytes: &[u8]) -> Vec<Vec3> {
 
 const PROPERTIES: &str = "float x,float y,float z;list uchar int vertex_indices";
 
-/// Reads a mesh written by [`write`].
+/// Reads a mesh written by [`write()`].
 pub fn read(bytes: &[u8]) -> Result<FrameMesh, ReadError> {
     const END: &[u8] = b"end_header\n";
     // The header is short. The limit saves time on files of another kind.

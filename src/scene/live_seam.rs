@@ -91,7 +91,7 @@ impl Scene {
     }
 
     /// Adds a seam that joins `pairs`. The threads of all seams begin anew at `start_s`, with the distances at
-    /// `positions`; without positions [`Scene::restart_threads`] must follow.
+    /// `positions`; without positions `Scene::restart_threads` must follow.
     ///
     /// # Errors
     /// A sentence: the seams do not make cloth, or pins hold both sides apart.

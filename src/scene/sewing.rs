@@ -46,7 +46,7 @@ impl Closing {
     }
 
     /// Stiffness of the threads over that of the cloth that they sew: 1 until they have their last length, so that
-    /// panels come together gently, then rising to [`FIRM`] within a quarter of that time, so that the tension of cloth
+    /// panels come together gently, then rising to `FIRM` within a quarter of that time, so that the tension of cloth
     /// that is a little short does not hold a seam open.
     pub fn firmness(&self, time_s: f64) -> f64 {
         1.0 + (FIRM - 1.0) * (4.0 * ((time_s - self.start_s) / self.close_s - 1.0)).clamp(0.0, 1.0)

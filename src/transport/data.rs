@@ -61,7 +61,7 @@ pub trait Transport {
         }
         Ok(())
     }
-    /// Gathers up to [`ALL_GATHER_MAX`] values of every rank: `out[r]` = contribution of rank r (also the own rank). It
+    /// Gathers up to `ALL_GATHER_MAX` values of every rank: `out[r]` = contribution of rank r (also the own rank). It
     /// takes one latency. An all-reduce is built on it (`solver::reduction` adds in a fixed order).
     fn all_gather(&mut self, own: &[f64], out: &mut Vec<Vec<f64>>) -> Result<(), TransportError>;
     /// Calls the run's hook if it is due. Long computations between two waiting calls use it as a sign of life.

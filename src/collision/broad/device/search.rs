@@ -68,7 +68,7 @@ impl DeviceBroad {
     /// have the same answer.
     ///
     /// # Errors
-    /// As [`super::Broad::search`]; a fault of the device.
+    /// As `Broad::search`; a fault of the device.
     pub fn search(
         &mut self,
         (executor, host): (&Executor, &CpuExecutor),
