@@ -187,7 +187,12 @@ fn make(
             let overrides = Overrides { resolution: options.resolution, frames: options.frames };
             let steering = Steering::new(&parsed, &overrides)?;
             let (live, paused, recorded) = (changes.live, changes.paused, changes.recorded.unwrap_or_default());
-            plan.steering = Some(Box::new(Steering { live, paused, recorded, ..steering }));
+            let steering = Steering { live, paused, recorded, ..steering };
+            // What a run has recorded was checked when it was asked for.
+            if places.existing != Existing::Resume {
+                steering.check(&plan.scene).map_err(|what| PlanError::Start(what))?;
+            }
+            plan.steering = Some(Box::new(steering));
         }
         Ok(plan)
     };

@@ -134,6 +134,9 @@ impl RunPlan {
             true => None,
             false => Some(Box::new(Steering::new(parsed, &overrides)?)),
         };
+        if let Some(steering) = &steering {
+            steering.check(&scene).map_err(|what| SceneError::File { path: parsed.path().into(), what })?;
+        }
         Ok(RunPlan { untangled, started, steering, ..RunPlan::of_scene(scene, options)? })
     }
 

@@ -3,9 +3,10 @@
 
 use std::io;
 use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use signal_hook::consts::{
     SIGABRT, SIGBUS, SIGFPE, SIGHUP, SIGILL, SIGINT, SIGKILL, SIGSEGV, SIGTERM, SIGXCPU, SIGXFSZ,
@@ -18,6 +19,14 @@ use super::console::note;
 static WAITED_FOR: AtomicBool = AtomicBool::new(false);
 /// Number of the first signal that requested a stop; 0 = none yet.
 static REQUESTED: AtomicI32 = AtomicI32::new(0);
+
+/// A file that is removed when the second signal ends the process at once.
+static LEFT_BEHIND: Mutex<Option<PathBuf>> = Mutex::new(None);
+
+/// Sets, or with none forgets, the file that is removed when the second signal ends the process at once.
+pub fn remove_at_once(path: Option<&Path>) {
+    *LEFT_BEHIND.lock().unwrap_or_else(PoisonError::into_inner) = path.map(Path::to_path_buf);
+}
 
 /// A signal that requested a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,6 +90,9 @@ pub fn listen() -> io::Result<()> {
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         for number in signals.forever() {
             if REQUESTED.swap(number, Ordering::Relaxed) != 0 {
+                if let Some(path) = &*LEFT_BEHIND.lock().unwrap_or_else(PoisonError::into_inner) {
+                    let _ = std::fs::remove_file(path);
+                }
                 // Workers detect the end of the coordinator and clean up.
                 std::process::exit(StopSignal(number).exit_code().into());
             }

@@ -1,6 +1,6 @@
 //! What changes name of a scene that runs: pins, fabrics and edges, as vertices of its mesh of now.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::parsed::ParsedScene;
 use super::pins::{EDGES, sheet_edge};
@@ -72,6 +72,11 @@ impl ParsedScene {
             pins.push(PinGroup { name: pin.name.clone().unwrap_or_else(|| number.to_string()), vertices });
         }
         Ok(Handles { path: self.path.clone(), fabrics: self.fabrics.clone(), pins, cloths })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Changes of the scene while it runs, in the order of their steps.

@@ -192,6 +192,21 @@ impl Scene {
     }
 }
 
+impl Handles {
+    /// Checks the names of a seam's sides.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn check_seam(&self, seam: &SeamEdit) -> Result<(), String> {
+        match &seam.shape {
+            SeamEditShape::Sides(sides) => sides.iter().try_for_each(|side| side_of(self, side).map(|_| ())),
+            SeamEditShape::Pairs(cloths, _) => {
+                cloths.iter().try_for_each(|cloth| cloth_of(self, cloth.as_deref()).map(|_| ()))
+            }
+        }
+    }
+}
+
 /// The cloth of a side; without a name the only one.
 fn cloth_of<'h>(handles: &'h Handles, name: Option<&str>) -> Result<&'h ClothHandles, String> {
     match (name, &handles.cloths[..]) {

@@ -208,8 +208,12 @@ fn wrong_requests_are_answered_and_change_nothing() {
     place.run("run scene.toml --executor cpu --out plain").expect(0);
     assert_eq!(place.hashes("out"), place.hashes("plain"));
     place.write("bad.toml", "[[change]]\nstep = 3\ndo = \"unpin\"\npin = \"right\"\n");
-    let ended = place.run("run scene.toml --executor cpu --replay bad.toml --out bad").expect(1);
+    let ended = place.run("run scene.toml --executor cpu --replay bad.toml --out refused").expect(2);
     assert!(ended.error().contains("the change `unpin` of step 3 cannot be made: no pin is named `right`"));
+    place.write("scene_bad.toml", format!("{SCENE}[[change]]\nstep = 3\ndo = \"wind\"\nwind_m_s = [0, 1]\n"));
+    let ended = place.run("run scene_bad.toml --executor cpu --out refused").expect(2);
+    let field = "field `change.wind_m_s`: must be an array of 3 numbers";
+    assert!(ended.error().contains("scene_bad.toml, line") && ended.error().contains(field), "{}", ended.story);
     for (flags, word) in [
         ("--live --segments 2", "not a shot that is split"),
         ("--live --format pc2", "--format pc2 holds one mesh"),

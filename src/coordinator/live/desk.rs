@@ -194,7 +194,15 @@ impl Desk {
 impl Inner {
     fn status(&self) -> Value {
         let mut status = accepted(self.step);
-        status["state"] = json!(if self.until.is_some_and(|until| self.step >= until) { "paused" } else { "running" });
+        let stands = self.until.is_some_and(|until| self.step >= until);
+        let state = if self.summary.is_null() {
+            "starting"
+        } else if stands {
+            "paused"
+        } else {
+            "running"
+        };
+        status["state"] = json!(state);
         if let (Value::Object(status), Value::Object(summary)) = (&mut status, &self.summary) {
             status.extend(summary.clone());
             let number = |name: &str| summary.get(name).and_then(Value::as_f64);
@@ -245,6 +253,8 @@ mod tests {
             assert_eq!(desk.answer(Request::Continue), accepted(5));
             let paused = desk.answer(Request::Pause)["step"].as_u64().unwrap();
             std::thread::sleep(Duration::from_millis(5));
+            assert_eq!(desk.answer(Request::Status)["state"], "starting");
+            desk.summarize(json!({}));
             let status = desk.answer(Request::Status);
             assert_eq!((&status["step"], &status["state"]), (&json!(paused), &json!("paused")));
             // Somebody who pauses while another one waits for steps answers both.

@@ -6,7 +6,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use thiserror::Error;
@@ -14,6 +14,7 @@ use thiserror::Error;
 use super::desk::Desk;
 use super::request::{Request, accepted, refused};
 use super::saved::save;
+use crate::os::signals;
 
 /// Name of the socket in a run directory.
 const SOCKET: &str = "live.sock";
@@ -23,6 +24,8 @@ const CLIENTS: usize = 64;
 const LINE: u64 = 4 << 20;
 /// A client that takes no answer for this long is left.
 const PATIENCE: Duration = Duration::from_secs(20);
+/// Longest wait for the last answers when the run has ended.
+const FAREWELL: Duration = Duration::from_millis(300);
 /// Between two looks for a new client.
 const LOOK: Duration = Duration::from_millis(20);
 
@@ -50,6 +53,8 @@ pub struct LiveServer {
     path: PathBuf,
     desk: Arc<Desk>,
     ended: Arc<AtomicBool>,
+    /// Requests that are not answered yet.
+    under_way: Arc<AtomicUsize>,
 }
 
 impl LiveServer {
@@ -72,8 +77,15 @@ impl LiveServer {
         };
         let fault = |source| LiveError::Bind { path: path.clone(), source };
         let listener = bind().map_err(fault)?;
-        let server = LiveServer { path: path.clone(), desk: Arc::clone(&desk), ended: Arc::default() };
-        let (ended, run) = (Arc::clone(&server.ended), run.to_path_buf());
+        signals::remove_at_once(Some(&path));
+        let (ended, under_way) = (Arc::<AtomicBool>::default(), Arc::<AtomicUsize>::default());
+        let server = LiveServer {
+            path: path.clone(),
+            desk: Arc::clone(&desk),
+            ended: ended.clone(),
+            under_way: under_way.clone(),
+        };
+        let run = run.to_path_buf();
         let clients = Arc::new(AtomicUsize::new(0));
         let accept = move || {
             while !ended.load(Ordering::Relaxed) {
@@ -81,7 +93,8 @@ impl LiveServer {
                     std::thread::sleep(LOOK);
                     continue;
                 };
-                let client = Client { desk: Arc::clone(&desk), run: run.clone(), clients: Arc::clone(&clients) };
+                let (desk, under_way) = (Arc::clone(&desk), Arc::clone(&under_way));
+                let client = Client { desk, run: run.clone(), clients: Arc::clone(&clients), under_way };
                 if clients.fetch_add(1, Ordering::Relaxed) >= CLIENTS {
                     continue;
                 }
@@ -100,7 +113,12 @@ impl Drop for LiveServer {
     fn drop(&mut self) {
         self.desk.close();
         self.ended.store(true, Ordering::Relaxed);
+        let begun = Instant::now();
+        while self.under_way.load(Ordering::Relaxed) > 0 && begun.elapsed() < FAREWELL {
+            std::thread::sleep(Duration::from_millis(5));
+        }
         let _ = std::fs::remove_file(&self.path);
+        signals::remove_at_once(None);
     }
 }
 
@@ -109,6 +127,7 @@ struct Client {
     desk: Arc<Desk>,
     run: PathBuf,
     clients: Arc<AtomicUsize>,
+    under_way: Arc<AtomicUsize>,
 }
 
 impl Client {
@@ -133,8 +152,11 @@ impl Client {
             if line.iter().all(u8::is_ascii_whitespace) {
                 continue;
             }
+            self.under_way.fetch_add(1, Ordering::Relaxed);
             let answer = if is_long { refused("a request has at most 4 MiB") } else { self.answer(&line) };
-            out.write_all(format!("{answer}\n").as_bytes())?;
+            let written = out.write_all(format!("{answer}\n").as_bytes());
+            self.under_way.fetch_sub(1, Ordering::Relaxed);
+            written?;
             if is_long {
                 return Ok(());
             }

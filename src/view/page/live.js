@@ -165,7 +165,7 @@ export class Live {
     this.asking = true;
     try {
       const answer = await this.post({ do: "status" });
-      if (!answer.error) this.heard(answer);
+      if (!answer.error && answer.state !== "starting") this.heard(answer);
     } catch (error) {
       // The next question will tell.
     } finally {
