@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
+use super::run_lines::stopped;
 use super::{CliError, answer};
 use crate::gpu::Executor;
 use crate::math::DVec3;
@@ -65,7 +66,6 @@ pub(super) fn make(
 ) -> Result<(), CliError> {
     let differing = differing(planned);
     let mut outcomes = Vec::with_capacity(planned.len());
-    let mut stopped = None;
     for (i, run) in planned.iter().enumerate() {
         let values: Vec<(String, String)> = differing
             .iter()
@@ -82,11 +82,8 @@ pub(super) fn make(
         let seconds: f64 = report.steps.iter().map(|step| step.stage_seconds.total).sum();
         let steps = report.steps.len();
         let seconds_per_step = if steps > 0 { seconds / steps as f64 } else { 0.0 };
-        if signals::stop_requested().is_some() {
-            stopped = error.clone();
-        }
         outcomes.push(Outcome { values, out: run.out.clone(), error, steps, seconds_per_step });
-        if stopped.is_some() {
+        if signals::stop_requested().is_some() {
             break;
         }
     }
@@ -109,10 +106,11 @@ pub(super) fn make(
         let runs: Vec<Value> = outcomes.iter().map(Outcome::json).collect();
         json!({ "runs": runs, "table": csv, "contact_sheet": sheet })
     })?;
-    match stopped {
-        Some(error) => Err(error),
-        None => failures(&outcomes),
+    // Runs that were not begun are no failures, but the sweep is not whole.
+    if outcomes.len() < planned.len() || signals::stop_requested().is_some() {
+        return Err(stopped());
     }
+    failures(&outcomes)
 }
 
 impl Outcome {

@@ -17,6 +17,8 @@ use super::console::note;
 
 /// Whether a stop is what is waited for.
 static WAITED_FOR: AtomicBool = AtomicBool::new(false);
+/// Whether [`listen`] was called.
+static LISTENING: AtomicBool = AtomicBool::new(false);
 /// Number of the first signal that requested a stop; 0 = none yet.
 static REQUESTED: AtomicI32 = AtomicI32::new(0);
 
@@ -82,6 +84,10 @@ pub fn describe_end(status: ExitStatus) -> String {
 /// # Errors
 /// The system does not let the process handle signals.
 pub fn listen() -> io::Result<()> {
+    // A second listener would take the first signal for the second one.
+    if LISTENING.swap(true, Ordering::Relaxed) {
+        return Ok(());
+    }
     let mut heard = vec![SIGINT, SIGTERM];
     if !is_ignored(SIGHUP) {
         heard.push(SIGHUP);

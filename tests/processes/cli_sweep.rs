@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use support::process::{Place, flag};
+use support::process::{Place, Signal, flag, signal};
 
 const OF: &str = "--executor cpu --workers 1 --threads 1";
 
@@ -65,6 +65,23 @@ fn a_run_that_fails_does_not_end_the_sweep() {
         let ended = place.run(&words).expect(2);
         assert!(ended.error().contains(sentence), "{}", ended.story);
     }
+}
+
+#[test]
+fn a_signal_stops_the_run_under_way_and_the_sweep() {
+    let place = Place::new();
+    place.write("flag.toml", flag(256, 3, 2));
+    let lists = "--set simulation.frames=[2,100000,3]";
+    let mut running = place.start(&format!("run flag.toml {OF} {lists} --out sweep"));
+    running.wait_for_frame("sweep/run_002", 2);
+    signal(running.pid(), Signal::INT);
+    let ended = running.wait().expect(130);
+    assert!(ended.stderr.contains("stopping after the current step"), "{}", ended.story);
+    let table = fs::read_to_string(place.path("sweep/sweep.csv")).unwrap();
+    assert!(table.contains("run_001,2,done,6,") && table.contains("run_002,100000,stopped,"), "{table}");
+    assert!(!place.path("sweep/run_003").exists() && place.path("sweep/sweep.png").exists());
+    // What was stopped can go on.
+    place.newest_checkpoint("sweep/run_002");
 }
 
 #[test]
