@@ -87,7 +87,8 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", num_args = 0..=1, default_value_t = 0, default_missing_value = "1",
         value_parser = clap::value_parser!(u32).range(0..=4))]
     pub smooth: u32,
-    /// Pictures that are drawn at a time; each needs about 50 MB and twice the frame [default: one a core]
+    /// Pictures that are drawn at a time; each needs about 60 MB (at 960x720) and twice the frame [default: one a core,
+    /// of large pictures fewer]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub threads: Option<u32>,
     /// What draws: auto = a hardware GPU where there is one, else the processor
@@ -106,6 +107,12 @@ pub struct PictureSize {
     /// Rows.
     pub height: u32,
 }
+
+/// Memory that pictures under way may need together, without their frames, bytes.
+const MEMORY: u64 = 2 << 30;
+/// Bytes of the maps of a picture's lights, and of a sample.
+const LIGHT_BYTES: u64 = 38 << 20;
+const SAMPLE_BYTES: u64 = 8;
 
 /// Valid sides of a picture in pixels. Smaller pictures show nothing, larger ones need gigabytes.
 const SIDES: RangeInclusive<u32> = 16..=8192;
@@ -181,7 +188,7 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
         return Err(CliError::bad_input(format!("--frames names no frame of {place}; {holds} {first}..{last}")));
     }
     let to = destination(&args, &runs, &numbers)?;
-    let threads = args.threads.map_or_else(cores, |threads| threads as usize);
+    let threads = args.threads.map_or_else(|| threads_for(args.size), |threads| threads as usize);
     let camera = args.camera.as_deref().map(CameraFile::read).transpose().map_err(CliError::bad_input)?;
     let names = runs.parts(&args.hide, &args.target, args.color)?;
     let executor = open_executor(args.executor, args.adapter, threads)?;
@@ -244,6 +251,13 @@ pub fn run(args: RenderArgs) -> Result<(), CliError> {
         let (pictures, sheet, movie) = (&made.pictures, &made.sheet, &made.movie);
         json!({ "pictures": pictures, "contact_sheet": sheet, "movie": movie, "frames": numbers, "device": device })
     })
+}
+
+/// As many threads as there are cores, unless the pictures under way would need more than [`MEMORY`].
+fn threads_for(size: PictureSize) -> usize {
+    let samples = 4 * u64::from(size.width) * u64::from(size.height);
+    let picture = LIGHT_BYTES + samples * SAMPLE_BYTES;
+    cores().min((MEMORY / picture).max(1) as usize)
 }
 
 /// Where the pictures go.
