@@ -56,8 +56,8 @@ pub use collision::{ContactParams, Detector};
 pub use coordinator::session::{Next, StepDone, Watch};
 pub use coordinator::solve::{SolveOptions, SolvePlan, solve};
 pub use coordinator::{
-    Launch, RunError, RunOptions, RunPlaces, RunPlan, RunSummary, Session, SessionError, SessionOptions, SessionPlace,
-    run,
+    Launch, PlanError, RunError, RunOptions, RunPlaces, RunPlan, RunSummary, Session, SessionError, SessionOptions,
+    SessionPlace, run,
 };
 pub use gpu::{CpuExecutor, Executor};
 pub use interconnect::{Schedule, ScheduleKind, Topology, plan as plan_schedule};

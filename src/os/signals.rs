@@ -58,6 +58,16 @@ pub fn stop_requested() -> Option<StopSignal> {
     (number != 0).then_some(StopSignal(number))
 }
 
+/// Asks for a stop as SIGINT does, in a program that handles signals itself.
+pub fn request_stop() {
+    REQUESTED.store(SIGINT, Ordering::Relaxed);
+}
+
+/// Forgets that a stop was asked for, so that the next run of this process can begin.
+pub fn forget_stop() {
+    REQUESTED.store(0, Ordering::Relaxed);
+}
+
 /// End of a process, as the end of a sentence, with the usual meaning of a signal.
 pub fn describe_end(status: ExitStatus) -> String {
     let Some(number) = status.signal() else {
