@@ -2,7 +2,7 @@
 //!
 //! The sky is a dome of evenly spread directions above the horizon, the main light a cone of directions. For each of
 //! them a map holds how far up the nearest surface is. A direction reaches a point if nothing in its map lies more
-//! than a texel above it. Gaps smaller than a texel (1/300 of what is lit) therefore cast no shadow. The maps depend
+//! than a texel above it. Gaps smaller than a texel (1/256 of what is lit) therefore cast no shadow. The maps depend
 //! on the triangles only, so every executor and any number of threads draws with the same ones.
 
 use super::content::Content;
