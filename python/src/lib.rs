@@ -1,5 +1,5 @@
 //! What the Python package `loomtree` calls: a simulation in the workers of this process, runs that write a run
-//! directory, their frames, linear systems and schedules. The package in `loomtree/` documents it for its users.
+//! directory, their frames, linear systems and schedules. The package in `package/` documents it for its users.
 
 mod options;
 mod run;

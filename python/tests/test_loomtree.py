@@ -105,7 +105,7 @@ def test_ctrl_c_ends_a_simulation_and_a_run(tmp_path):
     )
     for what in ("step", "run"):
         words = [sys.executable, "-c", program, str(Path(__file__).parent), what, str(tmp_path / what)]
-        ended = subprocess.run(words, capture_output=True, text=True, timeout=60)
+        ended = subprocess.run(words, capture_output=True, text=True, timeout=60, cwd=tmp_path)
         assert ended.stdout == "interrupted\n" and ended.returncode == 0, ended.stderr
     assert loomtree.Run(tmp_path / "run").report["status"] == "stopped"
 
