@@ -1,13 +1,20 @@
 //! `loomtree live`: asks a run that goes on to change something, from the shell.
 
 use std::io::{BufRead, BufReader, Write};
-use std::path::PathBuf;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use clap::{Args, Subcommand};
 use serde_json::{Map, Value, json};
 
 use super::{CliError, print};
-use crate::coordinator::live::connect;
+use crate::coordinator::live::{LiveError, connect};
+use crate::output::{RunDirectory, Status};
+
+/// Time that a run gets to begin, and pause between two looks.
+const STARTING: Duration = Duration::from_secs(5);
+const LOOK: Duration = Duration::from_millis(50);
 
 /// Steer a run that was started with --live: pause, step, wind, gravity, friction, fabrics, pins, seams
 ///
@@ -230,13 +237,36 @@ fn request_of(command: &LiveCommand) -> Result<Option<Value>, CliError> {
     }))
 }
 
+/// Connects to the run in a directory. One that was started a moment ago is waited for: it reads its scene before it
+/// listens, and scripts start it in the background.
+fn connect_soon(run: &Path) -> Result<UnixStream, LiveError> {
+    let begun = Instant::now();
+    loop {
+        match connect(run) {
+            Err(_) if begun.elapsed() < STARTING && !has_ended(run) => std::thread::sleep(LOOK),
+            connected => return connected,
+        }
+    }
+}
+
+/// Whether the report in a run directory says that its run has ended.
+fn has_ended(run: &Path) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Ended {
+        status: Status,
+    }
+    let report = RunDirectory::open(run).ok().and_then(|directory| std::fs::read(directory.report()).ok());
+    let ended: Option<Ended> = report.and_then(|report| serde_json::from_slice(&report).ok());
+    ended.is_some_and(|ended| ended.status != Status::Running)
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// Nobody listens in the run directory, or the run refuses: exit code 2 with its sentence.
 pub fn run(args: LiveArgs) -> Result<(), CliError> {
     let request = request_of(&args.command)?;
-    let mut stream = connect(&args.run).map_err(CliError::bad_input)?;
+    let mut stream = connect_soon(&args.run).map_err(CliError::bad_input)?;
     let lost = |error: std::io::Error| CliError::failed(format!("the connection to the run was lost: {error}"));
     let mut answers = BufReader::new(stream.try_clone().map_err(lost)?);
     let mut ask = |line: &str| -> Result<String, CliError> {

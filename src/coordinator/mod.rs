@@ -131,7 +131,7 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
         stage = stages.locate(checkpoint)?;
         Some(stage.mesh)
     };
-    let (recorder, resumed) = Recorder::open_stages(&first.plan, first.fingerprint, options, places, &mut mesh_of)?;
+    let (mut recorder, resumed) = Recorder::open_stages(&first.plan, first.fingerprint, options, places, &mut mesh_of)?;
     // The scene stays as it is at time 0, because the order of vertices and the pins come from it.
     let (start, first_step) = match &resumed {
         Some(Checkpoint { state, step, .. }) => (Some(state), *step as u32),
@@ -145,6 +145,7 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
             "nothing is left to do: the newest checkpoint is of frame {}, and the run has {} frames (--frames)",
             from.frame, settings.frames
         ));
+        recorder.leave_trace();
     }
     let wants_state = |step: u32| {
         let keep = options.keep_states.is_some_and(|keep| keep.wants(step, settings.steps_per_frame));

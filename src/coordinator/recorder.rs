@@ -242,6 +242,11 @@ impl Recorder {
         stages.and_then(|stages| stages.last()).map_or(first_frame, |stage| stage.first_frame)
     }
 
+    /// Leaves the trace of the start before as it is, for a start that makes no step.
+    pub(super) fn leave_trace(&mut self) {
+        self.options.trace_steps = 0;
+    }
+
     /// Tracks for the ranks of a session.
     fn begin_trace(&mut self, session: usize, ready: &[WorkerReady]) -> Result<(), RecordError> {
         if self.options.trace_steps == 0 {

@@ -301,7 +301,7 @@ fn stages(report: &Report) -> String {
             format!("{:.1} %", 100.0 * seconds / total),
         ]
     }));
-    table("Stages (slowest rank)", &rows)
+    table("Stages (of each the slowest rank)", &rows)
 }
 
 fn memory(report: &Report, limit: Option<u64>) -> String {

@@ -129,6 +129,19 @@ fn changes_are_made_again_with_the_same_bits_on_any_number_of_workers() {
 }
 
 #[test]
+fn a_command_waits_for_a_run_that_begins() {
+    let place = Place::new();
+    place.write("scene.toml", SCENE);
+    let answered = std::thread::scope(|scope| {
+        let asked = scope.spawn(|| place.run("live out stop"));
+        std::thread::sleep(std::time::Duration::from_millis(200));
+        place.run("run scene.toml --executor cpu --live --paused --out out").expect(0);
+        asked.join().expect("an answer")
+    });
+    assert!(answered.expect(0).stdout.contains("\"ok\":true"));
+}
+
+#[test]
 fn a_killed_run_loses_no_change() {
     let place = Place::new();
     place.write("scene.toml", SCENE);

@@ -42,6 +42,10 @@ fn a_finished_run_goes_on_with_more_workers() {
     place.run("run --resume --out out --workers 5 --frames 10").expect(0);
     place.run("run --resume --out out --workers 3 --frames 12").expect(0);
     assert_eq!(place.hashes("out"), straight(&place, 12));
+    let trace = || fs::read(place.path("out/trace.json")).expect("a trace");
+    let before = trace();
+    place.run("run --resume --out out").expect(0).says(&["nothing is left to do"]);
+    assert!(trace() == before, "a start without steps has no trace of its own");
 }
 
 #[test]

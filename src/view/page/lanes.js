@@ -65,7 +65,7 @@ export class Lanes {
     if (!run.links || !traced) {
       this.data = null;
       this.note.textContent = run.linksError || (run.links
-        ? `not traced (traced: ${span(run.links.steps)}; --trace-steps N keeps more): stages of the slowest rank from report.json`
+        ? `not traced (traced: ${span(run.links.steps)}; --trace-steps N keeps more): of each stage the slowest rank, from report.json`
         : "");
       return this.stages(run, step);
     }
