@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 program=target/release/loomtree
 [ -x "$program" ] || cargo build --release
 
-declare -A frame=([dress]=120 [karate]=70 [princess]=100 [skirt]=80 [curtain]=60 [twisting]=110)
+declare -A frame=([dress]=120 [karate]=40 [princess]=100 [skirt]=80 [curtain]=60 [twisting]=110)
 [ "$#" -gt 0 ] || set -- "${!frame[@]}"
 
 mkdir -p docs/pictures
