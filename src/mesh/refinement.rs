@@ -119,6 +119,19 @@ pub(super) fn divide(vertices: usize, triangles: &[[u32; 3]]) -> Divided {
 }
 
 impl TriangleMesh {
+    /// The mesh with its vertices in another order, and the place of every vertex in it. Triangles keep theirs.
+    /// `order`: every vertex once.
+    pub fn reordered(self, order: &[u32]) -> (TriangleMesh, Vec<u32>) {
+        let mut place_of = vec![0u32; order.len()];
+        (0u32..).zip(order).for_each(|(place, &v)| place_of[v as usize] = place);
+        let mesh = TriangleMesh {
+            positions: order.iter().map(|&v| self.positions[v as usize]).collect(),
+            triangles: self.triangles.iter().map(|t| t.map(|v| place_of[v as usize])).collect(),
+            material_uv: self.material_uv,
+        };
+        (mesh, place_of)
+    }
+
     /// The mesh with every triangle divided into four flat ones at the middles of its edges. Its vertices are the first
     /// ones of the result, and triangle t becomes 4 t to 4 t + 3.
     pub fn divided(&self) -> TriangleMesh {

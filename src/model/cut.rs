@@ -36,13 +36,7 @@ impl Cut {
             (0..before).map(cloth_of).chain(cuts.iter().map(|cut| cloth_of(cut.edge[0]))).collect();
         let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
         order.sort_by_key(|&v| cloths_of[v as usize]);
-        let mut place_of = vec![0u32; order.len()];
-        (0u32..).zip(&order).for_each(|(place, &v)| place_of[v as usize] = place);
-        let mesh = TriangleMesh {
-            positions: order.iter().map(|&v| mesh.positions[v as usize]).collect(),
-            triangles: mesh.triangles.iter().map(|t| t.map(|v| place_of[v as usize])).collect(),
-            material_uv: mesh.material_uv,
-        };
+        let (mesh, place_of) = mesh.reordered(&order);
         let range = |range: &std::ops::Range<u32>| first_part[range.start as usize]..first_part[range.end as usize];
         let cloths = scene.cloths.iter().enumerate().map(|(number, cloth)| {
             let first = |cloth: usize| order.partition_point(|&v| cloths_of[v as usize] < cloth) as u32;

@@ -69,13 +69,7 @@ impl Sewn {
         // The vertices of a cloth lie together.
         let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
         order.sort_by_key(|&v| cloth_of[v as usize]);
-        let mut place_of = vec![0u32; order.len()];
-        (0u32..).zip(&order).for_each(|(place, &v)| place_of[v as usize] = place);
-        let mesh = TriangleMesh {
-            positions: order.iter().map(|&v| mesh.positions[v as usize]).collect(),
-            triangles: mesh.triangles.iter().map(|t| t.map(|v| place_of[v as usize])).collect(),
-            material_uv: mesh.material_uv,
-        };
+        let (mesh, place_of) = mesh.reordered(&order);
         pins.iter_mut().for_each(|pin| pin.vertex = place_of[pin.vertex as usize]);
         pins.sort_by(|a, b| a.vertex.cmp(&b.vertex).then(a.start_s.total_cmp(&b.start_s)));
         pins.dedup();
