@@ -197,6 +197,7 @@ pub(super) fn fiber(
 }
 
 /// [`TriangleElement`]'s x_u and x_v of positions or velocities of its corners.
+#[inline(always)]
 pub(super) fn deformation(element: &TriangleElement, x: [Vec3; 3]) -> [Vec3; 2] {
     let (d1, d2) = (x[1] - x[0], x[2] - x[0]);
     let ([u1, u2], [v1, v2]) = (element.weights_u, element.weights_v);

@@ -33,5 +33,5 @@ pub use element::{
     CONTACT_RECORD_FLOATS, CORNERS_HINGE, CORNERS_TRIANGLE, FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams,
     TRIANGLE_RECORD_FLOATS, TriangleElement, hinge_element, triangle_element,
 };
-pub use overstretch::{Overstretch, overstretch};
+pub use overstretch::{Overstretch, largest_overstretch, overstretch};
 pub use stretch_cpu::{stretch_energy, stretch_stiffness};

@@ -21,6 +21,20 @@ impl Overstretch {
     }
 }
 
+/// The largest strain of [`overstretch`]. Nearly all triangles are within limits that are the same in every direction,
+/// and are done after a few products.
+#[inline]
+pub fn largest_overstretch(fabric: &FabricTable, element: &TriangleElement, corners: [Vec3; 3]) -> f32 {
+    if fabric.has_fibers() {
+        let [u, v] = deformation(element, corners);
+        let [least, most] = fabric.strain_limit;
+        if MohrCircle::new(u.dot(u), v.dot(v), u.dot(v)).is_within(least * least, most * most) {
+            return 0.0;
+        }
+    }
+    overstretch(fabric, element, corners).iter().map(|one| one.strain).fold(0.0, f32::max)
+}
+
 /// What is beyond the limits of `fabric` in a triangle with these corners: at most two principal stretches, or warp,
 /// weft and shear.
 pub fn overstretch(fabric: &FabricTable, element: &TriangleElement, corners: [Vec3; 3]) -> [Overstretch; 3] {
@@ -114,6 +128,8 @@ mod tests {
         let element = triangle_element([0, 1, 2], 0, UV);
         let flat = |u: f32, v: f32| UV.map(|p| Vec3::new(u * p.x, v * p.y, 0.0));
         let every = fabric(StrainLimit::Every([0.9, 1.05]));
+        assert_eq!(largest_overstretch(&every, &element, flat(1.04, 0.91)), 0.0);
+        assert!((largest_overstretch(&every, &element, flat(1.08, 0.85)) - 0.05).abs() < 1e-5);
         assert!(overstretch(&every, &element, flat(1.04, 0.91)).iter().all(|one| one.strain == 0.0));
         let found = overstretch(&every, &element, flat(1.08, 0.85));
         assert!((found[0].strain - 0.03).abs() < 1e-5 && (found[1].strain - 0.05).abs() < 1e-5, "{found:?}");

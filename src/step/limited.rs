@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use crate::forces::{FabricTable, Overstretch, TriangleElement, overstretch};
+use crate::forces::{FabricTable, TriangleElement, largest_overstretch, overstretch};
 use crate::gpu::CpuExecutor;
 use crate::math::Vec3;
 use crate::model::RankArrays;
@@ -18,6 +18,39 @@ pub(super) const EXCESS: f32 = 0.001;
 const PART: f32 = 0.4;
 /// Triangles that one thread measures at least.
 const GRAIN: usize = 256;
+
+/// Displacements of the local vertices in a round, meters: zero but for those of `vertices`.
+pub(super) struct Moves {
+    by: Vec<Vec3>,
+    vertices: Vec<u32>,
+}
+
+impl Moves {
+    pub(super) fn none(vertices: usize) -> Moves {
+        Moves { by: vec![Vec3::ZERO; vertices], vertices: Vec::new() }
+    }
+
+    /// Vertices that may have moved, in no order, some more than once.
+    pub(super) fn vertices(&self) -> &[u32] {
+        &self.vertices
+    }
+
+    pub(super) fn of(&self, vertex: usize) -> Vec3 {
+        self.by[vertex]
+    }
+
+    fn clear(&mut self) {
+        self.vertices.drain(..).for_each(|v| self.by[v as usize] = Vec3::ZERO);
+    }
+
+    fn add(&mut self, vertex: u32, by: Vec3) {
+        let sum = &mut self.by[vertex as usize];
+        if *sum == Vec3::ZERO {
+            self.vertices.push(vertex);
+        }
+        *sum += by;
+    }
+}
 
 /// Triangles of a rank whose fabric has strain limits.
 pub(super) struct LimitedTriangles {
@@ -74,14 +107,9 @@ impl LimitedTriangles {
         self.triangles.iter_mut().zip(limited).for_each(|(triangle, element)| *triangle = *element);
     }
 
-    fn beyond(&self, triangle: usize, positions: &[f32]) -> [Overstretch; 3] {
-        let element = &self.triangles[triangle];
-        let at = |v: u32| Vec3::from_slice(&positions[v as usize * 3..][..3]);
-        overstretch(&self.fabrics[element.fabric as usize], element, element.vertices.map(at))
-    }
-
     fn strain(&self, triangle: usize, positions: &[f32]) -> f32 {
-        self.beyond(triangle, positions).iter().map(|one| one.strain).fold(0.0, f32::max)
+        let element = &self.triangles[triangle];
+        largest_overstretch(&self.fabrics[element.fabric as usize], element, corners(element, positions))
     }
 
     /// Measures all triangles at `positions` (xyz of all local vertices), and watches those that may be pulled back,
@@ -129,29 +157,33 @@ impl LimitedTriangles {
         }
     }
 
-    /// Largest strain beyond a limit.
+    /// Strains of the triangles that are watched. All others are within what they would be pulled back to.
+    fn watched_strains(&self) -> impl Iterator<Item = f32> {
+        self.watched.iter().map(|&triangle| self.strains[triangle as usize])
+    }
+
+    /// Largest strain beyond a limit; 0 if no triangle is far enough beyond to be watched.
     pub(super) fn worst(&self) -> f32 {
-        self.strains.iter().copied().fold(0.0, f32::max)
+        self.watched_strains().fold(0.0, f32::max)
     }
 
     /// Largest strain beyond what a triangle is pulled back to.
     pub(super) fn worst_excess(&self) -> f32 {
-        self.strains.iter().zip(&self.targets).map(|(strain, target)| strain - target).fold(0.0, f32::max)
+        let targets = self.watched.iter().map(|&triangle| self.targets[triangle as usize]);
+        self.watched_strains().zip(targets).map(|(strain, target)| strain - target).fold(0.0, f32::max)
     }
 
-    /// Triangles farther beyond than `strain` whose first corner is one of the local vertices `own`, so that ranks
-    /// count each once.
+    /// Triangles farther beyond than `strain`, at least [`PULLED_TO`], whose first corner is one of the local vertices
+    /// `own`, so that ranks count each once.
     pub(super) fn count(&self, strain: f32, own: &Range<usize>) -> u64 {
-        let counted = |&(element, &found): &(&TriangleElement, &f32)| {
-            found > strain && own.contains(&(element.vertices[0] as usize))
-        };
-        self.triangles.iter().zip(&self.strains).filter(counted).count() as u64
+        let is_own = |triangle: &u32| own.contains(&(self.triangles[*triangle as usize].vertices[0] as usize));
+        self.watched.iter().filter(|t| self.strains[**t as usize] > strain && is_own(t)).count() as u64
     }
 
     /// Sets `moves` of the local vertices to what their triangles ask for, in ascending order of the triangles, so that
     /// sums of own vertices are the same on every number of ranks. `inverse_masses`: 1/kg, 0 = a pin holds it.
-    pub(super) fn pull(&mut self, positions: &[f32], inverse_masses: &[f32], moves: &mut [Vec3]) {
-        moves.fill(Vec3::ZERO);
+    pub(super) fn pull(&mut self, positions: &[f32], inverse_masses: &[f32], moves: &mut Moves) {
+        moves.clear();
         self.watched.sort_unstable();
         for &triangle in &self.watched {
             let triangle = triangle as usize;
@@ -162,7 +194,8 @@ impl LimitedTriangles {
             let element = &self.triangles[triangle];
             let weights = element.corner_weights();
             let inverse = element.vertices.map(|v| inverse_masses[v as usize]);
-            for one in self.beyond(triangle, positions).iter().filter(|one| one.strain > target) {
+            let beyond = overstretch(&self.fabrics[element.fabric as usize], element, corners(element, positions));
+            for one in beyond.iter().filter(|one| one.strain > target) {
                 let gradients = weights.map(|weights| one.gradient(weights));
                 let compliance: f32 = gradients.iter().zip(inverse).map(|(g, w)| w * g.length_squared()).sum();
                 if compliance <= 0.0 {
@@ -170,9 +203,15 @@ impl LimitedTriangles {
                 }
                 let impulse = PART * (one.strain - target) / compliance;
                 for ((gradient, w), v) in gradients.iter().zip(inverse).zip(element.vertices) {
-                    moves[v as usize] -= *gradient * (w * impulse);
+                    moves.add(v, *gradient * -(w * impulse));
                 }
             }
         }
     }
+}
+
+fn corners(element: &TriangleElement, positions: &[f32]) -> [Vec3; 3] {
+    let at = |v: u32| Vec3::from_slice(&positions[v as usize * 3..][..3]);
+    let [a, b, c] = element.vertices;
+    [at(a), at(b), at(c)]
 }

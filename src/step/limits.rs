@@ -16,7 +16,7 @@
 use std::ops::Range;
 use std::rc::Rc;
 
-use super::limited::{EXCESS, PULLED_FROM};
+use super::limited::{EXCESS, Moves, PULLED_FROM};
 use super::span::Span;
 use super::stats::{LimitCounts, StageClock, StepStats};
 use super::{Failure, RankCloth};
@@ -138,33 +138,35 @@ impl RankCloth {
         let inverse_masses = self.inverse_masses(rank)?;
         let before = self.state.recorded(rank);
         let mut positions = self.state.positions.host(rank.executor).into_owned();
-        let mut moves = vec![Vec3::ZERO; inverse_masses.len()];
+        let mut moves = Moves::none(inverse_masses.len());
         let (mut step, mut way) = (vec![Vec3::ZERO; own.len()], vec![Vec3::ZERO; own.len()]);
+        // Own vertices that have been pulled, and where all of them are.
+        let (mut pulled, mut is_pulled, mut end) = (Vec::new(), vec![false; own.len()], before.positions.clone());
         for round in 1..=ROUNDS_MOST {
             let Some(limited) = &mut self.limited else { break };
             limited.pull(&positions, &inverse_masses, &mut moves);
-            for (i, (step, way)) in step.iter_mut().zip(&mut way).enumerate() {
-                *step = *step * GOES_ON + moves[own.start + i];
-                *way += *step;
+            for vertex in moves.vertices().iter().map(|&v| v as usize).filter(|v| own.contains(v)) {
+                if !std::mem::replace(&mut is_pulled[vertex - own.start], true) {
+                    pulled.push(vertex - own.start);
+                }
             }
-            let end = before
-                .positions
-                .as_chunks::<DIM>()
-                .0
-                .iter()
-                .zip(&way)
-                .flat_map(|(x, way)| (Vec3::from(*x) + *way).to_array());
-            let end: Vec<f32> = end.collect();
+            for &i in &pulled {
+                step[i] = step[i] * GOES_ON + moves.of(own.start + i);
+                way[i] += step[i];
+                let at = i * DIM..(i + 1) * DIM;
+                (Vec3::from_slice(&before.positions[at.clone()]) + way[i]).write_to_slice(&mut end[at]);
+            }
             self.state.positions.write_range(rank.executor, own.start * DIM, &end);
             self.state.exchange_positions(rank, self.solver.spmv.halo())?;
             let moved = self.state.positions.host(rank.executor);
-            for vertex in 0..inverse_masses.len() {
+            let others = (0..own.start).chain(own.end..inverse_masses.len());
+            for vertex in others.chain(pulled.iter().map(|i| own.start + i)) {
                 let at = vertex * DIM..(vertex + 1) * DIM;
-                if moved[at.clone()] != positions[at] {
+                if moved[at.clone()] != positions[at.clone()] {
+                    positions[at.clone()].copy_from_slice(&moved[at]);
                     limited.watch_around(vertex);
                 }
             }
-            positions.copy_from_slice(&moved);
             limited.measure_watched(&positions);
             stats.limits.rounds += 1;
             if round % ROUNDS_BETWEEN == 0 && self.compare_limits(rank)?.excess <= f64::from(EXCESS) {
