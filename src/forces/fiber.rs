@@ -18,7 +18,8 @@
 //! beyond its limit is (|x_u . x_v| - sin(limit) |x_u| |x_v|) / 2.
 
 use super::element::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TriangleElement};
-use super::fiber_cpu;
+use super::stretch::Stretch;
+use super::stretch_cpu;
 use crate::gpu::{DeviceVec, Executor, GpuStruct, KernelSource};
 
 static FIBER: KernelSource = KernelSource::new::<StepParams>("forces/fiber.wgsl", include_str!("fiber.wgsl"), "fiber")
@@ -40,32 +41,37 @@ pub fn element(triangle: &TriangleElement) -> HingeElement {
     }
 }
 
-/// Fills the records of the fibers of `elements`: those of `records` from `first` on, on a device a multiple of
-/// [`crate::gpu::WINDOW_STEP`]; others may follow.
-#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
+/// Fills the records of `elements`, `triangle_records`, and those of their fibers: those of `records` from `first` on, on a
+/// device a multiple of [`crate::gpu::WINDOW_STEP`]; others may follow. Native code does both in one pass over the
+/// triangles.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shaders' bindings")]
 pub fn apply(
     executor: &Executor,
+    stretch: &Stretch,
     params: &StepParams,
     fabrics: &DeviceVec<FabricTable>,
     elements: &DeviceVec<TriangleElement>,
     positions: &DeviceVec<f32>,
     velocities: &DeviceVec<f32>,
+    triangle_records: &mut DeviceVec<f32>,
     first: usize,
     records: &mut DeviceVec<f32>,
 ) {
     let range = first * HINGE_RECORD_FLOATS..(first + elements.len()) * HINGE_RECORD_FLOATS;
     assert!(range.end <= records.len(), "a record per triangle from the first one on");
     match executor {
-        Executor::Cpu(cpu) => fiber_cpu::fiber(
+        Executor::Cpu(cpu) => stretch_cpu::stretch_and_fibers(
             cpu,
             params,
             fabrics.as_slice(),
             elements.as_slice(),
             positions.as_slice(),
             velocities.as_slice(),
+            triangle_records.as_mut_slice(),
             &mut records.as_mut_slice()[range],
         ),
         Executor::Gpu(gpu) => {
+            stretch.apply(executor, params, fabrics, elements, positions, velocities, triangle_records);
             for window in gpu.windows(elements.len(), HINGE_RECORD_FLOATS * 4) {
                 let (start, count) = (window.start, window.len());
                 let bindings = [

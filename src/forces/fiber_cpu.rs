@@ -1,7 +1,6 @@
 //! CPU twin of `fiber.wgsl` and `limit.wgsl`: what strain limits add to a triangle; `fiber` explains it.
 
-use super::element::{FabricTable, HINGE_RECORD_FLOATS, StepParams, TriangleElement, vertex};
-use crate::gpu::CpuExecutor;
+use super::element::{FabricTable, StepParams, TriangleElement};
 use crate::math::{Vec2, Vec3};
 
 /// Green strain beyond the limit from which on the slope of a fiber's stress does not grow.
@@ -162,38 +161,25 @@ impl MohrCircle {
     }
 }
 
-/// Fills `records` (16 floats per triangle). Bytes per triangle: 48 element + 72 state read, 64 written.
-pub(super) fn fiber(
-    cpu: &CpuExecutor,
+/// Fills the record of a triangle's fiber (16 floats): what `limit` says at the deformation `now` and its rate.
+pub(super) fn fiber_record(
     params: &StepParams,
-    fabrics: &[FabricTable],
-    elements: &[TriangleElement],
-    positions: &[f32],
-    velocities: &[f32],
-    records: &mut [f32],
+    element: &TriangleElement,
+    limit: &Limit,
+    [now, rate]: [[Vec3; 2]; 2],
+    record: &mut [f32],
 ) {
-    cpu.for_ranges_mut(records, HINGE_RECORD_FLOATS, 64, |range, out| {
-        for (element, record) in elements[range].iter().zip(out.chunks_exact_mut(HINGE_RECORD_FLOATS)) {
-            record.fill(0.0);
-            let fabric = &fabrics[element.fabric as usize];
-            if !fabric.has_fibers() {
-                continue;
-            }
-            let x = element.vertices.map(|v| vertex(positions, v));
-            let v = element.vertices.map(|v| vertex(velocities, v));
-            let (now, rate) = (deformation(element, x), deformation(element, v));
-            let Limit { fiber, direction: d, ahead_s, .. } = limit(fabric, now, rate, params.ahead_s);
-            if fiber <= 0.0 {
-                continue;
-            }
-            let f = now[0] * d.x + now[1] * d.y;
-            for ([u, v], g) in element.corner_weights().iter().zip(record.chunks_exact_mut(4)) {
-                (f * (u * d.x + v * d.y)).write_to_slice(&mut g[..3]);
-            }
-            record[3] = params.step_s * params.step_s * fiber * element.area_m2;
-            record[7] = ahead_s * fiber * element.area_m2 * f.dot(rate[0] * d.x + rate[1] * d.y);
-        }
-    });
+    record.fill(0.0);
+    let &Limit { fiber, direction: d, ahead_s, .. } = limit;
+    if fiber <= 0.0 {
+        return;
+    }
+    let f = now[0] * d.x + now[1] * d.y;
+    for ([u, v], g) in element.corner_weights().iter().zip(record.chunks_exact_mut(4)) {
+        (f * (u * d.x + v * d.y)).write_to_slice(&mut g[..3]);
+    }
+    record[3] = params.step_s * params.step_s * fiber * element.area_m2;
+    record[7] = ahead_s * fiber * element.area_m2 * f.dot(rate[0] * d.x + rate[1] * d.y);
 }
 
 /// [`TriangleElement`]'s x_u and x_v of positions or velocities of its corners.

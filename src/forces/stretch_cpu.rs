@@ -4,8 +4,8 @@
 //! that is interpolated in the measured table [Wang et al. 2011]. The stiffness is frozen within a step (its own
 //! derivative is not in the Jacobian).
 
-use super::element::{FabricTable, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement, vertex};
-use super::fiber_cpu::limit;
+use super::element::{FabricTable, HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement, vertex};
+use super::fiber_cpu::{Limit, deformation, fiber_record, limit};
 use crate::gpu::CpuExecutor;
 use crate::math::Vec3;
 
@@ -35,18 +35,10 @@ pub fn stretch_stiffness(fabric: &FabricTable, strain: [f32; 3]) -> [f32; 4] {
 
 /// Strain energy of a triangle with frozen stiffness, joules (for tests and reports).
 pub fn stretch_energy(element: &TriangleElement, stiffness: [f32; 4], positions: [Vec3; 3]) -> f64 {
-    let (xu, xv) = deformation(element, positions);
-    let (xu, xv) = (xu.as_dvec3(), xv.as_dvec3());
+    let [xu, xv] = deformation(element, positions).map(|x| x.as_dvec3());
     let (uu, vv, uv) = (0.5 * (xu.dot(xu) - 1.0), 0.5 * (xv.dot(xv) - 1.0), 0.5 * xu.dot(xv));
     let k = stiffness.map(f64::from);
     0.5 * element.area_m2 as f64 * (k[0] * uu * uu + k[2] * vv * vv + 2.0 * k[1] * uu * vv + k[3] * uv * uv)
-}
-
-#[inline(always)]
-fn deformation(element: &TriangleElement, x: [Vec3; 3]) -> (Vec3, Vec3) {
-    let (d1, d2) = (x[1] - x[0], x[2] - x[0]);
-    let ([u1, u2], [v1, v2]) = (element.weights_u, element.weights_v);
-    (d1 * u1 + d2 * u2, d1 * v1 + d2 * v2)
 }
 
 /// Positive semidefinite part of [[uu, uv], [uv, vv]].
@@ -79,23 +71,66 @@ pub(super) fn stretch(
 ) {
     cpu.for_ranges_mut(records, TRIANGLE_RECORD_FLOATS, 64, |range, out| {
         for (element, record) in elements[range].iter().zip(out.chunks_exact_mut(TRIANGLE_RECORD_FLOATS)) {
-            let x = element.vertices.map(|v| vertex(positions, v));
-            let v = element.vertices.map(|v| vertex(velocities, v));
-            stretch_record(params, &fabrics[element.fabric as usize], element, x, v, record);
+            let (now, rate) = motion(element, positions, velocities);
+            stretch_record(params, &fabrics[element.fabric as usize], element, now, rate, record);
         }
     });
 }
 
+/// As [`stretch`] for cloth with strain limits, and the records of its fibers, `fibers` (16 floats per triangle; layout
+/// in `fiber`): 64 bytes more written per triangle.
+#[expect(clippy::too_many_arguments, reason = "buffers in the order of the shaders' bindings")]
+pub(super) fn stretch_and_fibers(
+    cpu: &CpuExecutor,
+    params: &StepParams,
+    fabrics: &[FabricTable],
+    elements: &[TriangleElement],
+    positions: &[f32],
+    velocities: &[f32],
+    records: &mut [f32],
+    fibers: &mut [f32],
+) {
+    let widths = [TRIANGLE_RECORD_FLOATS, HINGE_RECORD_FLOATS];
+    cpu.for_range_pairs_mut([records, fibers], widths, 64, |range, [records, fibers]| {
+        let records = records.chunks_exact_mut(widths[0]).zip(fibers.chunks_exact_mut(widths[1]));
+        for (element, (record, fiber)) in elements[range].iter().zip(records) {
+            let (now, rate) = motion(element, positions, velocities);
+            let limit = stretch_record(params, &fabrics[element.fabric as usize], element, now, rate, record);
+            fiber_record(params, element, &limit, [now, rate.of_shape], fiber);
+        }
+    });
+}
+
+/// How the corners of a triangle move.
+#[derive(Clone, Copy)]
+struct Rate {
+    /// The rate of its deformation, 1/s.
+    of_shape: [Vec3; 2],
+    /// Sum of the velocities of its corners, m/s.
+    sum: Vec3,
+}
+
+/// Deformation of a triangle and how it moves.
+#[inline(always)]
+fn motion(element: &TriangleElement, positions: &[f32], velocities: &[f32]) -> ([Vec3; 2], Rate) {
+    let [a, b, c] = element.vertices;
+    let v = [vertex(velocities, a), vertex(velocities, b), vertex(velocities, c)];
+    let now = deformation(element, [vertex(positions, a), vertex(positions, b), vertex(positions, c)]);
+    (now, Rate { of_shape: deformation(element, v), sum: v[0] + v[1] + v[2] })
+}
+
+/// Fills the record of a triangle, and returns what strain limits add to it.
+#[inline(always)]
 fn stretch_record(
     params: &StepParams,
     fabric: &FabricTable,
     element: &TriangleElement,
-    x: [Vec3; 3],
-    v: [Vec3; 3],
+    [xu, xv]: [Vec3; 2],
+    rate: Rate,
     record: &mut [f32],
-) {
+) -> Limit {
     let (dt, area) = (params.step_s, element.area_m2);
-    let (xu, xv) = deformation(element, x);
+    let Rate { of_shape: [wu, wv], sum } = rate;
     let (uu, vv, uv) = (0.5 * (xu.dot(xu) - 1.0), 0.5 * (xv.dot(xv) - 1.0), 0.5 * xu.dot(xv));
     let mut stiffness = stretch_stiffness(fabric, [uu, vv, uv]);
     if element.damage > 0.0 {
@@ -105,13 +140,11 @@ fn stretch_record(
     let [warp, cross, weft, shear] = stiffness;
     // Second Piola stress; the shear term of the energy is k/2 (uv)^2 with uv counted once.
     let (mut suu, mut svv, mut suv) = (warp * uu + cross * vv, weft * vv + cross * uu, 0.5 * shear * uv);
-    let (wu, wv) = deformation(element, v);
     // K w of a limit counts as far as its stress is not that of the end of the step, and it has no damping.
-    let (mut limits, mut limits_ahead) = ([0.0; 3], [0.0; 3]);
+    let mut beyond = Limit::default();
     if fabric.is_limited() {
-        let limit = limit(fabric, [xu, xv], [wu, wv], params.ahead_s);
-        (suu, svv, suv) = (suu + limit.stress[0], svv + limit.stress[1], suv + limit.stress[2]);
-        (limits, limits_ahead) = (limit.plain, limit.plain_ahead);
+        beyond = limit(fabric, [xu, xv], [wu, wv], params.ahead_s);
+        (suu, svv, suv) = (suu + beyond.stress[0], svv + beyond.stress[1], suv + beyond.stress[2]);
     }
     let [puu, puv, pvv] = positive_part(suu, suv, svv);
 
@@ -123,8 +156,8 @@ fn stretch_record(
     let rate = params.ahead_s + fabric.damping_s;
     let mut pu = (xu * suu + xv * suv + ku * rate) * area;
     let mut pv = (xu * suv + xv * svv + kv * rate) * area;
-    if limits_ahead != [0.0; 3] {
-        let [warp, weft, quarter] = limits_ahead;
+    if beyond.plain_ahead != [0.0; 3] {
+        let [warp, weft, quarter] = beyond.plain_ahead;
         let shear_rate = quarter * (xv.dot(wu) + xu.dot(wv));
         pu += (xu * (warp * xu.dot(wu)) + xv * shear_rate) * area;
         pv += (xv * (weft * xv.dot(wv)) + xu * shear_rate) * area;
@@ -135,7 +168,7 @@ fn stretch_record(
     let normal = xu.cross(xv);
     let length = normal.length();
     let n = if length > 0.0 { normal / length } else { Vec3::ZERO };
-    let relative = Vec3::from(params.wind) - (v[0] + v[1] + v[2]) * (1.0 / 3.0);
+    let relative = Vec3::from(params.wind) - sum * (1.0 / 3.0);
     let vn = relative.dot(n);
     let tangential = relative - n * vn;
     let air = (n * (params.air_density * vn.abs() * vn) + tangential * params.air_drag) * (area * (1.0 / 3.0));
@@ -143,7 +176,10 @@ fn stretch_record(
     let air_tangent = dt * area * params.air_drag * (1.0 / 9.0);
 
     let h = dt * (dt + fabric.damping_s) * area;
-    let (warp, weft, quarter) = (warp + limits[0], weft + limits[1], quarter + limits[2]);
+    let (warp, weft, quarter) = {
+        let [of_warp, of_weft, of_shear] = beyond.plain;
+        (warp + of_warp, weft + of_weft, quarter + of_shear)
+    };
     record.copy_from_slice(&[
         xu.x,
         xu.y,
@@ -170,4 +206,5 @@ fn stretch_record(
         pv.z,
         air.z,
     ]);
+    beyond
 }

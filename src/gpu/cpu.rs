@@ -11,7 +11,7 @@ pub struct CpuExecutor {
 
 /// A mutable slice that several threads write at disjoint places.
 struct SharedMut<T>(*mut T);
-// SAFETY: only used inside `for_ranges_mut`, which hands every thread a disjoint part.
+// SAFETY: only used inside `for_ranges_mut` and `for_range_pairs_mut`, which hand every thread a disjoint part.
 unsafe impl<T: Send> Send for SharedMut<T> {}
 unsafe impl<T: Send> Sync for SharedMut<T> {}
 
@@ -67,6 +67,31 @@ impl CpuExecutor {
             // SAFETY: `for_ranges` hands out disjoint ranges within 0..items, and items * width = out.len().
             let part = unsafe { std::slice::from_raw_parts_mut(base.0.add(range.start * width), range.len() * width) };
             f(range, part);
+        });
+    }
+
+    /// As [`CpuExecutor::for_ranges_mut`] over two outputs with as many items.
+    pub fn for_range_pairs_mut<T: Send>(
+        &self,
+        [first, second]: [&mut [T]; 2],
+        widths: [usize; 2],
+        grain: usize,
+        f: impl Fn(Range<usize>, [&mut [T]; 2]) + Sync,
+    ) {
+        let items = first.len() / widths[0];
+        assert!(
+            items * widths[0] == first.len() && items * widths[1] == second.len(),
+            "outputs of as many whole items"
+        );
+        let bases = [SharedMut(first.as_mut_ptr()), SharedMut(second.as_mut_ptr())];
+        let bases = &bases;
+        self.for_ranges(items, grain, |range| {
+            let part = |i: usize| {
+                let (start, len) = (range.start * widths[i], range.len() * widths[i]);
+                // SAFETY: `for_ranges` hands out disjoint ranges within 0..items, and both outputs have items * width.
+                unsafe { std::slice::from_raw_parts_mut(bases[i].0.add(start), len) }
+            };
+            f(range.clone(), [part(0), part(1)]);
         });
     }
 }

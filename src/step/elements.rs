@@ -114,16 +114,17 @@ impl Elements {
         };
         let (x, v) = (&state.positions, &state.velocities);
         let (triangles, hinges) = (params(self.triangles.len()), params(self.bends));
-        let (fabrics, records) = (&self.fabrics, &mut self.triangle_records);
-        self.stretch.apply(executor, &triangles, fabrics, &self.triangles, x, v, records);
-        let records = &mut self.hinge_records;
-        self.bend.apply(executor, &hinges, fabrics, &self.hinges, x, v, records);
+        let (fabrics, stretched, bent) = (&self.fabrics, &mut self.triangle_records, &mut self.hinge_records);
         if self.fibers > 0 {
-            fiber::apply(executor, &triangles, fabrics, &self.triangles, x, v, self.first_fiber, records);
+            let (stretch, first) = (&self.stretch, self.first_fiber);
+            fiber::apply(executor, stretch, &triangles, fabrics, &self.triangles, x, v, stretched, first, bent);
+        } else {
+            self.stretch.apply(executor, &triangles, fabrics, &self.triangles, x, v, stretched);
         }
+        self.bend.apply(executor, &hinges, fabrics, &self.hinges, x, v, bent);
         if let (Some(closing), false) = (&self.closing, self.stitches.is_empty()) {
             let params = StitchParams::new(span.length_s as f32, ahead_s as f32, closing, span.end_s);
-            stitch::apply(executor, &params, &self.stitches, x, v, self.first_stitch, records);
+            stitch::apply(executor, &params, &self.stitches, x, v, self.first_stitch, bent);
         }
     }
 

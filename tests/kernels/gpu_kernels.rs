@@ -283,8 +283,9 @@ fn limits(executor: &Executor, part: &RankModel, along: bool) -> (Vec<f32>, Vec<
     let count = triangles.len() as u32;
     let params =
         StepParams { step_s: 0.004, air_density: 1.2, air_drag: 0.1, count, wind: [3.0, -1.0, 2.0], ahead_s: 0.004 };
-    Stretch::new(executor).apply(executor, &params, &fabrics, &triangles, &x, &v, &mut triangle_records);
-    fiber::apply(executor, &params, &fabrics, &triangles, &x, &v, 192, &mut records);
+    let stretch = Stretch::new(executor);
+    let (of_triangles, of_fibers) = (&mut triangle_records, &mut records);
+    fiber::apply(executor, &stretch, &params, &fabrics, &triangles, &x, &v, of_triangles, 192, of_fibers);
     let (triangle_records, mut records) = (triangle_records.read(executor), records.read(executor));
     assert_eq!(executor.take_fault(), None);
     let fibers = records.split_off(192 * HINGE_RECORD_FLOATS);
