@@ -15,6 +15,7 @@ mod let_go_pairs;
 mod limited;
 mod limits;
 mod normal_forces;
+mod over_time;
 mod own_state;
 mod products;
 mod second_solve;
@@ -122,6 +123,8 @@ struct RankCloth {
     matrix: Box<dyn StepMatrix>,
     solver: LinearSolver,
     inertia: Inertia,
+    /// Factor on the friction coefficients of the scene at this time.
+    friction_factor: f32,
     /// Present during a step that is drawn toward a guide.
     guided: Option<Guided>,
     collisions: Option<Collisions>,
@@ -229,6 +232,7 @@ impl RankCloth {
             matrix: Box::new(matrix),
             solver: LinearSolver::new(executor, &partition, plan, exchange.mode, &exchange.queue, schwarz),
             inertia: Inertia::new(executor),
+            friction_factor: 1.0,
             guided: None,
             collisions,
             settings,
@@ -290,7 +294,8 @@ impl RankCloth {
     ) -> Result<Attempt, Failure> {
         let clock = StageClock::start();
 
-        // 1. Pins and obstacles at t1.
+        // 1. Settings, pins and obstacles at t1.
+        self.take_time(rank.executor, span);
         let targets = self.move_pins(rank, span);
         self.aim(rank, span);
         let prescribed = self.starts_prescribed(rank, &targets)?;
@@ -373,7 +378,7 @@ impl RankCloth {
     fn take_contacts(
         &mut self,
         rank: &mut RankContext<'_>,
-        found: RankContacts,
+        mut found: RankContacts,
         stats: &mut StepStats,
     ) -> Result<(), Failure> {
         let clock = StageClock::start();
@@ -382,6 +387,7 @@ impl RankCloth {
         self.state.put_obstacles(rank.executor, rows, &found.obstacle_positions, &found.obstacle_velocities);
         self.solver.vectors.grow(rank.executor, rows);
         let numbering = self.columns.numbering(&found.plan);
+        self.change_friction(&mut found.elements);
         let contacts = &mut self.system.contacts;
         let taken = self.matrix.take_contacts(rank.executor, contacts, &found.elements, &numbering);
         taken.map_err(|error| Failure::in_step(stats.step, error))?;
@@ -419,6 +425,7 @@ impl RankCloth {
             rows: self.rows.len() as u32,
         };
         self.matrix.fill(rank, &params, &self.elements, &mut self.system);
+        self.push(rank, span);
         self.pull_along(rank);
     }
 

@@ -32,8 +32,10 @@ gpu_struct! {
         pub area_m2: f32,
         /// The stiffness is divided by 1 + this; 0 unless a fabric is plastic and weakens.
         pub damage: f32,
+        /// Pressure on the side from which its corners run clockwise over that on the other one, Pa.
+        pub pressure_pa: f32,
         /// Fills the struct to a multiple of 16 bytes.
-        pub padding: [f32; 2],
+        pub padding: f32,
     }
 }
 
@@ -168,6 +170,16 @@ impl FabricTable {
         self.yield_strain > 0.0 || self.yield_curvature > 0.0 && self.weakening > 0.0
     }
 
+    /// The fabric with `factor` times its stiffness against stretching and bending.
+    pub fn stiffened(&self, factor: f32) -> FabricTable {
+        FabricTable {
+            stretching: self.stretching.map(|row| row.map(|k| k * factor)),
+            bending: self.bending.map(|k| k * factor),
+            limit_stiffness: self.limit_stiffness * factor,
+            ..*self
+        }
+    }
+
     /// Factor of the bending stiffness at a plastic curvature above 0.
     pub(super) fn weakened(&self, plastic_curvature: f32) -> f32 {
         self.yield_curvature / (self.yield_curvature + self.weakening * plastic_curvature)
@@ -221,7 +233,8 @@ pub fn triangle_element(vertices: [u32; 3], fabric: u32, uv: [Vec2; 3]) -> Trian
         weights_v: [w1.y as f32, w2.y as f32],
         area_m2: (0.5 * det.abs()) as f32,
         damage: 0.0,
-        padding: [0.0; 2],
+        pressure_pa: 0.0,
+        padding: 0.0,
     }
 }
 

@@ -7,7 +7,8 @@ struct TriangleElement {
     weights_v: vec2<f32>,
     area_m2: f32,
     damage: f32,
-    padding: array<f32, 2>,
+    pressure_pa: f32,
+    padding: f32,
 }
 
 struct HingeElement {

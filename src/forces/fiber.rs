@@ -41,8 +41,8 @@ pub fn element(triangle: &TriangleElement) -> HingeElement {
     }
 }
 
-/// Fills the records of `elements`, `triangle_records`, and those of their fibers: those of `records` from `first` on, on a
-/// device a multiple of [`crate::gpu::WINDOW_STEP`]; others may follow. Native code does both in one pass over the
+/// Fills the records of `elements`, `triangle_records`, and those of their fibers: those of `records` from `first` on,
+/// on a device a multiple of [`crate::gpu::WINDOW_STEP`]; others may follow. Native code does both in one pass over the
 /// triangles.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shaders' bindings")]
 pub fn apply(

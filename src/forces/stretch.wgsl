@@ -123,7 +123,8 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let relative = params.wind - (v0 + v1 + v2) * (1.0 / 3.0);
     let vn = dot(relative, n);
     let tangential = relative - n * vn;
-    let air = (n * (params.air_density * abs(vn) * vn) + tangential * params.air_drag) * (area * (1.0 / 3.0));
+    let air = (n * (params.air_density * abs(vn) * vn) + tangential * params.air_drag) * (area * (1.0 / 3.0))
+        + normal * (element.pressure_pa * area * (1.0 / 3.0));
     let air_normal = dt * area * 2.0 * params.air_density * abs(vn) * (1.0 / 9.0);
     let air_tangent = dt * area * params.air_drag * (1.0 / 9.0);
 

@@ -171,7 +171,10 @@ fn stretch_record(
     let relative = Vec3::from(params.wind) - sum * (1.0 / 3.0);
     let vn = relative.dot(n);
     let tangential = relative - n * vn;
-    let air = (n * (params.air_density * vn.abs() * vn) + tangential * params.air_drag) * (area * (1.0 / 3.0));
+    let mut air = (n * (params.air_density * vn.abs() * vn) + tangential * params.air_drag) * (area * (1.0 / 3.0));
+    if element.pressure_pa != 0.0 {
+        air += normal * (element.pressure_pa * area * (1.0 / 3.0));
+    }
     let air_normal = dt * area * 2.0 * params.air_density * vn.abs() * (1.0 / 9.0);
     let air_tangent = dt * area * params.air_drag * (1.0 / 9.0);
 

@@ -5,6 +5,7 @@
 
 mod adjacency;
 mod border;
+mod closed;
 mod crossings;
 mod file_mesh;
 mod intersect;
@@ -37,6 +38,7 @@ use crate::math::{DVec3, FAR_M, Vec2, Vec3, bounds, local_origin};
 pub use adjacency::{Hinge, hinges, pieces, unique_edges};
 pub(crate) use border::ascending;
 pub use border::{Border, BorderEdge, EdgeCut, Meeting, match_sides};
+pub use closed::closed_parts;
 pub use crossings::{Group, GroupKind, MOST_PAIRS, crossings, first_intersection, triangles_meet};
 pub use file_mesh::{FileMesh, MaterialSource, MeshOptions, extent};
 pub use intersect::edge_crosses_triangle;

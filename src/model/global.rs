@@ -7,7 +7,7 @@ use crate::forces::stitch::StitchElement;
 use crate::forces::{FabricTable, HingeElement, TriangleElement, hinge_element, triangle_element};
 use crate::integrator::pins::RankPin;
 use crate::math::Vec2;
-use crate::mesh::{Hinge, hinges, vertex_order};
+use crate::mesh::{Hinge, closed_parts, hinges, vertex_order};
 use crate::partition::chunk_rows;
 use crate::scene::{Closing, Motion, Obstacles, Scene, Settings};
 
@@ -51,6 +51,21 @@ pub struct GlobalModel {
     pub settings: Settings,
 }
 
+/// Pressure on the side of every triangle from which its corners run clockwise, Pa; empty if there is none. Cloth
+/// with a border, such as panels that are still to be sewn, holds no pressure.
+fn pressures(scene: &Scene) -> Vec<f32> {
+    if scene.cloths.iter().all(|cloth| cloth.pressure_pa == 0.0) {
+        return Vec::new();
+    }
+    let mut pressures = closed_parts(&scene.mesh.triangles, &scene.mesh.positions);
+    for cloth in &scene.cloths {
+        for t in cloth.triangles.clone() {
+            pressures[t as usize] *= cloth.pressure_pa as f32;
+        }
+    }
+    pressures
+}
+
 impl GlobalModel {
     /// Orders the vertices and builds the elements. The scene has passed its checks.
     pub fn new(scene: &Scene) -> GlobalModel {
@@ -66,10 +81,12 @@ impl GlobalModel {
 
         let mut masses = vec![0.0f64; mesh.positions.len()];
         let mut areas = vec![0.0f64; mesh.triangles.len()];
+        let pressures = pressures(scene);
         let mut triangles = Vec::with_capacity(mesh.triangles.len());
         for (t, (corners, uv)) in mesh.triangles.iter().zip(&mesh.material_uv).enumerate() {
             let fabric = scene.fabric_of_triangle[t];
-            let element = triangle_element(corners.map(map), fabric as u32, *uv);
+            let mut element = triangle_element(corners.map(map), fabric as u32, *uv);
+            element.pressure_pa = pressures.get(t).copied().unwrap_or(0.0);
             areas[t] = rest_area(uv);
             for &v in corners {
                 masses[map(v) as usize] += areas[t] * scene.fabrics[fabric as usize].density_kg_m2 / 3.0;
@@ -128,7 +145,7 @@ impl GlobalModel {
             motions: scene.motions.clone(),
             friction: original_from_global.iter().map(|&v| scene.friction_of_vertex(v) as f32).collect(),
             obstacles,
-            stiffness_ratio: stiffness_ratio(scene),
+            stiffness_ratio: stiffness_ratio(scene) * scene.settings.stiffness_factor_most(),
             settings: scene.settings.clone(),
             original_from_global,
         }

@@ -10,7 +10,7 @@ use super::state::creases_of;
 use super::{Crease, LetGo, State};
 use crate::math::{DVec3, Vec3};
 use crate::mesh::{Part, SewnMesh, TriangleMesh, ascending, hinges};
-use crate::scene::{Closing, Cloth, Pin, Scene, Settings, Sewing};
+use crate::scene::{Closing, Cloth, Pin, Scene, Settings, SettingsOverTime, Sewing};
 
 /// The way from a state of panels to one of the sewn cloth.
 pub struct Sewn {
@@ -104,7 +104,11 @@ impl Sewn {
             pins,
             cloths: cloths.collect(),
             parts: scene.parts.iter().map(|part| Part { triangles: range(&part.triangles), ..part.clone() }).collect(),
-            settings: Settings { gravity_m_s2: sewing.gravity_m_s2, ..scene.settings.clone() },
+            settings: Settings {
+                gravity_m_s2: sewing.gravity_m_s2,
+                over_time: SettingsOverTime { gravity_waits: false, ..scene.settings.over_time.clone() },
+                ..scene.settings.clone()
+            },
             sewing: None,
             mesh,
             ..scene.clone()

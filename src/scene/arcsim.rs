@@ -21,7 +21,7 @@ use super::parsed::ParsedScene;
 use super::pins::{PinSource, Selection};
 use super::placement::unplaced_mesh;
 use super::seam_file::SewingSource;
-use super::{Fabric, Motion, Plasticity, SceneError, Settings, StrainLimit, load_fabric};
+use super::{Fabric, Motion, Plasticity, SceneError, Settings, SettingsOverTime, StrainLimit, load_fabric};
 
 use common::{UNMOVED, find, placement};
 use left_out::LeftOut;
@@ -136,6 +136,7 @@ fn cloth(
         shape: Shape::Mesh(mesh),
         fabric,
         friction: None,
+        pressure_pa: 0.0,
     };
     Ok((UnplacedCloth { source, placement, file: Some(path) }, line))
 }
@@ -292,5 +293,6 @@ fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError>
         friction: root.or("friction", 0.6, Json::not_negative)?,
         collisions,
         contact_stiffness: CONTACT_STIFFNESS,
+        over_time: SettingsOverTime::default(),
     })
 }

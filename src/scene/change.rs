@@ -13,7 +13,7 @@ use super::fields::{Fields, Source, Value};
 use crate::math::Vec3;
 
 /// Tables and fields of a scene, or of a record of changes.
-pub(super) const ROOT_FIELDS: [&str; 12] = [
+pub(super) const ROOT_FIELDS: [&str; 13] = [
     "name",
     "resolution",
     "simulation",
@@ -25,6 +25,7 @@ pub(super) const ROOT_FIELDS: [&str; 12] = [
     "sewing",
     "pin",
     "obstacle",
+    "force",
     "change",
 ];
 

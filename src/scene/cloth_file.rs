@@ -107,7 +107,7 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 22] = [
+pub(super) const CLOTH_FIELDS: [&str; 23] = [
     "name",
     "sheet",
     "garment",
@@ -130,6 +130,7 @@ pub(super) const CLOTH_FIELDS: [&str; 22] = [
     "strain_limit",
     "velocity_m_s",
     "friction",
+    "pressure_pa",
 ];
 
 /// Most times that the triangles of a mesh are divided into four.
@@ -246,6 +247,7 @@ pub(super) fn cloth(
         velocity: StartVelocity::Same(fields.or("velocity_m_s", DVec3::ZERO, Value::vector)?.as_vec3()),
         fabric,
         friction: fields.optional("friction", Value::not_negative)?,
+        pressure_pa: fields.or("pressure_pa", 0.0, Value::number)?,
     };
     Ok(UnplacedCloth { source, placement, file: found })
 }

@@ -22,6 +22,8 @@ pub(super) struct ClothSource {
     pub fabric: Fabric,
     /// Friction coefficient of this piece; none = that of the scene.
     pub friction: Option<f64>,
+    /// Pressure inside over that outside, Pa.
+    pub pressure_pa: f64,
 }
 
 /// Geometry of a piece of cloth.

@@ -18,6 +18,7 @@ impl Scene {
             Edit::Wind { wind_m_s, density_kg_m3, drag_kg_m2_s } => {
                 let settings = &mut self.settings;
                 settings.wind_m_s = *wind_m_s;
+                settings.over_time.wind_m_s = None;
                 // A scene without `[air]` has none, so wind alone would do nothing.
                 let is_airless = settings.air_density_kg_m3 == 0.0 && settings.air_drag_kg_m2_s == 0.0;
                 let given = density_kg_m3.or(is_airless.then_some(AIR_DENSITY_KG_M3));
@@ -37,6 +38,7 @@ impl Scene {
     /// Panels that are sewn get their weight at once, too.
     fn set_gravity(&mut self, gravity_m_s2: Vec3) {
         self.settings.gravity_m_s2 = gravity_m_s2;
+        self.settings.over_time.gravity_m_s2 = None;
         if let Some(sewing) = &mut self.sewing {
             sewing.gravity_m_s2 = gravity_m_s2;
         }

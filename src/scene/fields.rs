@@ -298,6 +298,11 @@ impl<'a> Value<'a> {
         self.value.get_ref().is_array()
     }
 
+    /// True for a table.
+    pub(super) fn is_table(&self) -> bool {
+        self.value.get_ref().is_table()
+    }
+
     /// True for a string.
     pub(super) fn is_text(&self) -> bool {
         self.value.get_ref().is_str()

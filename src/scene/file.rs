@@ -62,7 +62,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         )?);
     }
     let (cloths, origin_m) = place_cloths(cloths)?;
-    let settings = settings(&root, &mut warnings)?;
+    let settings = settings(&root, origin_m, &mut warnings)?;
     let mut obstacles = Vec::new();
     let mut from_file = Vec::new();
     for (i, fields) in root.tables("obstacle", &OBSTACLE_FIELDS)?.iter().enumerate() {

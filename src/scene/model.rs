@@ -4,8 +4,10 @@ use crate::math::{DVec3, Vec3};
 use crate::mesh::{Part, TriangleMesh};
 
 use super::fabric::Fabric;
+use super::force_field::ForceField;
 use super::motion::Motion;
 use super::obstacle::Obstacle;
+use super::over_time::OverTime;
 use super::preconditioner::PreconditionerKind;
 use super::sewing::Sewing;
 use super::substeps::Substeps;
@@ -79,6 +81,8 @@ pub struct Cloth {
     pub triangles: std::ops::Range<u32>,
     /// Coulomb friction coefficient for contacts between cloth.
     pub friction: f64,
+    /// Pressure inside over that outside, Pa: acts on what closes a volume.
+    pub pressure_pa: f64,
 }
 
 impl Scene {
@@ -148,4 +152,41 @@ pub struct Settings {
     pub collisions: bool,
     /// Contact stiffness: a multiple of (effective mass of the pair) / step_s^2.
     pub contact_stiffness: f64,
+    /// What changes during the run.
+    pub over_time: SettingsOverTime,
+}
+
+/// Settings that change during a run, and accelerations that depend on the place.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct SettingsOverTime {
+    /// In place of [`Settings::gravity_m_s2`].
+    pub gravity_m_s2: Option<OverTime<Vec3>>,
+    /// True while panels that are sewn have no weight.
+    pub gravity_waits: bool,
+    /// In place of [`Settings::wind_m_s`].
+    pub wind_m_s: Option<OverTime<Vec3>>,
+    /// Factor on all friction coefficients.
+    pub friction_factor: Option<OverTime<f64>>,
+    /// Factor on the stiffness of all fabrics, against stretching and bending.
+    pub stiffness_factor: Option<OverTime<f64>>,
+    /// Force fields; they add up.
+    pub forces: Vec<ForceField>,
+}
+
+impl Settings {
+    /// Gives the settings that change their values at `time_s`.
+    pub fn take_time(&mut self, time_s: f64) {
+        let SettingsOverTime { gravity_m_s2, gravity_waits, wind_m_s, .. } = &self.over_time;
+        if let (Some(gravity), false) = (gravity_m_s2, gravity_waits) {
+            self.gravity_m_s2 = gravity.at(time_s);
+        }
+        if let Some(wind) = wind_m_s {
+            self.wind_m_s = wind.at(time_s);
+        }
+    }
+
+    /// Largest factor on the stiffness of fabrics during the run.
+    pub fn stiffness_factor_most(&self) -> f64 {
+        self.over_time.stiffness_factor.as_ref().map_or(1.0, |factor| factor.values().fold(0.0, f64::max))
+    }
 }

@@ -6,7 +6,7 @@
 use std::path::PathBuf;
 
 use crate::math::{DVec3, Vec3};
-use crate::mesh::{Refinement, SewnMesh, extent};
+use crate::mesh::{Refinement, SewnMesh, closed_parts, extent};
 
 use super::cloth_source::{ClothSource, Shape};
 use super::error::Place;
@@ -188,8 +188,12 @@ impl ParsedScene {
             self.pins_at.error(format!("vertex {vertex} {what}"))
         })?;
         let (sewing, not_sewn) = self.sewing_of(&merged, joints, &pins)?;
+        if sewing.is_none() {
+            self.check_pressures(&merged)?;
+        }
         if sewing.is_some() && !self.sewing.gravity {
             settings.gravity_m_s2 = Vec3::ZERO;
+            settings.over_time.gravity_waits = true;
         }
         // A sheet that starts as a sheet is flat.
         let flat: Vec<bool> = pieces.iter().map(|piece| piece.is_flat() && start.given.is_none()).collect();
@@ -293,6 +297,25 @@ impl ParsedScene {
         let names = joints.names.clone();
         let sewing = Sewing { pairs, names, seam_of_pair, closing, first_m: None, weld_m, refine, gravity_m_s2 };
         Ok((Some(sewing), left_out))
+    }
+
+    /// Pressure needs a closed surface. Panels may close one once they are sewn.
+    fn check_pressures(&self, merged: &Merged) -> Result<(), SceneError> {
+        if merged.cloths.iter().all(|cloth| cloth.pressure_pa == 0.0) {
+            return Ok(());
+        }
+        let outward = closed_parts(&merged.mesh.triangles, &merged.mesh.positions);
+        for cloth in merged.cloths.iter().filter(|cloth| cloth.pressure_pa != 0.0) {
+            let open = cloth.triangles.clone().find(|&t| outward[t as usize] == 0.0);
+            if let Some(triangle) = open {
+                let triangle = triangle - cloth.triangles.start;
+                let what = "has a border; pressure needs a closed surface, or seams that close one";
+                return Err(self
+                    .cloths_at
+                    .error(format!("`pressure_pa`: the part of `{}` with triangle {triangle} {what}", cloth.name)));
+            }
+        }
+        Ok(())
     }
 
     /// Adds a warning for every mesh whose size is implausible: that of a cloth for its thickness, that of an

@@ -230,6 +230,7 @@ pub(super) fn merge(pieces: &[Piece], friction: f64) -> Result<Merged, String> {
             vertices: first as u32..merged.mesh.positions.len() as u32,
             triangles: first_triangle..merged.mesh.triangles.len() as u32,
             friction: source.friction.unwrap_or(friction),
+            pressure_pa: source.pressure_pa,
         });
     }
     Ok(merged)

@@ -1,12 +1,14 @@
 //! `[simulation]` and `[air]` of the TOML scene format.
 
-use crate::math::Vec3;
+use crate::math::{DVec3, Vec3};
 
 use super::fields::{Fields, Value};
+use super::force_file::{FORCE_FIELDS, force};
 use super::model::{CONTACT_STIFFNESS, DEFAULT_THICKNESS_M};
-use super::{PreconditionerKind, SceneError, Settings, Substeps};
+use super::over_time::{OverTime, over_time};
+use super::{PreconditionerKind, SceneError, Settings, SettingsOverTime, Substeps};
 
-pub(super) const SIMULATION_FIELDS: [&str; 13] = [
+pub(super) const SIMULATION_FIELDS: [&str; 15] = [
     "step_s",
     "substeps",
     "frames",
@@ -20,11 +22,13 @@ pub(super) const SIMULATION_FIELDS: [&str; 13] = [
     "friction",
     "collisions",
     "contact_stiffness",
+    "friction_factor",
+    "stiffness_factor",
 ];
 pub(super) const AIR_FIELDS: [&str; 3] = ["wind_m_s", "density_kg_m3", "drag_kg_m2_s"];
 
-/// Reads the settings from the document `root`.
-pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Settings, SceneError> {
+/// Reads the settings from the document `root`; `origin_m`: the scene's local origin.
+pub(super) fn settings(root: &Fields, origin_m: DVec3, warnings: &mut Vec<String>) -> Result<Settings, SceneError> {
     let simulation = root.table("simulation", &SIMULATION_FIELDS)?;
     let (step_s, steps_per_frame) = step(&simulation, warnings)?;
     let vector = |value: &Value| Ok(value.vector()?.as_vec3());
@@ -35,13 +39,25 @@ pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Sett
     // Without `[air]` there is no air, so that free fall has no drag.
     let air = root.table("air", &AIR_FIELDS)?;
     let density = if root.get("air").is_some() { 1.2 } else { 0.0 };
+    let keyed = |value: &Value| over_time(value, vector);
+    let (gravity_m_s2, gravity_keys) = simulation.or("gravity_m_s2", (Vec3::new(0.0, -9.81, 0.0), None), keyed)?;
+    let (wind_m_s, wind_keys) = air.or("wind_m_s", (Vec3::ZERO, None), keyed)?;
+    let forces = root.tables("force", &FORCE_FIELDS)?;
+    let over_time = SettingsOverTime {
+        gravity_m_s2: gravity_keys,
+        gravity_waits: false,
+        wind_m_s: wind_keys,
+        friction_factor: simulation.optional("friction_factor", |value| factor(value, Value::not_negative))?,
+        stiffness_factor: simulation.optional("stiffness_factor", |value| factor(value, Value::positive))?,
+        forces: forces.iter().map(|fields| force(fields, origin_m)).collect::<Result<_, _>>()?,
+    };
     Ok(Settings {
         step_s,
         substeps: simulation.or("substeps", Substeps::Auto, substeps)?,
         steps_per_frame,
         frames: simulation.or("frames", u64::from(FRAMES), |value| value.whole(0..=10_000_000))? as u32,
-        gravity_m_s2: simulation.or("gravity_m_s2", Vec3::new(0.0, -9.81, 0.0), vector)?,
-        wind_m_s: air.or("wind_m_s", Vec3::ZERO, vector)?,
+        gravity_m_s2,
+        wind_m_s,
         air_density_kg_m3: air.or("density_kg_m3", density, Value::not_negative)?,
         air_drag_kg_m2_s: air.or("drag_kg_m2_s", 0.0, Value::not_negative)?,
         relative_tolerance,
@@ -52,7 +68,17 @@ pub(super) fn settings(root: &Fields, warnings: &mut Vec<String>) -> Result<Sett
         friction: simulation.or("friction", 0.3, Value::not_negative)?,
         collisions: simulation.or("collisions", true, Value::boolean)?,
         contact_stiffness: simulation.or("contact_stiffness", CONTACT_STIFFNESS, Value::positive)?,
+        over_time,
     })
+}
+
+/// A factor with or without keys.
+fn factor<'a>(
+    value: &Value<'a>,
+    read: impl Fn(&Value<'a>) -> Result<f64, SceneError>,
+) -> Result<OverTime<f64>, SceneError> {
+    let (factor, keyed) = over_time(value, read)?;
+    keyed.or_else(|| OverTime::new(vec![(0.0, factor)])).ok_or_else(|| value.error("needs a key"))
 }
 
 /// `"auto"` or a number.

@@ -23,6 +23,8 @@ use crate::scene::{Closing, Settings};
 /// Triangles and hinges that touch own rows.
 pub(super) struct Elements {
     fabrics: DeviceVec<FabricTable>,
+    /// Factor on the stiffness of `fabric_tables` that `fabrics` has.
+    stiffened: f32,
     /// Local vertices.
     pub triangles: DeviceVec<TriangleElement>,
     /// Local vertices: the hinges, from `first_fiber` on a fiber per triangle if a fabric has a strain limit, and from
@@ -90,6 +92,7 @@ impl Elements {
             plastic_triangles: DeviceVec::upload(executor, &plastic_triangles),
             stays_stretched: !arrays.stretches.is_empty(),
             fabric_tables: arrays.fabrics.clone(),
+            stiffened: 1.0,
         };
         elements.take_up_plastic(executor);
         elements
@@ -125,6 +128,14 @@ impl Elements {
         if let (Some(closing), false) = (&self.closing, self.stitches.is_empty()) {
             let params = StitchParams::new(span.length_s as f32, ahead_s as f32, closing, span.end_s);
             stitch::apply(executor, &params, &self.stitches, x, v, self.first_stitch, bent);
+        }
+    }
+
+    /// Gives all fabrics `factor` times the stiffness that the scene gives them.
+    pub(super) fn stiffen(&mut self, executor: &Executor, factor: f32) {
+        if std::mem::replace(&mut self.stiffened, factor) != factor {
+            let fabrics: Vec<FabricTable> = self.fabric_tables.iter().map(|fabric| fabric.stiffened(factor)).collect();
+            self.fabrics.write_range(executor, 0, &fabrics);
         }
     }
 

@@ -208,6 +208,7 @@ fn scene() -> Scene {
         friction: 0.3,
         collisions: true,
         contact_stiffness: 8.0,
+        over_time: Default::default(),
     };
     Scene {
         name: "two triangles".to_string(),

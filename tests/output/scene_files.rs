@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use loomtree::math::{Vec2, Vec3};
+use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::validate;
 use loomtree::scene::{Overrides, Scene, StrainLimit, load, parse};
 
@@ -257,6 +257,62 @@ fn strain_limits_are_a_list_or_a_table() {
 }
 
 #[test]
+fn values_over_time_and_forces_arrive() {
+    let scene = read(&format!(
+        "{SHEET}[simulation]\n\
+         gravity_m_s2 = [{{ time_s = 1, value = [0, -2, 0] }}, {{ time_s = 3, value = [4, -2, 0] }}]\n\
+         friction_factor = 0.5\nstiffness_factor = [{{ time_s = 0, value = 1 }}, {{ time_s = 1, value = 3 }}]\n\
+         [[force]]\nkind = \"radial\"\ncenter_m = [1, 2, 3]\nradius_m = 2\nstrength_m_s2 = -4\nend_s = 2\n\
+         [[force]]\nkind = \"vortex\"\naxis = [0, 0, 2]\nstrength_m_s2 = [{{ time_s = 0, value = 5 }}]\n\
+         [[force]]\nkind = \"turbulence\"\nstrength_m_s2 = 6\nscale_m = 0.5\nseed = 3"
+    ))
+    .unwrap();
+    let mut settings = scene.settings;
+    assert_eq!(settings.gravity_m_s2, Vec3::new(0.0, -2.0, 0.0), "the value at the start");
+    settings.take_time(2.0);
+    assert_eq!(settings.gravity_m_s2, Vec3::new(2.0, -2.0, 0.0));
+    assert_eq!(settings.stiffness_factor_most(), 3.0);
+    assert_eq!(settings.over_time.friction_factor.map(|factor| factor.at(7.0)), Some(0.5));
+    let at = |force: usize, point: [f64; 3], time_s: f64| {
+        settings.over_time.forces[force].acceleration_m_s2(DVec3::from(point), time_s)
+    };
+    assert_eq!(at(0, [1.0, 3.0, 3.0], 1.0), DVec3::new(0.0, -2.0, 0.0));
+    assert_eq!(at(0, [1.0, 3.0, 3.0], 2.1), DVec3::ZERO);
+    assert_eq!(at(1, [2.0, 0.0, 9.0], 1.0), DVec3::new(0.0, 5.0, 0.0));
+    assert!(at(2, [0.3, 0.2, 0.1], 1.0) != at(2, [0.3, 0.2, 0.2], 1.0));
+}
+
+#[test]
+fn mistakes_of_values_over_time_forces_and_pressure() {
+    let with = |rest: &str| fault(&format!("{SHEET}{rest}"));
+    assert_eq!(
+        with("[air]\nwind_m_s = [{ time_s = 1, value = [0, 0, 0] }, { time_s = 1, value = [0, 0, 0] }]"),
+        "line 4: field `air.wind_m_s[1].time_s`: must be later than that of the key before"
+    );
+    assert_eq!(
+        with("[simulation]\nstiffness_factor = [{ time_s = 1, value = 0 }]"),
+        "line 4: field `simulation.stiffness_factor.value`: must be a number above 0, not 0"
+    );
+    assert_eq!(
+        with("[[force]]\nkind = \"radial\"\nstrength_m_s2 = 1\nseed = 3"),
+        "line 6: field `force.seed`: does not belong to a force of the kind `radial`"
+    );
+    assert_eq!(
+        with("[[force]]\nkind = \"wind\""),
+        "line 4: field `force.kind`: must be one of radial, vortex, turbulence, not \"wind\""
+    );
+    assert_eq!(
+        with("[[force]]\nkind = \"vortex\"\nstrength_m_s2 = 1\naxis = [0, 0, 0]"),
+        "line 6: field `force.axis`: must have a length above 0"
+    );
+    assert_eq!(
+        with("pressure_pa = 10"),
+        "line 1: field `cloth`: `pressure_pa`: the part of `cloth 0` with triangle 0 has a border; pressure needs a \
+         closed surface, or seams that close one"
+    );
+}
+
+#[test]
 fn mistakes_name_line_and_field() {
     let with = |rest: &str| fault(&format!("{SHEET}{rest}"));
     assert_eq!(fault(""), "field `cloth`: a scene needs at least one `[[cloth]]`");
@@ -265,7 +321,7 @@ fn mistakes_name_line_and_field() {
         with("\ncolour = 1"),
         "line 4: field `cloth.colour`: unknown field; known here: name, sheet, garment, mesh, material, \
          weld_m, subdivide, seams, plane, origin_m, rotate_deg, scale, fabric, thicken, damping_s, yield_curvature, \
-         yield_strain, hardening, weakening, strain_limit, velocity_m_s, friction"
+         yield_strain, hardening, weakening, strain_limit, velocity_m_s, friction, pressure_pa"
     );
     assert_eq!(
         with("fabric = \"coton\""),

@@ -4,7 +4,7 @@
 use loomtree::forces::STICK_SPEED_M_S;
 use loomtree::math::Vec3;
 use loomtree::mesh::shapes;
-use loomtree::scene::{Pin, Scene};
+use loomtree::scene::{OverTime, Pin, Scene};
 use support::contact::{contact_scene, obstacle, together};
 use support::physics::{DOWN, GRAVITY_M_S2, OneRank};
 use support::sheet;
@@ -128,6 +128,20 @@ fn a_sheet_holds_below_the_angle_of_friction_and_slides_above() {
         [-5.0, -1.0, -0.5].into_iter().for_each(|off| assert_holds(angle + off, mu));
         [0.5, 1.0, 5.0, 10.0].into_iter().for_each(|off| assert_slides(angle + off, mu));
     }
+}
+
+/// A sheet that friction holds, until a factor on all friction takes it away at 0.2 s.
+#[test]
+fn a_factor_on_friction_lets_a_sheet_go() {
+    let (angle, mu) = (20.0, 0.6);
+    let mut scene = incline(angle, mu, 4, 0.0, [1, 1]);
+    scene.settings.over_time.friction_factor = OverTime::new(vec![(0.2, 1.0), (0.2001, 0.0)]);
+    let mut slide = Slide::new(&scene, angle);
+    slide.steps(50);
+    assert!(slide.speed().abs() < 1e-3, "{} m/s while it is held", slide.speed());
+    slide.steps(50);
+    let expected = 0.2 * acceleration(angle, 0.0);
+    assert!((slide.speed() / expected - 1.0).abs() < 0.005, "{} m/s for {expected}", slide.speed());
 }
 
 /// The table of third-party data: angles around the limit for several coefficients, and whether the body holds.

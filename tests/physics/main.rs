@@ -11,6 +11,7 @@ mod creases;
 mod follow;
 mod limits;
 mod motion;
+mod over_time;
 mod overlaps;
 mod pins;
 mod plates;

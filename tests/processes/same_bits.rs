@@ -144,3 +144,58 @@ fn workers_with_a_device_each_give_the_bits_of_one() {
         assert_eq!(run(workers), one, "{workers} workers");
     }
 }
+
+/// Values over time, force fields and a ball under pressure that falls on the sheet.
+#[test]
+fn values_over_time_forces_and_pressure_have_the_bits_of_one_worker_and_of_a_resumed_run() {
+    let place = Place::new();
+    let ball = loomtree::mesh::shapes::sphere(0.15, 4);
+    let vertices = ball.positions.iter().map(|x| format!("v {} {} {}\n", x.x, x.y + 0.2, x.z));
+    let faces = ball.triangles.iter().map(|t| format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+    place.write("ball.obj", vertices.chain(faces).collect::<String>());
+    place.write(
+        "scene.toml",
+        r#"
+        name = "over time"
+        [simulation]
+        frames = 6
+        steps_per_frame = 8
+        friction_factor = [{ time_s = 0, value = 1 }, { time_s = 0.15, value = 0.2 }]
+        stiffness_factor = [{ time_s = 0.05, value = 1 }, { time_s = 0.1, value = 2.5 }]
+        gravity_m_s2 = [{ time_s = 0, value = [0, -9.81, 0] }, { time_s = 0.2, value = [3, -6, 0] }]
+        [air]
+        wind_m_s = [{ time_s = 0, value = [0, 0, 0] }, { time_s = 0.1, value = [6, 0, 2] }]
+        [[cloth]]
+        sheet = { size_m = [0.8, 0.8], triangles = 500 }
+        plane = "xz"
+        origin_m = [-0.4, 0, -0.4]
+        [[cloth]]
+        mesh = "ball.obj"
+        pressure_pa = 60
+        [[pin]]
+        cloth = 0
+        corners = ["top-left", "bottom-right"]
+        [[force]]
+        kind = "turbulence"
+        strength_m_s2 = 8
+        scale_m = 0.2
+        change_s = 0.1
+        [[force]]
+        kind = "vortex"
+        strength_m_s2 = 5
+        radius_m = 0.6
+        "#,
+    );
+    let run = |out: &str, flags: &str| {
+        place.run(&format!("run scene.toml --executor cpu --out {out} {flags}")).expect(0);
+        place.hashes(out)
+    };
+    let one = run("one", "--workers 1");
+    assert_eq!(one.len(), 7);
+    for workers in [2, 3, 5] {
+        assert_eq!(run(&format!("many{workers}"), &format!("--workers {workers}")), one, "{workers} workers");
+    }
+    run("half", "--workers 2 --frames 3");
+    place.run("run --resume --out half --frames 6 --workers 3").expect(0);
+    assert_eq!(place.hashes("half"), one, "resumed");
+}

@@ -97,6 +97,7 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
             friction: 0.0,
             collisions: false,
             contact_stiffness: 8.0,
+            over_time: Default::default(),
         },
         parts: Vec::new(),
         sewing: None,
