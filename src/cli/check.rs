@@ -13,7 +13,8 @@ use crate::mesh::{
 use crate::model::Sewn;
 use crate::os::console::is_json;
 use crate::scene::{
-    DEFAULT_THICKNESS_M, Movement, Overrides, Scene, load, load_fabric, load_untangled, read_body, size_warning,
+    DEFAULT_THICKNESS_M, Movement, MovingMeshes, Overrides, Scene, load, load_fabric, load_untangled, read_body,
+    read_moving_meshes, size_warning,
 };
 
 use super::far::far_line;
@@ -23,7 +24,8 @@ use super::{CliError, answer_to, print_to};
 /// Arguments of `loomtree check`.
 #[derive(Debug, clap::Args)]
 pub struct CheckArgs {
-    /// A scene (.toml, ARCSim's .json), a fabric (.json), a mesh (.obj, .ply) or a body (.glb, .gltf).
+    /// A scene (.toml, ARCSim's .json), a fabric (.json), a mesh (.obj, .ply) or a body (.glb, .gltf, .usda, .usdc,
+    /// .abc).
     pub file: PathBuf,
     /// Triangles of all sheets together (for example 30000, 500K or 1.2M)
     #[arg(long, value_name = "TRIANGLES", value_parser = super::count)]
@@ -76,7 +78,7 @@ fn verdict(args: &CheckArgs, summary: &str) -> Value {
 fn summary(args: &CheckArgs) -> Result<String, CliError> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let is_scene = match extension.as_str() {
-        "obj" | "ply" | "gz" | "glb" | "gltf" => false,
+        "obj" | "ply" | "gz" | "glb" | "gltf" | "usd" | "usda" | "usdc" | "usdz" | "abc" => false,
         "json" => !is_fabric(&args.file),
         _ => true,
     };
@@ -87,13 +89,15 @@ fn summary(args: &CheckArgs) -> Result<String, CliError> {
     if !is_scene && args.resolution.is_some() {
         return Err(CliError::bad_input("--resolution is for the sheets of a scene"));
     }
-    let is_body = matches!(extension.as_str(), "glb" | "gltf");
+    let is_moving = matches!(extension.as_str(), "usd" | "usda" | "usdc" | "usdz" | "abc");
+    let is_body = is_moving || matches!(extension.as_str(), "glb" | "gltf");
     if args.obstacle && (!(is_mesh || is_body) || args.write_crossings.is_some()) {
-        return Err(CliError::bad_input("--obstacle is for a mesh (.obj, .ply, .glb, .gltf), which may cross itself"));
+        return Err(CliError::bad_input("--obstacle is for a mesh (.obj, .ply) or a body, which may cross itself"));
     }
     let summary = match extension.as_str() {
         _ if is_mesh && args.obstacle => obstacle_summary(&args.file)?,
         "glb" | "gltf" => body_summary(&args.file)?,
+        _ if is_moving => moving_summary(&args.file)?,
         _ if is_mesh => mesh_summary(&args.file, args.write_crossings.as_deref())?,
         "json" if !is_scene => {
             let fabric = load_fabric(&args.file).map_err(CliError::bad_input)?;
@@ -206,6 +210,24 @@ fn body_summary(path: &Path) -> Result<String, CliError> {
         if !list.is_empty() {
             text += &format!("  {title:<10}  {list}\n");
         }
+    }
+    Ok(text)
+}
+
+fn moving_summary(path: &Path) -> Result<String, CliError> {
+    let MovingMeshes { vertices, triangles, meshes, joints, samples, times_s, units } =
+        read_moving_meshes(path).map_err(CliError::bad_input)?;
+    let mut text = format!("body {}: valid\n  vertices    {vertices}\n  triangles   {triangles}\n", path.display());
+    text += &format!("  nodes       {}\n", meshes.join(", "));
+    if joints > 0 {
+        text += &format!("  joints      {joints}\n");
+    }
+    text += &match samples {
+        0 | 1 => "  samples     none: it stands still\n".to_owned(),
+        _ => format!("  samples     {samples}, from {} to {} s\n", times_s[0] as f32, times_s[1] as f32),
+    };
+    if let Some((unit_m, z_up)) = units {
+        text += &format!("  unit        {unit_m} m, {} up\n", if z_up { "z" } else { "y" });
     }
     Ok(text)
 }

@@ -22,7 +22,7 @@ pub struct NewSceneArgs {
     /// Meshes of cloth (.obj, .ply), a piece each
     #[arg(required = true, value_name = "MESH")]
     pub meshes: Vec<PathBuf>,
-    /// A mesh or a body (.obj, .ply, .glb, .gltf) that the cloth meets
+    /// A mesh or a body (.obj, .ply, .glb, .gltf, .usda, .usdc, .abc) that the cloth meets
     #[arg(long, value_name = "FILE")]
     pub obstacle: Vec<PathBuf>,
     /// The scene [default: the name of the first mesh, with .toml]
@@ -102,7 +102,8 @@ struct Piece {
     positions: Vec<Vec3>,
     /// Of cloth; it knows the numbers of the file's vertices.
     mesh: Option<FileMesh>,
-    is_gltf: bool,
+    /// The field of a body that has its own unit and up axis; none for a mesh.
+    body: Option<&'static str>,
 }
 
 /// Runs the command.
@@ -186,18 +187,23 @@ fn cloth(path: &Path, names: &mut Vec<String>) -> Result<Piece, CliError> {
         CliError::bad_input(sentence)
     })?;
     let positions = file.mesh.positions.clone();
-    Ok(Piece { name: name_of(path, names), path: path.to_path_buf(), positions, mesh: Some(file), is_gltf: false })
+    Ok(Piece { name: name_of(path, names), path: path.to_path_buf(), positions, mesh: Some(file), body: None })
 }
 
 fn obstacle(path: &Path, names: &mut Vec<String>) -> Result<Piece, CliError> {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    let is_gltf = matches!(&extension[..], "glb" | "gltf");
     // A body has the meters and the up axis of its format.
-    let positions = match is_gltf {
-        true => Vec::new(),
-        false => read_obstacle(path, 1.0).map_err(CliError::bad_input)?.0.positions,
+    let body = match &extension[..] {
+        "glb" | "gltf" => Some("gltf"),
+        "usd" | "usda" | "usdc" | "usdz" => Some("usd"),
+        "abc" => Some("abc"),
+        _ => None,
     };
-    Ok(Piece { name: name_of(path, names), path: path.to_path_buf(), positions, mesh: None, is_gltf })
+    let positions = match body {
+        Some(_) => Vec::new(),
+        None => read_obstacle(path, 1.0).map_err(CliError::bad_input)?.0.positions,
+    };
+    Ok(Piece { name: name_of(path, names), path: path.to_path_buf(), positions, mesh: None, body })
 }
 
 /// Lowest and highest corner of all pieces.
@@ -295,9 +301,9 @@ friction = 0.3
     }
     for piece in obstacles {
         let (name, path) = (text_value(&piece.name), from_scene(&piece.path, out));
-        let form = if piece.is_gltf { "gltf" } else { "mesh" };
+        let form = piece.body.unwrap_or("mesh");
         let _ = write!(text, "\n[[obstacle]]\nname = {name}\n{form} = {path}\n");
-        if !piece.is_gltf {
+        if piece.body.is_none() {
             if unit != Unit::M {
                 let _ = writeln!(text, "units_m = {} # meters per unit of the file", unit.meters());
             }

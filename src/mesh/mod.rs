@@ -51,6 +51,7 @@ pub use order::{locality_order, middle, vertex_order};
 pub use panel::{PanelMesh, panel_mesh};
 pub use ply::parse_ply;
 pub(crate) use ply::parse_ply_far;
+pub(crate) use polygon::triangles_of_faces;
 pub use refinement::{Refinement, coarser};
 pub use sewn::{SewnFault, SewnMesh};
 pub use untangle::{Tangle, Untangled};

@@ -75,6 +75,32 @@ impl Faces {
     }
 }
 
+/// The triangles of faces that are given by their numbers of corners and by the vertices of the corners, one face after
+/// the other.
+///
+/// # Errors
+/// A face has too few corners, crosses itself or names a vertex that is not there; half a sentence.
+pub(crate) fn triangles_of_faces(
+    counts: &[usize],
+    corners: Vec<u32>,
+    positions: &[Vec3],
+) -> Result<Vec<[u32; 3]>, String> {
+    if let Some(face) = counts.iter().position(|&count| count < 3) {
+        return Err(format!("face {}: {} corners, where there must be 3 or more", face + 1, counts[face]));
+    }
+    if counts.iter().fold(0usize, |sum, &count| sum.saturating_add(count)) != corners.len() {
+        return Err(format!("its faces need another number of corners than the {} that there are", corners.len()));
+    }
+    let mut faces = Faces::default();
+    let mut corners = corners.into_iter();
+    for &count in counts {
+        faces.corners.extend(corners.by_ref().take(count));
+        faces.close(0)?;
+    }
+    let cut = faces.cut(positions).map_err(|fault| fault.what)?;
+    Ok(cut.triangles.iter().map(|triangle| triangle.map(|corner| faces.corners[corner as usize])).collect())
+}
+
 /// Cuts one polygon into `points.len() - 2` triangles of its corners, all wound like the polygon.
 fn cut_polygon(points: &[DVec3], pieces: &mut Vec<[usize; 3]>) -> Result<(), &'static str> {
     let corners = points.len();

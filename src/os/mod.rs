@@ -3,4 +3,5 @@
 pub mod clock;
 pub mod console;
 pub mod limits;
+pub mod panics;
 pub mod signals;

@@ -1,6 +1,7 @@
 //! Reads a scene file into a validated [`Scene`]: meshes, fabrics, pins, obstacles, wind and solver settings. It holds
 //! no simulation state.
 
+mod alembic;
 mod arcsim;
 mod body_file;
 mod cache;
@@ -39,6 +40,7 @@ mod playback;
 mod preconditioner;
 mod rig;
 mod rig_track;
+mod sampled;
 mod schema;
 mod seam;
 mod seam_fault;
@@ -52,9 +54,11 @@ mod sheet;
 mod start;
 mod substeps;
 mod time_table;
+mod usd;
 
 use std::path::Path;
 
+pub use body_file::{MovingMeshes, read_moving_meshes};
 pub use cache::Cache;
 pub use change::{Change, Edit, FabricEdit, Of, SeamEdit, SeamEditShape, SideEdit, changes_text, read_changes};
 pub use crossings::{BestState, Crossings, Doubled, Untangling};

@@ -5,16 +5,18 @@ use std::path::{Path, PathBuf};
 use crate::math::{DQuat, DVec3, FAR_M, local_origin};
 use crate::mesh::{Surface, check_obstacle, read_obstacle, shapes};
 
-use super::body_file::{Body, cached, check_fields, gltf, point_cache, sequence_playback, units};
+use super::alembic::read_alembic;
+use super::body_file::{Body, cached, check_fields, file_body, gltf, point_cache, sequence_playback, units};
 use super::cloth_file::Remarks;
 use super::fields::{Fields, Value};
 use super::files::find;
 use super::keyframes::{motion, stays_finite};
 use super::placement::Placement;
-use super::sequence::{Pattern, read_frames};
+use super::sequence::{MOST_VALUES, Pattern, read_frames};
+use super::usd::{UsdKind, read_usd};
 use super::{Cache, Movement, Obstacle, SceneError};
 
-pub(super) const OBSTACLE_FIELDS: [&str; 28] = [
+pub(super) const OBSTACLE_FIELDS: [&str; 30] = [
     "name",
     "sphere",
     "plane",
@@ -26,6 +28,8 @@ pub(super) const OBSTACLE_FIELDS: [&str; 28] = [
     "frames_per_s",
     "first",
     "gltf",
+    "usd",
+    "abc",
     "body",
     "triangles",
     "pc2",
@@ -46,10 +50,10 @@ pub(super) const OBSTACLE_FIELDS: [&str; 28] = [
 ];
 
 /// Fields that give the geometry; an obstacle has exactly one of them.
-const FORMS: [&str; 11] =
-    ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence", "gltf", "body", "pc2", "mdd"];
+const FORMS: [&str; 13] =
+    ["sphere", "plane", "box", "plate", "funnel", "mesh", "sequence", "gltf", "usd", "abc", "body", "pc2", "mdd"];
 /// Those whose geometry is in files.
-const FILES: [&str; 5] = ["mesh", "sequence", "gltf", "pc2", "mdd"];
+const FILES: [&str; 7] = ["mesh", "sequence", "gltf", "usd", "abc", "pc2", "mdd"];
 /// Triangles of a shape if the scene does not give a number.
 const DEFAULT_TRIANGLES: u64 = 3_000;
 /// Valid numbers of triangles of a shape.
@@ -81,7 +85,25 @@ pub(super) fn obstacle(
     }
     check_fields(fields, form)?;
     let rotation = fields.or("rotate_deg", DQuat::IDENTITY, Value::rotation)?;
-    let (unit_m, up) = units(fields)?;
+    let mut read = None;
+    let mut own = (1.0, DQuat::IDENTITY);
+    if matches!(form, "usd" | "abc") {
+        let found = find(path, value.text()?).map_err(|what| value.error(what))?;
+        let node = fields.optional("node", Value::text)?;
+        let kind = if form == "usd" {
+            let stage = read_usd(&found, node, MOST_VALUES / 3)?;
+            own = (stage.unit_m, stage.up);
+            if !stage.says_unit && fields.get("units_m").is_none() {
+                let what = "does not say its unit, which is the centimeter then; `units_m` changes it";
+                remarks.warnings.push(format!("{} {what}", found.display()));
+            }
+            stage.kind
+        } else {
+            UsdKind::Sampled(read_alembic(&found, node, MOST_VALUES / 3)?)
+        };
+        read = Some((kind, found));
+    }
+    let (unit_m, up) = units(fields, own)?;
     let placement = |center: DVec3| -> Result<Placement, SceneError> {
         let scale = fields.or("scale", 1.0, Value::positive)? * unit_m;
         Ok(Placement { translation_m: center, rotation: rotation * up, scale })
@@ -133,9 +155,14 @@ pub(super) fn obstacle(
             settle(&placement, &mut surface);
             surface
         }
-        "gltf" | "body" => {
+        "gltf" | "body" | "usd" | "abc" => {
             let placement = placement(fields.or("origin_m", DVec3::ZERO, Value::vector)?)?;
-            match gltf(fields, &value, &name, path, &placement.about(origin_m), remarks)? {
+            let local = placement.about(origin_m);
+            let body = match read {
+                Some((kind, file)) => file_body(fields, &value, kind, &file, &name, &local, remarks)?,
+                None => gltf(fields, &value, &name, path, &local, remarks)?,
+            };
+            match body {
                 Body::AtRest(mut surface) => {
                     settle(&placement, &mut surface);
                     surface

@@ -45,6 +45,108 @@ fn caches_have_the_positions_of_their_samples_bit_by_bit() {
     }
 }
 
+/// Largest difference of a coordinate.
+fn off(got: &[f32], truth: &[f64]) -> f64 {
+    assert_eq!(got.len(), truth.len());
+    got.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max)
+}
+
+/// Files of USD's and Alembic's own writers and of Blender's.
+#[test]
+fn stages_and_archives_have_the_positions_of_their_samples() {
+    let Some(folder) = test_data("garments/caches") else { return };
+    let truth = read_npz(&folder.join("truth.npz"));
+    let manifest = std::fs::read_to_string(folder.join("manifest.json")).unwrap();
+    let manifest: serde_json::Value = serde_json::from_str(&manifest).unwrap();
+    let mut read_files = 0;
+    for case in manifest["cases"].as_array().unwrap().iter().filter(|case| case["expect"] == "read") {
+        let file = case["file"].as_str().unwrap();
+        let form = match file.rsplit('.').next() {
+            Some("usda" | "usdc") => "usd",
+            Some("abc") => "abc",
+            _ => continue,
+        };
+        let scene = read(&folder, &format!("{form} = \"{file}\"")).unwrap();
+        assert!(Obstacles::new(&scene.obstacles).moving());
+        let key = case["truth"].as_str().unwrap();
+        let samples = &truth[&format!("{key}_positions")];
+        for (i, &time_s) in truth[&format!("{key}_times")].values.iter().enumerate() {
+            let got = positions(&scene, time_s);
+            match case["tolerance_m"].as_f64() {
+                Some(tolerance) => assert!(off(&got, samples.entry(i)) <= tolerance, "{file} at {time_s} s"),
+                None => {
+                    let expected: Vec<f32> = samples.entry(i).iter().map(|&x| x as f32).collect();
+                    assert_eq!(got, expected, "{file} at {time_s} s: equal bits");
+                }
+            }
+        }
+        for (i, &time_s) in truth["wave_mid_times"].values.iter().enumerate() {
+            assert!(
+                off(&positions(&scene, time_s), truth["wave_mid_positions"].entry(i)) < 1e-6,
+                "{file} at {time_s} s"
+            );
+        }
+        // Two triangles of every quad, wound as the faces are.
+        let faces = truth["face_counts"].values.iter().map(|&n| n as usize - 2).sum::<usize>();
+        assert_eq!(scene.obstacles[0].triangles.len(), faces, "{file}");
+        let first: [f64; 3] = truth["face_indices"].values[..3].try_into().unwrap();
+        let mut corners = scene.obstacles[0].triangles[0];
+        let lowest = (0..3).min_by_key(|&i| corners[i]).unwrap();
+        corners.rotate_left(lowest);
+        assert_eq!(corners, first.map(|v| v as u32), "{file}: counter-clockwise");
+        read_files += 1;
+    }
+    assert!(read_files >= 5);
+}
+
+#[test]
+fn the_walk_as_stage_archive_and_skeleton() {
+    let Some(folder) = test_data("garments/human") else { return };
+    let truth = read_npz(&folder.join("human_truth.npz"));
+    for (obstacle, per_s, tolerance) in [
+        ("usd = \"human_walk_points.usdc\"", 5.0, 1.2e-7),
+        ("abc = \"human_walk.abc\"", 5.0, 1.2e-7),
+        // Joints are interpolated, so all times count.
+        ("usd = \"human_walk_skel.usda\"", 0.0, 1e-5),
+    ] {
+        let scene = read(&folder, obstacle).unwrap();
+        assert_eq!(scene.obstacles[0].triangles, truth["triangles"].triples(), "{obstacle}");
+        let mut compared = 0;
+        for (i, &time_s) in truth["walk_times"].values.iter().enumerate() {
+            let frame: f64 = time_s * per_s;
+            if (frame - frame.round()).abs() > 1e-6 {
+                continue;
+            }
+            let off = off(&positions(&scene, time_s), truth["walk_positions"].entry(i));
+            assert!(off <= tolerance, "{obstacle} at {time_s} s: {off:e} off");
+            compared += 1;
+        }
+        assert!(compared >= 2, "{obstacle}: {compared} times");
+    }
+    let rest = read(&folder, "usd = \"human_walk_skel.usda\"\nstart_s = 1\nlead_in_s = 0.5").unwrap();
+    assert!(off(&positions(&rest, 0.5), &truth["rest"].values) < 1e-5, "a skeleton has a rest pose to come from");
+}
+
+#[test]
+fn broken_stages_and_archives_say_what_is_wrong() {
+    let Some(folder) = test_data("garments/caches") else { return };
+    for (form, file, words) in [
+        ("abc", "truncated.abc", ["cut off", "3150 bytes"]),
+        ("abc", "hdf5.abc", ["HDF5", "Ogawa"]),
+        ("usd", "no_mesh.usda", ["no mesh", "no_mesh.usda"]),
+        ("usd", "topology_changes.usda", ["faces change", "time code 2"]),
+    ] {
+        let error = read(&folder, &format!("{form} = \"broken/{file}\"")).unwrap_err();
+        for word in words.iter().chain([&file]) {
+            assert!(error.contains(word) && error.lines().count() == 1, "no '{word}' in: {error}");
+        }
+    }
+    for (form, file, word) in [("usd", "wave.abc", "not a USD stage"), ("abc", "wave.usdc", "not an Alembic file")] {
+        let error = read(&folder, &format!("{form} = \"{file}\"")).unwrap_err();
+        assert!(error.contains(word) && error.lines().count() == 1, "{error}");
+    }
+}
+
 #[test]
 fn broken_caches_say_what_is_wrong() {
     let Some(folder) = test_data("garments/caches") else { return };
@@ -155,7 +257,7 @@ fn wrong_fields_of_a_cache_and_of_a_sequence_are_named() {
         (&format!("{cache}frames_per_s = 2\nfirst = 1"), ["obstacle.first", "`sequence`"]),
         ("sequence = \"f_%d.obj\"\nframes_per_s = 2\nfirst = 3", ["obstacle.first", "number 3 is missing"]),
         ("sequence = \"f_%d.obj\"\nframes_per_s = 2\nlead_in_s = 1", ["obstacle.lead_in_s", "rest shape"]),
-        ("mesh = \"r.obj\"\nstart_s = 1", ["obstacle.start_s", "`sequence`, `pc2`, `mdd`"]),
+        ("mesh = \"r.obj\"\nstart_s = 1", ["obstacle.start_s", "`sequence`, `pc2`, `mdd`, `usd`, `abc`"]),
     ] {
         let error = read(folder.path(), fields).unwrap_err();
         assert!(words.iter().all(|word| error.contains(word)), "{fields}: {error}");
@@ -163,4 +265,109 @@ fn wrong_fields_of_a_cache_and_of_a_sequence_are_named() {
     std::fs::remove_file(folder.path().join("f_8.obj")).unwrap();
     let error = read(folder.path(), "sequence = \"f_%d.obj\"\nframes_per_s = 2").unwrap_err();
     assert!(error.contains("number 8 is missing"), "{error}");
+}
+
+/// A stage in centimeters with z up: two triangles whose points move along z, below a transform that turns them about z
+/// by a right angle within a second and then moves them; a mesh that is mirrored and stands still; one that is hidden.
+const STAGE: &str = r#"#usda 1.0
+(
+    metersPerUnit = 0.01
+    timeCodesPerSecond = 10
+    upAxis = "Z"
+)
+def Xform "World"
+{
+    float xformOp:rotateZ.timeSamples = { 0: 0, 10: 90 }
+    double3 xformOp:translate = (100, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ"]
+    def Mesh "moving"
+    {
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        point3f[] points = [(0, 0, -50), (100, 0, -50), (100, 100, -50), (0, 100, -50)]
+        point3f[] points.timeSamples = {
+            0: [(0, 0, 0), (100, 0, 0), (100, 100, 0), (0, 100, 0)],
+            20: [(0, 0, 200), (100, 0, 200), (100, 100, 200), (0, 100, 200)],
+        }
+    }
+    def Mesh "hidden"
+    {
+        token visibility = "invisible"
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        point3f[] points = [(0, 0, 0), (100, 0, 0), (100, 100, 0)]
+    }
+}
+def Mesh "still"
+{
+    uniform token orientation = "leftHanded"
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 2, 1]
+    point3f[] points = [(0, 0, 0), (100, 0, 0), (100, 100, 0)]
+    float3 xformOp:scale = (-1, 1, 1)
+    uniform token[] xformOpOrder = ["xformOp:scale"]
+}
+"#;
+
+#[test]
+fn a_stage_is_read_with_its_units_axis_and_transforms() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("s.usda"), STAGE).unwrap();
+    let near = |fields: &str, vertex: usize, time_s: f64, expected: [f64; 3]| {
+        let scene = read(folder.path(), &format!("usd = \"s.usda\"\n{fields}")).unwrap();
+        let found = Vec3::from_slice(&positions(&scene, time_s)[3 * vertex..][..3]);
+        let off = found.as_dvec3().distance(expected.into());
+        assert!(off < 4e-5, "{fields}, vertex {vertex} at {time_s} s: {found}, {off:e} off");
+    };
+    // z up: (x, y, z) is at (x, z, -y).
+    near("", 0, 0.0, [1., 0., 0.]);
+    near("", 1, 0.0, [2., 0., 0.]);
+    near("", 1, 1.0, [1., 1., -1.]);
+    near("", 1, 9.0, [1., 2., -1.]);
+    near("", 1, 2.0, [1., 2., -1.]);
+    let (sine, cosine) = (0.3 * std::f64::consts::FRAC_PI_2).sin_cos();
+    near("", 1, 0.3, [1.0 + cosine, 0.3, -sine]);
+    near("units_m = 1\nup = \"y\"", 1, 0.0, [200., 0., 0.]);
+    // The mirrored mesh, whose winding is that of the file.
+    near("node = \"still\"", 2, 0.0, [-1., 0., -1.]);
+    let still = read(folder.path(), "usd = \"s.usda\"\nnode = \"still\"\nmotion = [{ time_s = 1 }]").unwrap();
+    let mut corners = still.obstacles[0].triangles[0];
+    let start = corners.iter().position(|&v| v == 0).unwrap();
+    corners.rotate_left(start);
+    assert_eq!(corners, [0, 2, 1], "left-handed and mirrored: turned over twice");
+    near("node = \"hidden\"", 1, 0.0, [2., 0., 0.]);
+    near("node = \"/World/moving\"\nlead_in_s = 1", 1, 0.0, [2., -0.5, 0.]);
+    let all = read(folder.path(), "usd = \"s.usda\"").unwrap();
+    assert_eq!((all.obstacles[0].positions.len(), all.obstacles[0].triangles.len()), (7, 3), "without the hidden one");
+}
+
+#[test]
+fn wrong_fields_of_a_stage_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("s.usda"), STAGE).unwrap();
+    let stage = "usd = \"s.usda\"\n";
+    let without =
+        |line: &str| STAGE.lines().filter(|one| !one.contains(line)).map(|one| format!("{one}\n")).collect::<String>();
+    std::fs::write(folder.path().join("bare.usda"), without("metersPerUnit")).unwrap();
+    std::fs::write(
+        folder.path().join("far.usda"),
+        STAGE.replace("def Mesh \"still\"", "def \"x\" (references = @none.usda@) {}\ndef Mesh \"still\""),
+    )
+    .unwrap();
+    std::fs::write(folder.path().join("nan.usda"), STAGE.replace("(0, 0, 200)", "(nan, 0, 200)")).unwrap();
+    for (fields, words) in [
+        (format!("{stage}node = \"nobody\""), ["no mesh in `nobody`", "/World/moving"]),
+        (format!("{stage}clip = \"walk\""), ["obstacle.clip", "`gltf` or `body`"]),
+        (format!("{stage}motion = [{{ time_s = 1 }}]"), ["obstacle.motion", "meshes that move"]),
+        (format!("{stage}node = \"still\"\nstart_s = 1"), ["obstacle.start_s", "stand still"]),
+        ("usd = \"t.usda\"".into(), ["obstacle.usd", "t.usda"]),
+        ("usd = \"far.usda\"".into(), ["far.usda", "none.usda"]),
+        ("usd = \"nan.usda\"".into(), ["point 0", "not a finite number"]),
+    ] {
+        let result = read(folder.path(), &fields);
+        let error = result.unwrap_err();
+        assert!(words.iter().all(|word| error.contains(word)) && error.lines().count() == 1, "{fields}: {error}");
+    }
+    let bare = read(folder.path(), "usd = \"bare.usda\"").unwrap();
+    assert!(bare.warnings.iter().any(|line| line.contains("does not say its unit")), "{:?}", bare.warnings);
 }

@@ -121,7 +121,7 @@ fn mistakes_are_named() {
         ("garment = { kind = \"skirt\" }\nweld_m = 1", body, "field `cloth.weld_m`: does not belong"),
         (dress, "body = \"horse\"", "field `obstacle.body`: must be one of person"),
         (dress, "body = \"person\"\nclip = \"fly\"", "no clip is named `fly`; the file has stand, spin"),
-        (dress, "body = \"person\"\nnode = \"x\"", "belongs to an obstacle with a `gltf`"),
+        (dress, "body = \"person\"\nnode = \"x\"", "belongs to an obstacle with a `gltf`, `usd` or `abc`"),
         (dress, "body = \"person\"\nunits_m = 2", "field `obstacle.units_m`: belongs to an obstacle with one of"),
         (dress, "body = \"person\"\ntriangles = 100", "must be a whole number from 4000"),
         (

@@ -132,25 +132,25 @@ fn mistakes_name_line_and_field() {
     assert_eq!(
         with(""),
         "line 3: field `obstacle`: an obstacle needs exactly one of sphere, plane, box, plate, funnel, mesh, sequence, \
-         gltf, body, pc2, mdd, not 0"
+         gltf, usd, abc, body, pc2, mdd, not 0"
     );
     assert_eq!(
         with("sphere = { center_m = [0, 0, 0], radius_m = 1 }\nmesh = \"a.obj\""),
         "line 3: field `obstacle`: an obstacle needs exactly one of sphere, plane, box, plate, funnel, mesh, sequence, \
-         gltf, body, pc2, mdd, not 2"
+         gltf, usd, abc, body, pc2, mdd, not 2"
     );
     let sphere = "sphere = { center_m = [0, 0, 5], radius_m = 1 }\n";
     let then = |rest: &str| with(&format!("{sphere}{rest}"));
     assert_eq!(
         then("colour = 1"),
         "line 5: field `obstacle.colour`: unknown field; known here: name, sphere, plane, box, plate, funnel, mesh, sequence, \
-         frames_per_s, first, gltf, body, triangles, pc2, mdd, clip, node, start_s, rate, loop, lead_in_s, origin_m, \
-         rotate_deg, scale, units_m, up, friction, motion"
+         frames_per_s, first, gltf, usd, abc, body, triangles, pc2, mdd, clip, node, start_s, rate, loop, lead_in_s, \
+         origin_m, rotate_deg, scale, units_m, up, friction, motion"
     );
     assert_eq!(
         then("origin_m = [0, 0, 0]"),
-        "line 5: field `obstacle.origin_m`: belongs to an obstacle with one of mesh, sequence, gltf, pc2, mdd; \
-         a sphere has its place in itself"
+        "line 5: field `obstacle.origin_m`: belongs to an obstacle with one of mesh, sequence, gltf, usd, abc, pc2, \
+         mdd; a sphere has its place in itself"
     );
     assert_eq!(then("friction = -0.1"), "line 5: field `obstacle.friction`: must be a number of at least 0, not -0.1");
     assert_eq!(
