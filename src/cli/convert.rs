@@ -1,5 +1,6 @@
 //! `loomtree convert`: the frames of a run in the formats of other programs.
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -12,12 +13,14 @@ use crate::math::DVec3;
 use crate::model::Sewn;
 use crate::os::console::note;
 use crate::output::export::{
-    Animation, ExportError, Track, plain_names, write_glb, write_mdd, write_pvd, write_usda, write_vtu,
+    Animation, ExportError, Track, VertexValues, plain_names, write_abc, write_glb, write_mdd, write_pvd, write_usda,
+    write_usdc, write_vtu,
 };
 use crate::output::obj::{self, TextureCoordinates};
 use crate::output::pc2::Pc2Writer;
-use crate::output::{FrameSource, Report, RunDirectory, RunManifest, WriteError, ply, write_atomically};
+use crate::output::{CacheFormat, FrameSource, Report, RunDirectory, RunManifest, WriteError, ply, write_atomically};
 use crate::scene::{Obstacles, Overrides, Scene, read_str};
+use crate::view::Known;
 
 /// Write the frames of a run in the formats of other programs.
 ///
@@ -27,8 +30,9 @@ use crate::scene::{Obstacles, Overrides, Scene, read_str};
 pub struct ConvertArgs {
     /// Run directory (what `loomtree run` was given as --out); the run may still go on.
     pub run_dir: PathBuf,
-    /// Formats, separated by commas: usd (one .usda stage), glb (a morph target per frame), mdd or pc2 (a point cache
-    /// and an .obj per mesh), vtu (a grid per frame and a .pvd), ply (a file per mesh and frame).
+    /// Formats, separated by commas: usd (one .usda stage), usdc (the same in binary, a quarter as large), abc (one
+    /// Alembic archive), glb (a morph target per frame), mdd or pc2 (a point cache and an .obj per mesh), vtu (a grid
+    /// per frame, with stretch, rank, strain and contact, and a .pvd), ply (a file per mesh and frame).
     #[arg(long, value_name = "FORMATS", required = true, value_delimiter = ',')]
     pub to: Vec<Target>,
     /// Folder for the files [default: export in the run directory]
@@ -41,6 +45,10 @@ pub struct ConvertArgs {
 pub enum Target {
     /// A USD stage as text.
     Usd,
+    /// A binary USD stage.
+    Usdc,
+    /// An Alembic archive.
+    Abc,
     /// LightWave's point cache, a file per mesh.
     Mdd,
     /// PC2 point cache, a file per mesh.
@@ -63,9 +71,24 @@ impl FromStr for Target {
             "vtu" | "pvd" => Ok(Target::Vtu),
             "glb" => Ok(Target::Glb),
             "ply" => Ok(Target::Ply),
-            "usdc" => Err("binary USD is not written; usd writes text (.usda), which usdcat makes binary".into()),
-            "abc" => Err("Alembic is not written; usd, mdd and pc2 are read by the programs that read it".into()),
-            _ => Err("unknown format; valid are usd, mdd, pc2, vtu, glb and ply (separated by commas)".into()),
+            "usdc" => Ok(Target::Usdc),
+            "abc" => Ok(Target::Abc),
+            _ => {
+                Err("unknown format; valid are usd, usdc, abc, mdd, pc2, vtu, glb and ply (separated by commas)".into())
+            }
+        }
+    }
+}
+
+impl From<CacheFormat> for Target {
+    fn from(format: CacheFormat) -> Target {
+        match format {
+            CacheFormat::Usd => Target::Usd,
+            CacheFormat::Usdc => Target::Usdc,
+            CacheFormat::Abc => Target::Abc,
+            CacheFormat::Mdd => Target::Mdd,
+            CacheFormat::Vtu => Target::Vtu,
+            CacheFormat::Glb => Target::Glb,
         }
     }
 }
@@ -75,7 +98,17 @@ impl FromStr for Target {
 /// # Errors
 /// The folder holds no run (exit code 2), or a frame cannot be read or a file not be written (exit code 1).
 pub fn run(args: ConvertArgs) -> Result<(), CliError> {
-    let directory = RunDirectory::open(&args.run_dir).map_err(CliError::bad_input)?;
+    let (lines, frames) = export(&args.run_dir, &args.to, args.out)?;
+    answer(&lines, || json!({ "files": lines.lines().collect::<Vec<_>>(), "frames": frames }))
+}
+
+/// Writes the frames of a run in other formats, into its folder `export` unless another one is given. Returns a line
+/// for every file or kind of file, and the number of frames.
+///
+/// # Errors
+/// As [`run`].
+pub(super) fn export(run_dir: &Path, to: &[Target], out: Option<PathBuf>) -> Result<(String, usize), CliError> {
+    let directory = RunDirectory::open(run_dir).map_err(CliError::bad_input)?;
     let report = Report::load(&directory.report()).map_err(CliError::bad_input)?;
     let mut source = FrameSource::open(&directory).map_err(CliError::bad_input)?;
     if let Some(stage) = report.header.stages.last() {
@@ -89,23 +122,46 @@ pub fn run(args: ConvertArgs) -> Result<(), CliError> {
     }
     let frame_s = report.header.step_s * f64::from(report.header.steps_per_frame);
     let tracks = tracks(&directory, &source, !report.header.stages.is_empty())?;
+    let values = if to.contains(&Target::Vtu) { values(&directory) } else { None };
     let animation = Animation {
+        values,
         source,
-        folder: args.run_dir.clone(),
+        folder: run_dir.to_path_buf(),
         frames_per_s: if frame_s > 0.0 { rounded(1.0 / frame_s) } else { 1.0 },
         z_up: report.header.up_axis == "z",
         tracks,
     };
-    let out = args.out.unwrap_or_else(|| directory.path().join("export"));
+    let out = out.unwrap_or_else(|| directory.path().join("export"));
     std::fs::create_dir_all(&out).map_err(|source| CliError::failed(WriteError { path: out.clone(), source }))?;
-    let frames = animation.source.numbers().len();
     let mut lines = String::new();
-    for (i, target) in args.to.iter().enumerate() {
-        if !args.to[..i].contains(target) {
+    for (i, target) in to.iter().enumerate() {
+        if !to[..i].contains(target) {
             lines += &convert(&animation, *target, &out).map_err(CliError::failed)?;
         }
     }
-    answer(&lines, || json!({ "files": lines.lines().collect::<Vec<_>>(), "frames": frames }))
+    Ok((lines, animation.source.numbers().len()))
+}
+
+/// Rank, strain and contact of the cloth's vertices, from the scene that the run has recorded.
+fn values(directory: &RunDirectory) -> Option<Box<VertexValues>> {
+    let known = match Known::load(directory) {
+        Ok(known) => RefCell::new(known),
+        Err(why) => {
+            note(format_args!("grids without rank, strain and contact: {why}"));
+            return None;
+        }
+    };
+    Some(Box::new(move |frame, positions| {
+        let mut known = known.borrow_mut();
+        let positions = known.about_origin(positions);
+        // What a scene does not have, such as contacts without collisions, is left out.
+        let found = [
+            ("rank", Ok(known.ranks())),
+            ("strain", known.strain(&positions)),
+            ("contact", known.contact(&positions, frame)),
+        ];
+        found.into_iter().filter_map(|(name, values)| values.ok().map(|values| (name, values))).collect()
+    }))
 }
 
 /// A rate that differs from a whole number by rounding alone is that number.
@@ -191,6 +247,16 @@ fn convert(animation: &Animation, target: Target, out: &Path) -> Result<String, 
             write_usda(&path, animation)?;
             say(&path);
         }
+        Target::Usdc => {
+            let path = out.join("run.usdc");
+            write_usdc(&path, animation)?;
+            say(&path);
+        }
+        Target::Abc => {
+            let path = out.join("run.abc");
+            write_abc(&path, animation)?;
+            say(&path);
+        }
         Target::Glb => {
             let path = out.join("run.glb");
             write_glb(&path, animation)?;
@@ -206,21 +272,26 @@ fn convert(animation: &Animation, target: Target, out: &Path) -> Result<String, 
             say(&path);
         }
         Target::Mdd | Target::Pc2 => {
-            for (track, name) in animation.tracks.iter().zip(&names) {
+            let ending = if target == Target::Mdd { "mdd" } else { "pc2" };
+            let paths: Vec<PathBuf> = names.iter().map(|name| out.join(format!("{name}.{ending}"))).collect();
+            for ((track, name), path) in animation.tracks.iter().zip(&names).zip(&paths) {
                 let rest = out.join(format!("{name}.obj"));
                 write_rest(&rest, animation, track, frames[0])?;
-                let path = out.join(format!("{name}.{}", if target == Target::Mdd { "mdd" } else { "pc2" }));
-                match target {
-                    Target::Mdd => write_mdd(&path, animation, track)?,
-                    _ => {
-                        let mut cache = Pc2Writer::open(&path, track.vertices.len(), 0)?;
-                        for (sample, &frame) in (0..).zip(&frames) {
-                            cache.write(sample, &animation.mesh(track, frame)?.positions)?;
-                        }
-                    }
+                if target == Target::Mdd {
+                    write_mdd(path, animation, track)?;
                 }
                 say(&rest);
-                say(&path);
+                say(path);
+            }
+            if target == Target::Pc2 {
+                let open = |(track, path): (&Track, &PathBuf)| Pc2Writer::open(path, track.vertices.len(), 0);
+                let caches = animation.tracks.iter().zip(&paths).map(open);
+                let mut caches = caches.collect::<Result<Vec<Pc2Writer>, _>>()?;
+                for (sample, &frame) in (0..).zip(&frames) {
+                    for (cache, points) in caches.iter_mut().zip(animation.points(frame)?) {
+                        cache.write(sample, &points)?;
+                    }
+                }
             }
         }
         Target::Ply => {

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::CliError;
+use super::convert::{Target, export};
 use super::launcher::LauncherArgs;
 use super::run_lines::{Made, conclude, introduce, stopped};
 use super::start_state::Places;
@@ -137,11 +138,33 @@ fn run_one(args: &RunArgs, launch: &Launch) -> Result<Made, CliError> {
     }
     let changes = Changes { live: args.live, paused: args.paused, recorded };
     let made = make(recorded_scene.as_deref(), &options, &places, changes, scope, launch);
+    let made = if scope == Scope::All { with_caches(made, &options, &places.out) } else { made };
     if args.view && made.as_ref().is_ok_and(|made| !made.is_by_signal) {
         note("the page stays until Ctrl-C");
         signals::wait_for_stop();
     }
     made
+}
+
+/// Makes the caches that `--format` asks for from the frames that there are, also of a run that was stopped or failed.
+fn with_caches(made: Result<Made, CliError>, options: &RunOptions, out: &Path) -> Result<Made, CliError> {
+    let caches: Vec<Target> = options.formats.1.iter().map(|&format| format.into()).collect();
+    // What was refused has written nothing.
+    let has_begun = made.as_ref().map_or_else(|error| error.exit_code != 2, |_| true);
+    if caches.is_empty() || !has_begun {
+        return made;
+    }
+    match (export(out, &caches, None), made) {
+        (Ok((files, _)), made) => {
+            files.lines().for_each(|file| note(format_args!("written: {file}")));
+            made
+        }
+        (Err(error), Ok(_)) => Err(error),
+        (Err(error), Err(first)) => {
+            note(format_args!("no caches: {}", error.message));
+            Err(first)
+        }
+    }
 }
 
 /// What changes a run while it goes on, besides what its scene says.

@@ -97,7 +97,8 @@ pub struct RunOptions {
     #[arg(long, value_name = "frames|K")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub keep_states: Option<KeepStates>,
-    /// Frame files: any of obj, ply, pc2, separated by commas
+    /// Frame files: any of obj, ply, pc2, separated by commas; and caches that are made from them at the end, in the
+    /// folder export: usd, usdc, abc, mdd, vtu, glb (as loomtree convert)
     #[arg(long = "format", value_name = "LIST", default_value = "ply")]
     pub formats: FormatList,
     /// Seconds without a sign of life after which a worker counts as hung

@@ -148,7 +148,7 @@ impl<'a> Listener<'a, '_> {
         let formats = job_formats(&self.options);
         let options = RunOptions {
             keep_states: Some(KeepStates::Every(std::num::NonZeroU32::MIN)),
-            formats: FormatList(formats),
+            formats: FormatList(formats, Vec::new()),
             trace_steps: 0,
             ..self.options.clone()
         };
@@ -313,7 +313,7 @@ pub fn run_split(
     {
         let out = directory.preview();
         let existing = if RunDirectory::open(&out).is_ok() { Existing::Resume } else { Existing::Overwrite };
-        let formats = FormatList(job_formats(options));
+        let formats = FormatList(job_formats(options), Vec::new());
         let own = RunOptions { formats, trace_steps: 0, ..options_of_coarse(options) };
         let recorded = RunDirectory::open(&out).ok().and_then(|there| RunManifest::load(&there).ok());
         let cuts = recorded.and_then(|there| there.flags::<RunOptions>().ok()).map(|there| there.time.cuts);

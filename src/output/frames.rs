@@ -28,19 +28,54 @@ pub enum FrameFormat {
     Pc2,
 }
 
+/// A format that is made from the frames when a run ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum CacheFormat {
+    /// A USD stage as text.
+    Usd,
+    /// A binary USD stage.
+    Usdc,
+    /// An Alembic archive.
+    Abc,
+    /// LightWave's point cache, a file per mesh.
+    Mdd,
+    /// VTK grids for ParaView.
+    Vtu,
+    /// Binary glTF.
+    Glb,
+}
+
+impl CacheFormat {
+    const ALL: [(CacheFormat, &'static str); 6] = [
+        (CacheFormat::Usd, "usd"),
+        (CacheFormat::Usdc, "usdc"),
+        (CacheFormat::Abc, "abc"),
+        (CacheFormat::Mdd, "mdd"),
+        (CacheFormat::Vtu, "vtu"),
+        (CacheFormat::Glb, "glb"),
+    ];
+
+    /// Its name in `--format` and `--to`.
+    pub fn name(self) -> &'static str {
+        CacheFormat::ALL[self as usize].1
+    }
+
+    fn named(text: &str) -> Option<CacheFormat> {
+        let text = text.trim().to_ascii_lowercase();
+        CacheFormat::ALL.into_iter().find(|(_, name)| *name == text).map(|(format, _)| format)
+    }
+}
+
 /// Why a `--format` value is invalid.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum FormatError {
-    /// A format that is made from finished frames.
-    #[error(
-        "--format {0} is not written while a run goes on; use obj, ply or pc2, and then loomtree convert RUN --to {0}"
-    )]
-    Convert(&'static str),
     /// An unknown format.
-    #[error("--format {0:?} is unknown; valid are obj, ply and pc2 (separated by commas)")]
+    #[error(
+        "--format {0:?} is unknown; valid are obj, ply, pc2, usd, usdc, abc, mdd, vtu and glb (separated by commas)"
+    )]
     Unknown(String),
     /// The list is empty.
-    #[error("--format is empty; name at least one of obj, ply and pc2 (separated by commas)")]
+    #[error("--format is empty; name at least one of obj, ply, pc2, usd, usdc, abc, mdd, vtu and glb")]
     Empty,
 }
 
@@ -51,10 +86,6 @@ impl FromStr for FrameFormat {
             "obj" => Ok(FrameFormat::Obj),
             "ply" => Ok(FrameFormat::Ply),
             "pc2" => Ok(FrameFormat::Pc2),
-            "usd" | "usda" | "usdc" => Err(FormatError::Convert("usd")),
-            "mdd" => Err(FormatError::Convert("mdd")),
-            "vtu" => Err(FormatError::Convert("vtu")),
-            "glb" => Err(FormatError::Convert("glb")),
             "" => Err(FormatError::Empty),
             _ => Err(FormatError::Unknown(text.trim().to_string())),
         }
@@ -71,22 +102,33 @@ impl fmt::Display for FrameFormat {
     }
 }
 
-/// A list of formats, separated by commas in text. Repetitions are dropped.
+/// A list of formats, separated by commas in text: those of frames, of which there is at least one, and those that are
+/// made from the frames at the end. Repetitions are dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct FormatList(pub Vec<FrameFormat>);
+pub struct FormatList(pub Vec<FrameFormat>, pub Vec<CacheFormat>);
 
 impl FromStr for FormatList {
     type Err = FormatError;
     fn from_str(list: &str) -> Result<FormatList, FormatError> {
-        let mut formats = Vec::new();
+        let (mut formats, mut caches) = (Vec::new(), Vec::new());
         for text in list.split(',') {
-            let format = text.parse()?;
-            if !formats.contains(&format) {
-                formats.push(format);
+            match CacheFormat::named(text) {
+                Some(cache) if caches.contains(&cache) => {}
+                Some(cache) => caches.push(cache),
+                None => {
+                    let format = text.parse()?;
+                    if !formats.contains(&format) {
+                        formats.push(format);
+                    }
+                }
             }
         }
-        Ok(FormatList(formats))
+        // What is made from frames needs frames.
+        if formats.is_empty() {
+            formats.push(FrameFormat::Ply);
+        }
+        Ok(FormatList(formats, caches))
     }
 }
 
@@ -97,10 +139,17 @@ impl TryFrom<String> for FormatList {
     }
 }
 
+impl fmt::Display for FormatList {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let files = self.0.iter().map(FrameFormat::to_string);
+        let names: Vec<String> = files.chain(self.1.iter().map(|cache| cache.name().to_owned())).collect();
+        f.write_str(&names.join(","))
+    }
+}
+
 impl From<FormatList> for String {
     fn from(list: FormatList) -> String {
-        let names: Vec<String> = list.0.iter().map(FrameFormat::to_string).collect();
-        names.join(",")
+        list.to_string()
     }
 }
 

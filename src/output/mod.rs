@@ -33,7 +33,7 @@ pub use checkpoint::Checkpoint;
 pub use directory::{DirectoryError, Existing, RunDirectory};
 pub use drape::{Drape, drape};
 pub use frame_mesh::{FrameMesh, ReadError};
-pub use frames::{FormatError, FormatList, FrameError, FrameFormat, FrameWriter};
+pub use frames::{CacheFormat, FormatError, FormatList, FrameError, FrameFormat, FrameWriter};
 pub use hash::scene_fingerprint;
 pub use machine::Machine;
 pub use manifest::{Input, ManifestError, RunManifest};

@@ -125,6 +125,11 @@ impl Known {
         }
     }
 
+    /// World positions about the local origin of the run.
+    pub fn about_origin(&self, positions: &[Vec3]) -> Vec<Vec3> {
+        positions.iter().map(|p| (p.as_dvec3() - self.scene.origin_m).as_vec3()).collect()
+    }
+
     /// The frames of the run, about its local origin.
     pub(super) fn frames(&self, frames: FrameSource) -> FrameSource {
         frames.about(self.scene.origin_m)

@@ -241,10 +241,17 @@ fn an_unwritable_folder_is_named() {
 
 #[test]
 fn formats_are_read_or_explained() {
-    assert_eq!("ply, OBJ,ply".parse(), Ok(FormatList(vec![FrameFormat::Ply, FrameFormat::Obj])));
-    assert_eq!("pc2,usd".parse::<FormatList>(), Err(FormatError::Convert("usd")));
+    assert_eq!("ply, OBJ,ply".parse(), Ok(FormatList(vec![FrameFormat::Ply, FrameFormat::Obj], vec![])));
+    let caches = vec![CacheFormat::Usd, CacheFormat::Abc];
+    assert_eq!("pc2,usd, ABC,usd".parse(), Ok(FormatList(vec![FrameFormat::Pc2], caches.clone())));
+    // Caches are made from frames.
+    let list: FormatList = "usd,abc".parse().unwrap();
+    assert_eq!((list.to_string(), list), ("ply,usd,abc".to_owned(), FormatList(vec![FrameFormat::Ply], caches)));
     let unknown = "stl".parse::<FormatList>().unwrap_err();
-    assert_eq!(unknown.to_string(), "--format \"stl\" is unknown; valid are obj, ply and pc2 (separated by commas)");
+    assert_eq!(
+        unknown.to_string(),
+        "--format \"stl\" is unknown; valid are obj, ply, pc2, usd, usdc, abc, mdd, vtu and glb (separated by commas)"
+    );
     assert_eq!("".parse::<FormatList>(), Err(FormatError::Empty));
 }
 

@@ -14,11 +14,15 @@ use loomtree::coordinator::RunOptions;
 use loomtree::input::Input;
 use loomtree::interconnect::Topology;
 use loomtree::linear_system::{parse_block_csr, parse_matrix_market, parse_right_hand_side};
-use loomtree::math::{DVec3, Vec3};
-use loomtree::mesh::{MaterialSource, MeshOptions, first_intersection, parse_obj, parse_ply, validate};
+use loomtree::math::{DVec3, Vec2, Vec3};
+use loomtree::mesh::{MaterialSource, MeshOptions, TriangleMesh, first_intersection, parse_obj, parse_ply, validate};
 use loomtree::model::{LetGo, State};
+use loomtree::output::export::{Animation, Track, write_abc, write_usda, write_usdc};
 use loomtree::output::pc2::{self, Pc2Writer};
-use loomtree::output::{Checkpoint, Report, RunDirectory, RunManifest, checkpoint, obj, ply, read_trace};
+use loomtree::output::{
+    Checkpoint, Existing, FrameFormat, FrameSource, FrameWriter, Report, RunDirectory, RunManifest, checkpoint, obj,
+    ply, read_trace,
+};
 use loomtree::scene::{self, Obstacles, Overrides, parse, parse_fabric};
 use support::seeded::Seeded;
 
@@ -156,6 +160,58 @@ fn body(name: &str, bytes: &[u8]) -> Result<(), String> {
         assert_eq!(out.len(), 3 * obstacles.vertices());
         Ok(())
     })
+}
+
+/// The obstacle in a stage or an archive.
+fn moving(form: &str, name: &'static str, bytes: &[u8]) -> Result<(), String> {
+    from_file(name, bytes, |path| {
+        let text = format!(
+            "[simulation]\ncollisions = false\n[[cloth]]\nsheet = {{ size_m = [1, 1], triangles = 8 }}\n\
+             [[obstacle]]\nloop = true\n{form} = \"{name}\"\n"
+        );
+        let scene = parse(&text, &path.with_file_name("a.toml"), &Overrides::default());
+        let obstacles = Obstacles::new(&scene.map_err(|error| error.to_string())?.obstacles);
+        let mut out = Vec::new();
+        [0.0, 0.3, 7.0].iter().for_each(|&time_s| obstacles.positions_at(time_s, &mut out));
+        assert_eq!(out.len(), 3 * obstacles.vertices());
+        Ok(())
+    })
+}
+
+/// A triangle in three frames, as stages and an archive.
+fn moving_seeds() -> Vec<Seed> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let directory = RunDirectory::create(&folder.path().join("run"), Existing::Refuse).expect("a run");
+    let mesh = TriangleMesh {
+        positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+        triangles: vec![[0, 1, 2]],
+        material_uv: vec![[Vec2::ZERO, Vec2::X, Vec2::Y]],
+    };
+    let mut writer = FrameWriter::new(&directory, &[FrameFormat::Ply], &mesh, 0).expect("a writer");
+    for frame in 0..3u8 {
+        let moved: Vec<Vec3> = mesh.positions.iter().map(|p| *p + Vec3::splat(f32::from(frame))).collect();
+        writer.write(frame.into(), &mesh, &moved).expect("a frame");
+    }
+    let track =
+        Track { name: "t".into(), obstacle: false, vertices: 0..3, triangles: 0..1, uv: mesh.material_uv.clone() };
+    let animation = Animation {
+        source: FrameSource::open(&directory).expect("frames"),
+        folder: folder.path().into(),
+        frames_per_s: 10.0,
+        z_up: false,
+        tracks: vec![track],
+        values: None,
+    };
+    let at = |name: &str| folder.path().join(name);
+    write_usda(&at("t.usda"), &animation).expect("a stage");
+    write_usdc(&at("t.usdc"), &animation).expect("a stage");
+    write_abc(&at("t.abc"), &animation).expect("an archive");
+    let seed = |name: &'static str, read: Reader| Seed { name, bytes: std::fs::read(at(name)).expect("bytes"), read };
+    vec![
+        seed("t.usda", |bytes| moving("usd", "t.usda", bytes)),
+        seed("t.usdc", |bytes| moving("usd", "t.usdc", bytes)),
+        seed("t.abc", |bytes| moving("abc", "t.abc", bytes)),
+    ]
 }
 
 /// A point cache of a triangle as an obstacle.
@@ -332,6 +388,7 @@ fn seeds() -> Vec<Seed> {
     add("topology", topology, |bytes| Topology::parse(bytes, "t.toml").map(|_| ()).map_err(|error| error.to_string()));
     seeds.extend(run_seeds());
     seeds.extend(body_seeds());
+    seeds.extend(moving_seeds());
     seeds
 }
 

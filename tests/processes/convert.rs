@@ -2,7 +2,7 @@
 
 use loomtree::output::{FrameSource, RunDirectory, ply};
 use loomtree::scene::{Obstacles, Overrides, parse};
-use support::process::Place;
+use support::process::{Place, Signal, signal};
 
 const SCENE: &str = r#"
 [simulation]
@@ -81,6 +81,42 @@ fn caches_and_meshes_read_back_with_the_positions_of_the_frames() {
     }
 }
 
+/// The three files hold all meshes, in the order of the scene, with the bits of the frames at their times.
+#[test]
+fn stages_and_archives_read_back_with_the_bits_of_the_frames() {
+    let place = place();
+    place.run("convert run --to usd,usdc,abc --out exported").expect(0);
+    for k in 0..=3 {
+        let frames = frame(&place, k);
+        let time_s = f64::from(k) / 50.0;
+        for fields in ["usd = \"exported/run.usda\"", "usd = \"exported/run.usdc\"", "abc = \"exported/run.abc\""] {
+            assert_eq!(obstacle_at(&place, fields, time_s), frames.concat(), "{fields}, frame {k}");
+            let node = format!("{fields}\nnode = \"right\"");
+            assert_eq!(obstacle_at(&place, &node, time_s), frames[1], "{node}, frame {k}");
+        }
+    }
+    let triangles = |fields: &str| {
+        let text = format!("{SCENE}\n[[obstacle]]\norigin_m = [0, 9, 0]\n{fields}\n");
+        let scene = parse(&text, &place.path("x.toml"), &Overrides::default()).unwrap();
+        scene.obstacles[1].triangles.clone()
+    };
+    let expected = triangles("usd = \"exported/run.usda\"");
+    assert_eq!(triangles("usd = \"exported/run.usdc\""), expected);
+    assert_eq!(triangles("abc = \"exported/run.abc\""), expected, "clockwise in the file");
+    // Of a run whose z points up a stage says so, and an archive is turned; both are read with y up.
+    place.write("up.toml", &SCENE.replace("[simulation]\n", "[simulation]\ngravity_m_s2 = [0, 0, -9.81]\n"));
+    place.run("run up.toml --executor cpu --out up").expect(0);
+    place.run("convert up --to usd,usdc,abc --out turned").expect(0);
+    let [text, binary, archive] =
+        ["usd = \"turned/run.usda\"", "usd = \"turned/run.usdc\"", "abc = \"turned/run.abc\""]
+            .map(|fields| obstacle_at(&place, fields, 0.06));
+    assert_eq!(text, binary);
+    assert!(text.iter().zip(&archive).all(|(a, b)| (a - b).abs() < 1e-6));
+    let plain = obstacle_at(&place, "usd = \"turned/run.usda\"\nup = \"y\"", 0.06);
+    let turned = plain.as_chunks::<3>().0.iter().flat_map(|&[x, y, z]| [x, z, -y]);
+    assert!(turned.eq(archive), "exactly");
+}
+
 #[test]
 fn a_stage_has_a_mesh_per_piece_and_obstacle_with_all_frames() {
     let place = place();
@@ -139,15 +175,54 @@ fn grids_hold_points_triangles_and_stretch() {
     assert_eq!(array("obstacle").iter().filter(|&&is| is == 1).count(), cells - 128);
     let stretch = floats("stretch_max");
     assert!(stretch.len() == cells && stretch.iter().all(|s| (0.9..1.2).contains(s)));
+    // Of vertices: two workers, a ball that owns nothing and that some of the cloth may touch.
+    let [first, second, ball] = frame(&place, 3).map(|values| values.len() / 3);
+    let (ranks, contact, strain) = (floats("rank"), floats("contact"), floats("strain"));
+    let (cloth, obstacle) = ranks.split_at(first + second);
+    assert!(cloth.contains(&0.0) && cloth.contains(&1.0) && cloth.iter().all(|rank| [0.0, 1.0].contains(rank)));
+    assert!(obstacle.len() == ball && obstacle.iter().all(|rank| *rank == -1.0));
+    assert!(contact[..first + second].iter().all(|c| (0.0..=1.0).contains(c)) && contact.len() == ranks.len());
+    assert!(strain.len() == ranks.len() && strain[..first + second].iter().all(|s| s.abs() < 0.2));
+}
+
+/// `run --format` with caches: the files of `convert`, at the end of the run, also of one that is stopped or goes on.
+#[test]
+fn a_run_makes_the_caches_that_it_is_asked_for() {
+    let place = Place::new();
+    place.write("scene.toml", SCENE);
+    let ended = place.run("run scene.toml --executor cpu --frames 1 --format usdc,abc,mdd --out run").expect(0);
+    assert!(ended.stderr.contains("written: run/export/run.usdc"), "{}", ended.story);
+    let names = ["run.usdc", "run.abc", "right.mdd", "ball.obj"];
+    let bytes = |folder: &str| names.map(|name| std::fs::read(place.path(&format!("{folder}/{name}"))).unwrap());
+    let first = bytes("run/export");
+    place.run("run --resume --frames 3 --executor cpu --out run").expect(0);
+    place.run("convert run --to usdc,abc,mdd --out again").expect(0);
+    assert!(bytes("run/export") == bytes("again") && bytes("again") != first, "made anew, with all frames");
+    for k in 0..=3 {
+        let got = obstacle_at(&place, "abc = \"run/export/run.abc\"", f64::from(k) / 50.0);
+        assert_eq!(got, frame(&place, k).concat(), "frame {k}");
+    }
+    // Stopped in the middle.
+    let mut running = place.start("run scene.toml --executor cpu --frames 100000 --format usdc --out long");
+    running.wait_for_frame("long", 2);
+    signal(running.pid(), Signal::TERM);
+    running.wait().expect(143);
+    let source = FrameSource::open(&RunDirectory::open(&place.path("long")).unwrap()).unwrap();
+    let last = *source.numbers().last().unwrap();
+    let expected = source.read(last).unwrap().positions;
+    let got = obstacle_at(&place, "usd = \"long/export/run.usdc\"", f64::from(last) / 50.0);
+    assert_eq!(
+        got[..3 * expected.len()],
+        expected.iter().flat_map(|p| p.to_array()).collect::<Vec<f32>>()[..],
+        "all frames until the stop"
+    );
 }
 
 #[test]
 fn what_cannot_be_converted_is_named() {
     let place = place();
     for (words, code, expected) in [
-        ("convert run --to abc", 2, "Alembic is not written"),
-        ("convert run --to usdc", 2, "usdcat"),
-        ("convert run --to bmp", 2, "usd, mdd, pc2, vtu, glb and ply"),
+        ("convert run --to bmp", 2, "usd, usdc, abc, mdd, pc2, vtu, glb and ply"),
         ("convert run", 2, "--to"),
         ("convert nowhere --to usd", 2, "nowhere"),
     ] {

@@ -1,20 +1,27 @@
 //! Animations of finished frames in the formats of other programs. `loomtree convert` uses it.
 
+mod alembic;
+mod crate_file;
 mod glb;
 mod mdd;
+mod ogawa;
 mod usda;
+mod usdc;
 mod vtu;
 
+use std::io::{self, Write};
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::pc2::Pc2Error;
-use super::{FrameMesh, FrameSource, FramesError, WriteError};
+use super::{FrameMesh, FrameSource, FramesError, WriteError, write_atomically};
 use crate::math::{Vec2, Vec3};
 
+pub use alembic::write_abc;
 pub use glb::write_glb;
 pub use mdd::write_mdd;
 pub use usda::write_usda;
+pub use usdc::write_usdc;
 pub use vtu::{write_pvd, write_vtu};
 
 /// A piece of cloth or an obstacle: a mesh whose vertices move and whose triangles stay.
@@ -71,7 +78,12 @@ pub struct Animation {
     pub z_up: bool,
     /// Pieces of cloth, then obstacles.
     pub tracks: Vec<Track>,
+    /// Further values of the cloth's vertices, for formats that hold such.
+    pub values: Option<Box<VertexValues>>,
 }
+
+/// Named values of all vertices of the cloth, of a frame and the positions in it.
+pub type VertexValues = dyn Fn(u32, &[Vec3]) -> Vec<(&'static str, Vec<f32>)>;
 
 impl Animation {
     /// Numbers of the frames, ascending; at least one.
@@ -106,9 +118,56 @@ impl Animation {
         }
     }
 
+    /// The positions of all tracks in a frame, in their order.
+    pub fn points(&self, frame: u32) -> Result<Vec<Vec<Vec3>>, ExportError> {
+        let cloth = self.source.read(frame)?;
+        let obstacles = match self.tracks.iter().any(|track| track.obstacle) {
+            true => self.source.read_obstacle(frame)?.unwrap_or_default(),
+            false => FrameMesh::default(),
+        };
+        let of = |track: &Track| {
+            let whole = if track.obstacle { &obstacles } else { &cloth };
+            let own = whole.positions.get(track.vertices.clone());
+            own.map(<[Vec3]>::to_vec).ok_or_else(|| self.lacks(track, frame))
+        };
+        self.tracks.iter().map(of).collect()
+    }
+
     fn lacks(&self, track: &Track, frame: u32) -> ExportError {
         ExportError::Lacks { folder: self.folder.clone(), frame, name: track.name.clone() }
     }
+}
+
+/// Why a file that is made of frames is not written: because of the file, or of a frame.
+enum Stop {
+    File(io::Error),
+    Frame(ExportError),
+}
+
+impl From<io::Error> for Stop {
+    fn from(error: io::Error) -> Stop {
+        Stop::File(error)
+    }
+}
+
+impl From<ExportError> for Stop {
+    fn from(error: ExportError) -> Stop {
+        Stop::Frame(error)
+    }
+}
+
+/// Like [`write_atomically`] for content that is made of frames.
+fn write_frames(path: &Path, write: impl FnOnce(&mut dyn Write) -> Result<(), Stop>) -> Result<(), ExportError> {
+    let mut fault = None;
+    let result = write_atomically(path, |out| match write(out) {
+        Ok(()) => Ok(()),
+        Err(Stop::File(error)) => Err(error),
+        Err(Stop::Frame(error)) => {
+            fault = Some(error);
+            Err(io::Error::other("a frame cannot be read"))
+        }
+    });
+    fault.map_or_else(|| result.map_err(ExportError::Write), Err)
 }
 
 /// The names of tracks with the characters that all formats and file systems allow, each once.

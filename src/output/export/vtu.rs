@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use super::{Animation, ExportError};
+use super::{Animation, ExportError, Track};
 use crate::math::Vec2;
 use crate::output::{FrameMesh, WriteError, principal_stretches, write_atomically};
 
@@ -11,11 +11,22 @@ use crate::output::{FrameMesh, WriteError, principal_stretches, write_atomically
 const TRIANGLE: u8 = 5;
 
 /// Writes all tracks in a frame as one grid. Cells have `piece` (the number of the track from 0), `obstacle` (0 or 1)
-/// and, for cloth with a shape at rest, `stretch_max` and `stretch_min` (length / length at rest; 1 elsewhere).
+/// and, for cloth with a shape at rest, `stretch_max` and `stretch_min` (length / length at rest; 1 elsewhere). Points
+/// have the further values of the animation; at obstacles they are -1.
 pub fn write_vtu(path: &Path, animation: &Animation, frame: u32) -> Result<(), ExportError> {
     let mut grid = Grid::default();
     for (number, track) in animation.tracks.iter().enumerate() {
         grid.add(number as i32, track.obstacle, &animation.mesh(track, frame)?, &track.uv);
+    }
+    if let Some(values) = &animation.values {
+        let cloth = animation.source.read(frame)?.positions;
+        for (name, of_cloth) in values(frame, &cloth) {
+            let own = |track: &Track| match of_cloth.get(track.vertices.clone()).filter(|_| !track.obstacle) {
+                Some(own) => own.to_vec(),
+                None => vec![-1.0; track.vertices.len()],
+            };
+            grid.values.push((name, animation.tracks.iter().flat_map(own).collect()));
+        }
     }
     write_atomically(path, |out| grid.write(out)).map_err(ExportError::Write)
 }
@@ -39,6 +50,8 @@ struct Grid {
     piece: Vec<i32>,
     obstacle: Vec<u8>,
     stretch: [Vec<f32>; 2],
+    /// Of points, by name.
+    values: Vec<(&'static str, Vec<f32>)>,
 }
 
 impl Grid {
@@ -59,7 +72,7 @@ impl Grid {
         let cells = self.piece.len();
         let ends: Vec<i32> = (1..=cells as i32).map(|cell| 3 * cell).collect();
         let kinds = vec![TRIANGLE; cells];
-        let arrays: [(&str, &str, &str, &[u8]); 8] = [
+        let mut arrays: Vec<(&str, &str, &str, &[u8])> = vec![
             ("Points", "points", "Float32\" NumberOfComponents=\"3", bytemuck::cast_slice(&self.points)),
             ("Cells", "connectivity", "Int32", bytemuck::cast_slice(&self.corners)),
             ("Cells", "offsets", "Int32", bytemuck::cast_slice(&ends)),
@@ -69,6 +82,9 @@ impl Grid {
             ("CellData", "stretch_max", "Float32", bytemuck::cast_slice(&self.stretch[0])),
             ("CellData", "stretch_min", "Float32", bytemuck::cast_slice(&self.stretch[1])),
         ];
+        arrays.extend(
+            self.values.iter().map(|(name, values)| ("PointData", *name, "Float32", bytemuck::cast_slice(values))),
+        );
         let points = self.points.len() / 3;
         write!(
             out,
@@ -88,7 +104,7 @@ impl Grid {
             offset += size_of::<u64>() + bytes.len();
         }
         out.write_all(b"</Piece>\n</UnstructuredGrid>\n<AppendedData encoding=\"raw\">\n_")?;
-        for (_, _, _, bytes) in arrays {
+        for (_, _, _, bytes) in &arrays {
             out.write_all(&(bytes.len() as u64).to_le_bytes())?;
             out.write_all(bytes)?;
         }
