@@ -43,6 +43,7 @@ mod rig_track;
 mod sampled;
 mod schema;
 mod seam;
+mod seam_chords;
 mod seam_fault;
 mod seam_file;
 mod sequence;

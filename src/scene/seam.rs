@@ -1,13 +1,14 @@
 //! Seams of a scene, from the sides that a file names to pairs of vertices.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use crate::mesh::{Border, EdgeCut, FileMesh, Meeting, ascending, match_sides};
+use crate::mesh::{Border, EdgeCut, FileMesh, Meeting, TriangleMesh, ascending, match_sides};
 
 use super::SceneError;
 use super::error::Place;
 use super::pieces::Piece;
 use super::pins::sheet_edge;
+use super::seam_chords::chords;
 
 /// A seam as the scene file or the file of a cloth gives it.
 #[derive(Clone, Debug)]
@@ -100,7 +101,9 @@ impl Side {
 /// # Errors
 /// A side is not part of the border, belongs to two seams, or both sides of a seam run the same way.
 pub(super) fn sew(pieces: &mut [Piece], seams: &[SeamSource]) -> Result<Joints, SceneError> {
-    Ok(work(pieces, seams)?.finish())
+    let mut work = work(pieces, seams)?;
+    work.cut_chords();
+    Ok(work.finish())
 }
 
 /// An end of a joint on a mesh to which no vertex has been added yet.
@@ -343,6 +346,23 @@ impl Work<'_, '_> {
     }
 
     /// Adds the vertices.
+    /// Adds vertices within panels where seams would lay two edges on each other.
+    fn cut_chords(&mut self) {
+        let vertex = |end: &End| match *end {
+            End::Vertex(cloth, vertex) => Some((cloth, vertex)),
+            End::Cut(..) => None,
+        };
+        let joined = self.ends.iter().filter_map(|(_, [a, b])| Some([vertex(a)?, vertex(b)?]));
+        let joined: Vec<[(usize, u32); 2]> = joined.collect();
+        let cut = self.cuts.iter().flat_map(|(&cloth, cuts)| cuts.iter().map(move |cut| (cloth, ascending(cut.edge))));
+        let cut: BTreeSet<(usize, [u32; 2])> = cut.collect();
+        let meshes: Vec<&TriangleMesh> = self.pieces.iter().map(|piece| &piece.cloth.mesh).collect();
+        for (cloth, edge) in chords(&meshes, &joined, &cut) {
+            // After those that joints have as their ends.
+            self.cuts.entry(cloth).or_default().push(EdgeCut { edge, share: 0.5 });
+        }
+    }
+
     fn finish(self) -> Joints {
         let mut added: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
         for (cloth, cuts) in self.cuts {

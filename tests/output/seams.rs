@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use loomtree::math::DVec3;
-use loomtree::mesh::{TriangleMesh, validate};
+use loomtree::mesh::{TriangleMesh, closed_parts, validate};
 use loomtree::model::{GlobalModel, Sewn, State};
 use loomtree::scene::{Overrides, Scene, load, parse};
 use support::numpy::test_data;
@@ -53,6 +53,31 @@ fn counts(mesh: &TriangleMesh) -> (usize, usize, usize, i64, Vec<usize>) {
     loops.sort_unstable();
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
     (vertices, edges, triangles, vertices as i64 - edges as i64 + triangles as i64, loops)
+}
+
+/// Two panels that are sewn along all their edges close a volume at every resolution, whatever triangles lie in their
+/// corners.
+#[test]
+fn a_cushion_is_a_closed_surface_at_every_resolution() {
+    let cushion = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/cushion.toml")).unwrap();
+    let grid = cushion.replace("size_m = [0.45, 0.45]", "size_m = [0.45, 0.45], mesh = \"grid\"");
+    assert!(grid.len() > cushion.len());
+    for text in [cushion, grid] {
+        for resolution in [100, 256, 700, 1500, 2300, 3000, 6000, 9000] {
+            let scene = scene_of(&text, Some(resolution)).unwrap();
+            let (sewn, _) = Sewn::of(&scene).unwrap();
+            assert_eq!(validate(&sewn.mesh), Ok(()), "{resolution}");
+            let (_, _, _, euler, loops) = counts(&sewn.mesh);
+            assert_eq!((euler, loops), (2, vec![]), "{resolution}");
+            let model = GlobalModel::new(&sewn);
+            let outward = closed_parts(&sewn.mesh.triangles, &sewn.mesh.positions);
+            let pressed = model.triangles.iter().filter(|triangle| triangle.pressure_pa.abs() == 40.0).count();
+            // Flat on each other they hold no volume yet.
+            let closed = outward.iter().filter(|outward| **outward != 0.0).count();
+            assert_eq!(pressed, closed, "{resolution}");
+            assert!(GlobalModel::new(&scene).triangles.iter().all(|triangle| triangle.pressure_pa == 0.0));
+        }
+    }
 }
 
 #[test]
