@@ -184,7 +184,7 @@ mod tests {
         };
         let plain = sampled(vec![mesh(false)], 1000).unwrap();
         assert_eq!(plain.times_s, [0.0, 1.0]);
-        let body = sampled(vec![mesh(true), mesh(false)], 1000).unwrap();
+        let body = sampled(vec![mesh(true), mesh(false)], 10_000).unwrap();
         assert_eq!(body.triangles, [[0, 1, 2], [3, 4, 5]]);
         assert!(body.times_s.len() > 64 && body.times_s.len() <= 257, "{:?}", body.times_s);
         assert!(body.times_s.windows(2).all(|pair| pair[0] < pair[1]));
