@@ -63,7 +63,7 @@ pub struct RunOptions {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub set: Vec<String>,
     /// Start with the positions and velocities that the cloth of another run has at a frame, or at its newest state;
-    /// the scene may have other physics, pins and obstacles, or a finer level of the sheets
+    /// the scene may have other physics, pins, obstacles and another resolution
     #[arg(long, value_name = "RUN[:FRAME]")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_from: Option<StartFrom>,

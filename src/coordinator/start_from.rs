@@ -4,11 +4,13 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::math::{DVec3, Vec3};
-use crate::output::{Checkpoint, FrameSource, Report, RunDirectory, checkpoint};
-use crate::scene::{GivenStart, Overrides, ParsedScene, Scene};
+use crate::mesh::{NearestPoint, extent};
+use crate::output::{Checkpoint, FrameSource, Report, RunDirectory, RunManifest, checkpoint};
+use crate::scene::{GivenStart, Grip, Overrides, ParsedScene, Scene, read_str};
 use crate::time_parallel::Upsampling;
 
 /// A run and a frame of it; without a frame its newest state.
@@ -162,14 +164,72 @@ impl StartFrom {
             let line = format!("{}, on sheets with {} times its triangles", found.line, 1 << (2 * level));
             return Ok((GivenStart { positions, velocities, origin_m }, line));
         }
-        Err(format!(
-            "--start-from: the cloth of {} has {} triangles and is another mesh than that of the scene, which has {}; \
-             it must be the same, or a coarser level of its sheets, as the coarse run of --segments has",
-            self.run.display(),
-            triangles.len(),
-            fine.mesh.triangles.len()
-        ))
+        let from = from_surface(&self.run, triangles, fine, &found.given)
+            .map_err(|what| format!("--start-from: {}: {what}", self.run.display()))?;
+        let line = format!("{}, of {} triangles, here {}", found.line, triangles.len(), fine.mesh.triangles.len());
+        Ok((from, line))
     }
+}
+
+/// Largest distance between a vertex and the other mesh of its piece at the start of both scenes, as a share of the
+/// piece's extent.
+const APART: f64 = 0.05;
+
+/// Every vertex of `fine` where it hangs on the triangle of the other run that it is nearest to when both scenes start,
+/// as pins hang on obstacles that they follow, with the mean of the velocities of its corners. Unlike a finer level
+/// of a sheet this can cross; whoever takes it as a start has to check that. An error is half a sentence.
+fn from_surface(run: &Path, triangles: &[[u32; 3]], fine: &Scene, found: &GivenStart) -> Result<GivenStart, String> {
+    let directory = RunDirectory::open(run).map_err(|error| error.to_string())?;
+    let manifest = RunManifest::load(&directory).map_err(|error| error.to_string())?;
+    /// The options that decide on the mesh.
+    #[derive(Default, Deserialize)]
+    #[serde(default)]
+    struct Size {
+        resolution: Option<u64>,
+    }
+    let size: Size = manifest.flags().map_err(|error| error.to_string())?;
+    let parsed = read_str(&manifest.text_to_read(), &manifest.scene_path).map_err(|error| error.to_string())?;
+    let overrides = Overrides { resolution: size.resolution, frames: None };
+    let other = parsed.unchecked_at(&overrides).map_err(|error| error.to_string())?;
+    if other.mesh.triangles != triangles || other.mesh.positions.len() != found.positions.len() {
+        return Err("its frames are of another mesh than that of its scene".into());
+    }
+    let names = |scene: &Scene| scene.cloths.iter().map(|cloth| cloth.name.clone()).collect::<Vec<_>>().join(", ");
+    if other.cloths.len() != fine.cloths.len() {
+        return Err(format!("it has other pieces of cloth ({}) than the scene ({})", names(&other), names(fine)));
+    }
+    let shift = fine.origin_m - other.origin_m;
+    let values: &[f32] = bytemuck::cast_slice(&found.positions);
+    let (mut positions, mut velocities) = (Vec::new(), Vec::new());
+    for (theirs, own) in other.cloths.iter().zip(&fine.cloths) {
+        let surface = &other.mesh.triangles[theirs.triangles.start as usize..theirs.triangles.end as usize];
+        let nearest = NearestPoint::new(&other.mesh.positions, surface);
+        let starts = &fine.mesh.positions[own.vertices.start as usize..own.vertices.end as usize];
+        let bound = APART * extent(starts);
+        let hung: Vec<(DVec3, Vec3, f64)> = starts
+            .par_iter()
+            .map(|start| {
+                let start = start.as_dvec3() + shift;
+                let Some(foot) = nearest.to(start) else { return (start, Vec3::ZERO, f64::INFINITY) };
+                let corners = surface[foot.triangle];
+                let rest = corners.map(|v| other.mesh.positions[v as usize].as_dvec3());
+                let place = Grip::new(corners, rest, foot.weights, start).point_of(values);
+                let shares = corners.iter().zip(foot.weights);
+                let velocity = shares.map(|(&v, share)| found.velocities[v as usize].as_dvec3() * share).sum::<DVec3>();
+                (place, velocity.as_vec3(), foot.distance_m)
+            })
+            .collect();
+        if let Some((_, _, apart)) = hung.iter().find(|(_, _, apart)| *apart > bound) {
+            return Err(format!(
+                "`{}` of the scene starts up to {apart:.3} m away from `{}` there, so it is another cloth or lies \
+                 elsewhere",
+                own.name, theirs.name
+            ));
+        }
+        positions.extend(hung.iter().map(|(place, _, _)| place.as_vec3()));
+        velocities.extend(hung.iter().map(|(_, velocity, _)| *velocity));
+    }
+    Ok(GivenStart { positions, velocities, origin_m: other.origin_m })
 }
 
 /// The start that a run has kept for its resumption.

@@ -1,4 +1,5 @@
-//! `run --start-from`: a run whose cloth begins where that of another one was, with other physics or finer sheets.
+//! `run --start-from`: a run whose cloth begins where that of another one was, with other physics or another
+//! resolution.
 
 use std::fs;
 
@@ -88,13 +89,36 @@ fn finer_sheets_other_physics_and_other_pins() {
 }
 
 #[test]
+fn other_meshes_of_the_same_pieces_take_their_places_from_the_nearest_points() {
+    let place = place();
+    for (triangles, workers) in [(64, 1), (1600, 1), (1600, 2)] {
+        let words = format!("run hang.toml --executor cpu --resolution {triangles} --workers {workers}");
+        let out = format!("of_{triangles}_{workers}");
+        place
+            .run(&format!("{words} --start-from first:4 --frames 1 --out {out}"))
+            .expect(0)
+            .says(&["of 256 triangles"]);
+    }
+    assert_eq!(place.hashes("of_1600_1"), place.hashes("of_1600_2"));
+    let [coarse, fine] =
+        ["first/states/step_00000020.ltc", "of_1600_1/start.ltc"].map(|file| state(&place, file).state);
+    // The sheet hangs as it did: the same mean height and speed, and the pinned corners where they were.
+    let mean = |all: &[Vec3]| all.iter().map(|p| p.y).sum::<f32>() / all.len() as f32;
+    assert!((mean(&coarse.positions) - mean(&fine.positions)).abs() < 0.004);
+    assert!((mean(&coarse.velocities) - mean(&fine.velocities)).abs() < 0.05 * mean(&coarse.velocities).abs());
+    let corner =
+        |all: &[Vec3]| all.iter().copied().fold(Vec3::INFINITY, |a, b| if b.x + b.z < a.x + a.z { b } else { a });
+    assert!(corner(&coarse.positions).distance(corner(&fine.positions)) < 1e-5);
+}
+
+#[test]
 fn mistakes_are_named() {
     let place = place();
     place.write("small.toml", SCENE.replace("size_m = [1, 1]", "size_m = [1, 2]"));
     for (words, what) in [
         ("hang.toml --start-from nowhere", "nowhere"),
         ("hang.toml --start-from first:99", "has no frame 99, only 0 to 6"),
-        ("small.toml --start-from first", "is another mesh than that of the scene"),
+        ("small.toml --start-from first", "is another cloth or lies elsewhere"),
         ("hang.toml --start-from :3", "names no run"),
         ("hang.toml --start-from first --segments 2", "--start-from and --segments do not go together"),
     ] {
