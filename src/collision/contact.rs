@@ -57,6 +57,8 @@ pub(super) struct Pair {
     pub gap_m: f32,
     /// Share of the stiffness of a contact: less than 1 for edges that are nearly parallel.
     pub share: f32,
+    /// The most that the thickness may be, meters: see `sewn_sides`.
+    pub most_m: f32,
 }
 
 impl Pair {
@@ -154,6 +156,7 @@ impl Surfaces<'_> {
                 distance_m: offset.length(),
                 gap_m: offset.length(),
                 share: 1.0,
+                most_m: f32::INFINITY,
             }
         })
     }
@@ -182,6 +185,7 @@ impl Surfaces<'_> {
                 distance_m: offset.length(),
                 gap_m: offset.length(),
                 share: 1.0,
+                most_m: f32::INFINITY,
             }
         })
     }
@@ -253,6 +257,7 @@ fn whole(candidate: &Candidate, found: &Proximity) -> Pair {
         distance_m: found.distance,
         gap_m: found.distance,
         share: 1.0,
+        most_m: f32::INFINITY,
     }
 }
 

@@ -73,8 +73,8 @@ impl Detector {
         self.let_go = LetGo::new(pairs, self.mesh().cloth_vertices);
     }
 
-    /// Pairs of vertices that become one: later queries for contacts leave out what lies within one ring of them on
-    /// both sides. Impacts are found all the same.
+    /// Pairs of vertices that become one: in later queries for contacts both sides keep a distance that grows with the
+    /// way along the cloth through the seam. Impacts are found all the same.
     pub fn sew(&mut self, pairs: &[[u32; 2]]) {
         self.sewn_sides = SewnSides::new(self.searches.native.mesh(), &self.around, pairs);
     }
@@ -113,7 +113,7 @@ impl Detector {
     /// does with every candidate.
     pub fn contact(&self, x: &[f32], candidate: &Candidate) -> Option<ContactElement> {
         let surfaces = Surfaces { mesh: self.searches.native.mesh(), around: &self.around, x };
-        self.rules.element(&contact_of(&surfaces, None, &self.rules, candidate)?)
+        self.rules.element(&contact_of(&surfaces, None, &self.rules, &self.sewn_sides, candidate)?)
     }
 
     /// The contacts at positions `x` (x, y, z of every vertex, meters: cloth, then obstacles) that fall to this rank,
@@ -189,7 +189,7 @@ impl Detector {
         let mut found: Vec<Option<ContactElement>> = vec![None; self.near.len()];
         host.for_ranges_mut(&mut found, 1, 64, |range, found| {
             for (candidate, found) in self.near[range].iter().zip(found) {
-                let pair = contact_of(&surfaces, Some(ahead), &self.rules, candidate);
+                let pair = contact_of(&surfaces, Some(ahead), &self.rules, &self.sewn_sides, candidate);
                 *found = pair.and_then(|pair| self.rules.element(&pair));
             }
         });

@@ -120,14 +120,18 @@ pub(super) fn contact_of(
     surfaces: &Surfaces<'_>,
     ahead: Option<&[f32]>,
     rules: &Rules,
+    sewn_sides: &SewnSides,
     candidate: &Candidate,
 ) -> Option<Pair> {
     let reach_m = rules.reach_m(candidate);
+    let closest = |surfaces: &Surfaces<'_>, reach_m: f32| {
+        surfaces.closest(candidate, reach_m).map(|pair| sewn_sides.limited(pair, surfaces.x))
+    };
     let Some(ahead) = ahead else {
-        return surfaces.closest(candidate, reach_m).filter(|pair| rules.is_near(pair, 0.0));
+        return closest(surfaces, reach_m).filter(|pair| rules.is_near(pair, 0.0));
     };
     let there = Surfaces { x: ahead, ..*surfaces };
-    let mut at_end = there.closest(candidate, reach_m).filter(|pair| rules.is_near(pair, 0.0));
+    let mut at_end = closest(&there, reach_m).filter(|pair| rules.is_near(pair, 0.0));
     if let Some(pair) = &mut at_end {
         pair.distance_m -= pair.parting(surfaces.x, ahead);
         if pair.distance_m > 0.0 {
@@ -135,7 +139,7 @@ pub(super) fn contact_of(
         }
     }
     let closing = closing_bound(candidate, surfaces.x, ahead);
-    let at_start = surfaces.closest(candidate, reach_m + closing);
+    let at_start = closest(surfaces, reach_m + closing);
     let at_start = at_start.filter(|pair| rules.is_near(pair, -pair.parting(surfaces.x, ahead)));
     if (at_end.is_some() || at_start.is_some()) && crosses(candidate, surfaces.x, ahead) { at_start } else { at_end }
 }
@@ -160,7 +164,7 @@ impl Sink for ContactSink<'_> {
         let (let_go, sewn_sides) = (self.let_go, self.sewn_sides);
         for_each_group(
             found,
-            |candidate| !let_go.leaves_out(candidate) && !sewn_sides.leaves_out(candidate),
+            |candidate| !let_go.leaves_out(candidate),
             |kind, group, count| {
                 let reach = Vec4::from_array(group.each_ref().map(|candidate| rules.reach_m(candidate)));
                 let start = gather(surfaces.x, group);
@@ -173,7 +177,7 @@ impl Sink for ContactSink<'_> {
                     if ahead.is_some() {
                         self.near.push(group[i]);
                     }
-                    let Some(pair) = contact_of(surfaces, ahead, rules, &group[i]) else { continue };
+                    let Some(pair) = contact_of(surfaces, ahead, rules, sewn_sides, &group[i]) else { continue };
                     own.smallest_gap_m = own.smallest_gap_m.min(pair.gap_m);
                     own.items.extend(rules.element(&pair));
                 }

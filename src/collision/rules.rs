@@ -126,10 +126,11 @@ impl Rules {
         let vertices = || pair.vertices.into_iter().filter(|&v| v != NO_VERTEX).map(|v| v as usize);
         let mut pieces = vertices().map(|v| self.pieces[v]);
         let first = pieces.next();
+        let most_m = self.params.thickness_m.min(pair.most_m);
         if pieces.any(|piece| Some(piece) != first) {
-            return self.params.thickness_m;
+            return most_m;
         }
-        vertices().fold(self.params.thickness_m, |least, v| least.min(self.within_piece_m[v]))
+        vertices().fold(most_m, |least, v| least.min(self.within_piece_m[v]))
     }
 
     /// True if a pair is closer than its thickness, or will be once it has come closer by `approach_m`.
@@ -163,6 +164,10 @@ impl Rules {
     }
 
     fn friction(&self, pair: &Pair) -> f32 {
+        // Sides of a seam must find each other.
+        if pair.most_m < f32::INFINITY {
+            return 0.0;
+        }
         let [a, b, c, _] = pair.vertices;
         let other = if pair.kind == 0 { b } else { c };
         let friction = |v: u32| self.params.friction[v as usize];

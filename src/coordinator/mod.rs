@@ -33,6 +33,7 @@ mod time_schedule;
 mod time_split;
 mod time_trace;
 mod watch;
+mod welding;
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};

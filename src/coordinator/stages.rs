@@ -9,17 +9,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::live::merged;
 use super::options::RunOptions;
 use super::plan::{PlanError, RunPlan};
-use super::time_plan::surface;
-use crate::collision::{LeftOut, StraightWay};
-use crate::math::Vec3;
-use crate::mesh::{Group, GroupKind, crossings};
+use super::welding::{Welded, welded};
 use crate::model::{Cut, Sewn, State};
 use crate::output::{Checkpoint, SeamGap, scene_fingerprint};
-use crate::scene::{Change, Edit, Handles, Obstacles, RESOLUTIONS, Scene, SeamEnd};
-
-/// Share of the way to each other that vertices go first, all pairs of features being proven apart on it; on the rest
-/// features that get a common vertex are not looked at.
-const FIRST_SHARE: f32 = 15.0 / 16.0;
+use crate::scene::{Change, Edit, Handles, RESOLUTIONS, SeamEnd};
 
 /// A stage of a run.
 pub(super) struct Stage {
@@ -249,18 +242,11 @@ impl Stages {
     /// A sentence, if detection fails.
     pub(super) fn attempt(&self, stage: &Stage, state: &State, step: u32) -> Result<Attempt, String> {
         let Some(SewnCloth { way: sewn, plan, .. }) = stage.sewn.as_deref() else { return Ok(Attempt::Open) };
-        let (widest_m, ends) = sewn.ends(&state.positions);
-        if widest_m > sewn.weld_m() {
-            return Ok(Attempt::Open);
-        }
-        let [panels, cloth] = [&stage.plan.scene, &plan.scene];
-        if panels.settings.collisions && !is_free(panels, sewn, state, &ends, step)? {
-            return Ok(Attempt::Blocked);
-        }
-        let state = sewn.state(state, &ends);
-        if panels.settings.collisions && crosses(cloth, &state, step) {
-            return Ok(Attempt::Blocked);
-        }
+        let state = match welded(&stage.plan.scene, &plan.scene, sewn, state, step)? {
+            Welded::Done(state) => state,
+            Welded::Open => return Ok(Attempt::Open),
+            Welded::Blocked => return Ok(Attempt::Blocked),
+        };
         Ok(self.sewn(stage).map_or(Attempt::Open, |stage| Attempt::Sewn(stage, Box::new(state))))
     }
 }
@@ -302,62 +288,9 @@ impl Stage {
     pub(super) fn gap(&self, state: &State) -> Option<SeamGap> {
         let sewn = &self.sewn.as_deref()?.way;
         let (widest_m, ends) = sewn.ends(&state.positions);
-        Some(SeamGap { widest_m, open: sewn.open(&state.positions, &ends) })
+        Some(SeamGap { widest_m, open: sewn.open(&state.positions, &ends).count() })
     }
 }
 
 /// A stage that begins: its first step and its state there.
 pub(super) type Begin = (Arc<Stage>, u32, Option<Arc<State>>);
-
-/// Whether the vertices of `state` can go to `ends` without touching anything else.
-fn is_free(panels: &Scene, sewn: &Sewn, state: &State, ends: &[Vec3], step: u32) -> Result<bool, String> {
-    let (positions, triangles, _) = surface(panels, state, step);
-    let cloth = state.positions.len();
-    let ranges = Obstacles::new(&panels.obstacles).ranges();
-    let vertices = |obstacle: u32| {
-        let [vertices, _] = &ranges[obstacle as usize];
-        (cloth + vertices.start) as u32..(cloth + vertices.end) as u32
-    };
-    let left_out = |one: &crate::model::LetGo| LeftOut { vertex: one.vertex, obstacle: vertices(one.obstacle) };
-    let left_out = state.let_go.iter().map(left_out).collect();
-    let way = StraightWay { triangles: &triangles, cloth_vertices: cloth, left_out };
-    let mut near = positions.clone();
-    let mut there = positions.clone();
-    for (v, &end) in ends.iter().enumerate() {
-        near[v] = positions[v].lerp(end, FIRST_SHARE);
-        there[v] = end;
-        // A vertex that stays keeps its bits.
-        if end == positions[v] {
-            near[v] = end;
-        }
-    }
-    let flat = |points: &[Vec3]| bytemuck::cast_slice::<Vec3, f32>(points).to_vec();
-    if !way.touching(&flat(&positions), &flat(&near))?.is_empty() {
-        return Ok(false);
-    }
-    let last = way.touching(&flat(&near), &flat(&there))?;
-    let is_shared = |impact: &crate::collision::Impact| {
-        let candidate = impact.candidate;
-        let (one, other) = candidate.vertices.split_at(if candidate.is_vertex_face() { 1 } else { 2 });
-        let of_cloth = |vertices: &[u32]| vertices.iter().all(|&v| (v as usize) < cloth);
-        of_cloth(one) && of_cloth(other) && sewn.joins(one, other)
-    };
-    Ok(last.iter().all(is_shared))
-}
-
-/// Whether the sewn cloth crosses itself or an obstacle that it has not let go.
-fn crosses(cloth: &Scene, state: &State, step: u32) -> bool {
-    let (positions, triangles, groups) = surface(cloth, state, step);
-    let of_cloth = cloth.mesh.triangles.len();
-    let whole = Group { triangles: 0..of_cloth, kind: GroupKind::Cloth };
-    let obstacles: Vec<Group> = groups.into_iter().filter(|group| group.triangles.start >= of_cloth).collect();
-    let groups: Vec<Group> = std::iter::once(whole).chain(obstacles).collect();
-    let is_let_go = |t: u32| {
-        let lets = |one: &crate::model::LetGo| triangles[t as usize].contains(&one.vertex);
-        (t as usize) < of_cloth && state.let_go.iter().any(lets)
-    };
-    crossings(&positions, &triangles, &groups).iter().any(|&[s, t]| {
-        let with_obstacle = t as usize >= of_cloth;
-        !(with_obstacle && is_let_go(s))
-    })
-}

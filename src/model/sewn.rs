@@ -150,11 +150,12 @@ impl Sewn {
         (widest_m, ends)
     }
 
-    /// Number of places where vertices to be joined have farther to go than half of [`Sewn::weld_m`], on their way to
-    /// `ends`.
-    pub fn open(&self, positions: &[Vec3], ends: &[Vec3]) -> usize {
+    /// The vertices of places where vertices to be joined have farther to go than half of [`Sewn::weld_m`], on their way
+    /// to `ends`.
+    pub fn open<'a>(&'a self, positions: &'a [Vec3], ends: &'a [Vec3]) -> impl Iterator<Item = &'a [u32]> {
         let way_m = |&v: &u32| positions[v as usize].as_dvec3().distance(ends[v as usize].as_dvec3());
-        self.sets.iter().filter(|members| members.iter().any(|v| 2.0 * way_m(v) > self.weld_m)).count()
+        let is_open = move |members: &&[u32]| members.iter().any(|v| 2.0 * way_m(v) > self.weld_m);
+        self.sets.iter().map(Vec::as_slice).filter(is_open)
     }
 
     /// Largest [`Sewn::ends`] at which seams count as closed, meters.
@@ -166,6 +167,32 @@ impl Sewn {
     pub fn joins(&self, one: &[u32], other: &[u32]) -> bool {
         let joined = |v: &u32| self.vertex_of[*v as usize];
         one.iter().any(|v| other.iter().any(|w| joined(v) == joined(w)))
+    }
+
+    /// Vertex of the sewn mesh, before it is divided, that a vertex of the panels has become.
+    pub fn joined_vertex(&self, panels: u32) -> u32 {
+        self.vertex_of[panels as usize]
+    }
+
+    /// For every vertex of the panels the vertices of the sewn mesh that it is within two rings of and that several
+    /// became, ascending. `triangles`: those of the panels.
+    pub fn near_seams(&self, triangles: &[[u32; 3]]) -> Vec<Vec<u32>> {
+        let mut near: Vec<Vec<u32>> = vec![Vec::new(); self.vertex_of.len()];
+        self.sets.iter().flatten().for_each(|&v| near[v as usize].push(self.vertex_of[v as usize]));
+        for _ in 0..2 {
+            let mut wider = near.clone();
+            for corners in triangles {
+                for (&v, &w) in corners.iter().flat_map(|v| corners.iter().map(move |w| (v, w))) {
+                    wider[v as usize].extend_from_slice(&near[w as usize]);
+                }
+            }
+            wider.iter_mut().for_each(|list| {
+                list.sort_unstable();
+                list.dedup();
+            });
+            near = wider;
+        }
+        near
     }
 
     /// Vertex of the sewn cloth that a vertex of the panels has become.

@@ -3,6 +3,7 @@
 
 use std::fs;
 
+use support::numpy::test_data;
 use support::process::Place;
 
 /// Two panels that face each other, sewn to a bag that hangs from a corner.
@@ -106,4 +107,31 @@ fn seams_that_do_not_close_are_said_and_a_split_shot_has_none() {
     assert!(ended.stderr.contains("the seams are not sewn: "), "{}", ended.story);
     let ended = place.run("run bag.toml --executor cpu --segments 2 --out split").expect(2);
     assert!(ended.error().contains("cloth that is sewn has no coarser level"), "{}", ended.story);
+}
+
+/// Panels that meet in a corner under the arm, in other people's files.
+#[test]
+fn shirts_are_sewn_around_bodies() {
+    let Some(garments) = test_data("garments") else { return };
+    let at = |file: &str| garments.join(file).display().to_string();
+    let [mesh, seams, body] = ["panels/shirt_1k.obj", "panels/shirt_1k.seams.json", "human/human_rest.obj"].map(at);
+    let pattern = at("garmentcode/shirt_mean_specification.json");
+    let panels = format!("mesh = \"{mesh}\"\nseams = \"{seams}\"\nmaterial = \"uv\"\n[[obstacle]]\nmesh = \"{body}\"");
+    let generated = format!("mesh = \"{pattern}\"\norigin_m = [0, 0.1, 0]\n[[obstacle]]\nbody = \"person\"");
+    for (name, cloth) in [("panels", panels), ("pattern", generated)] {
+        let place = Place::new();
+        let settings = "frames = 26\nframe_s = 0.04\nstep_s = 0.005";
+        let text =
+            format!("resolution = 1_200\n[simulation]\n{settings}\n[sewing]\nclose_s = 0.6\n[[cloth]]\n{cloth}\n");
+        place.write("shirt.toml", &text);
+        let ended = place.run("run shirt.toml --executor cpu --out out").expect(0);
+        assert!(ended.stderr.contains("the seams are closed after step"), "{name}: {}", ended.story);
+        let report = place.report("out");
+        let stage = &report["stages"][0];
+        assert_eq!(stage["triangles"], report["triangles"], "{name}");
+        if name == "panels" {
+            let truth: serde_json::Value = serde_json::from_str(&fs::read_to_string(&seams).unwrap()).unwrap();
+            assert_eq!(stage["vertices"], truth["truth"]["after_sewing"]["vertices"]);
+        }
+    }
 }
