@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 program=target/release/loomtree
 [ -x "$program" ] || cargo build --release
 
-declare -A frame=([dress]=120 [karate]=40 [princess]=100 [skirt]=80 [curtain]=60 [twisting]=110)
+declare -A frame=([dress]=120 [karate]=40 [princess]=100 [skirt]=80 [tshirt]=50 [curtain]=60 [twisting]=110)
 [ "$#" -gt 0 ] || set -- "${!frame[@]}"
 
 mkdir -p docs/pictures
@@ -22,7 +22,7 @@ for scene in "$@"; do
     out=out/gallery_$scene
     "$program" run "scenes/$scene.toml" --workers 2 --frames "$number" --out "$out" --overwrite
     # A dressed person is shown whole; of the others the cloth fills the picture.
-    case "$scene" in dress | karate | princess) target=all ;; *) target=cloth ;; esac
+    case "$scene" in dress | karate | princess | tshirt) target=all ;; *) target=cloth ;; esac
     "$program" render "$out" --frames "$number..$number" --size 480x360 --executor cpu --target "$target" \
         --out "docs/pictures/$scene.png"
 done

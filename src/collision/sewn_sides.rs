@@ -1,6 +1,6 @@
-//! Sides of seams that are being sewn: what lies on both sides keeps no more distance than the sewn cloth would, so that
-//! the sides can meet and do not lie on each other. Continuous detection takes no notice of this: they may come as close
-//! as they like, not through each other.
+//! Sides of seams that are being sewn: what lies on both sides keeps no more distance than the sewn cloth would, so
+//! that the sides can meet and do not lie on each other. Continuous detection takes no notice of this: they may come
+//! as close as they like, not through each other.
 //!
 //! The gap of a pair is at most [`SLOPE`] of the way along the cloth from one of its points to the other through the
 //! seam: from the point to its side, and from the same place of the other side to the other point. It is zero where the

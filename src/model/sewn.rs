@@ -150,8 +150,8 @@ impl Sewn {
         (widest_m, ends)
     }
 
-    /// The vertices of places where vertices to be joined have farther to go than half of [`Sewn::weld_m`], on their way
-    /// to `ends`.
+    /// The vertices of places where vertices to be joined have farther to go than half of [`Sewn::weld_m`], on their
+    /// way to `ends`.
     pub fn open<'a>(&'a self, positions: &'a [Vec3], ends: &'a [Vec3]) -> impl Iterator<Item = &'a [u32]> {
         let way_m = |&v: &u32| positions[v as usize].as_dvec3().distance(ends[v as usize].as_dvec3());
         let is_open = move |members: &&[u32]| members.iter().any(|v| 2.0 * way_m(v) > self.weld_m);
