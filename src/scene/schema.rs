@@ -56,6 +56,7 @@ mod tests {
     use super::*;
     use crate::scene::change::CHANGE_FIELDS;
     use crate::scene::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, GARMENT_FIELDS, SHEET_FIELDS};
+    use crate::scene::force_file::FORCE_FIELDS;
     use crate::scene::obstacle_file::OBSTACLE_FIELDS;
     use crate::scene::pin_file::PIN_FIELDS;
     use crate::scene::settings_file::{AIR_FIELDS, SIMULATION_FIELDS};
@@ -81,6 +82,7 @@ mod tests {
         assert_eq!(fields("pin/items/properties"), known(&PIN_FIELDS));
         assert_eq!(fields("obstacle/items/properties"), known(&OBSTACLE_FIELDS));
         assert_eq!(fields("change/items/properties"), known(&CHANGE_FIELDS));
+        assert_eq!(fields("force/items/properties"), known(&FORCE_FIELDS));
     }
 
     /// The words of JSON Schema that the schema uses.
@@ -142,6 +144,7 @@ mod tests {
         assert!(fits(&json(cloth), &schema, &schema));
         for mistake in [
             "resolution = 100\n",
+            &format!("{cloth}[air]\nwind_m_s = [{{ time_s = 1, value = 3 }}]\n"),
             &format!("{cloth}[simulation]\nfrictoin = 1\n"),
             &format!("{cloth}[simulation]\nfriction = -1\n"),
             &format!("{cloth}[simulation]\nsubsteps = \"many\"\n"),

@@ -217,6 +217,8 @@ mod tests {
         for field in [
             "simulation.gravity_m_s2=[0, -1, 0]",
             "air.wind_m_s=[1, 2, 3]",
+            "air.wind_m_s=[{ time_s = 0, value = [1, 2, 3] }]",
+            "simulation.friction_factor=[{ time_s = 0, value = 1 }]",
             "cloth.0.strain_limit=[0.9, 1.1]",
             "cloth.0.sheet.size_m=[1, 2]",
             "simulation.frictoin=[1, 2]",
@@ -225,6 +227,7 @@ mod tests {
             assert_eq!(of(&[field]).unwrap(), [[field]], "{field}");
         }
         assert_eq!(of(&["simulation.gravity_m_s2=[[0, -1, 0], [0, -9, 0]]"]).unwrap().len(), 2);
+        assert_eq!(of(&["simulation.friction_factor=[0.5, 1]"]).unwrap().len(), 2);
         assert_eq!(of(&["cloth.0.strain_limit=[[0.9, 1.1], [0.8, 1.2], [0.7, 1.3]]"]).unwrap().len(), 3);
         assert_eq!(of(&["cloth.0.sheet.size_m.1=[1, 2]"]).unwrap().len(), 2);
         assert_eq!(of(&["resolution=[1000, 4_000]"]).unwrap()[1], ["resolution=4000"]);
