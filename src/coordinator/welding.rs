@@ -54,8 +54,9 @@ pub(super) fn welded(panels: &Scene, cloth: &Scene, sewn: &Sewn, state: &State, 
             return Ok(Welded::Done(welded));
         }
     }
-    let Some(straight) = straightened(panels, sewn, state, &ends, step) else { return Ok(Welded::Blocked) };
-    if !is_free_beyond_seams(panels, sewn, state, &straight, step)? {
+    let near = sewn.near_seams(&panels.mesh.triangles);
+    let Some(straight) = straightened(panels, sewn, state, &ends, &near, step) else { return Ok(Welded::Blocked) };
+    if !is_free_beyond_seams(panels, state, &straight, &near, step)? {
         return Ok(Welded::Blocked);
     }
     let welded = sewn.state(state, &straight);
@@ -111,11 +112,17 @@ fn is_free(panels: &Scene, sewn: &Sewn, state: &State, ends: &[Vec3], step: u32)
 }
 
 /// The places of the panels' vertices at which the cloth that meets at `ends` crosses nothing. None if that cannot be
-/// had by moving vertices within two rings of seams.
-fn straightened(panels: &Scene, sewn: &Sewn, state: &State, ends: &[Vec3], step: u32) -> Option<Vec<Vec3>> {
+/// had by moving vertices within two rings of seams. `near`: [`Sewn::near_seams`].
+fn straightened(
+    panels: &Scene,
+    sewn: &Sewn,
+    state: &State,
+    ends: &[Vec3],
+    near: &[Vec<u32>],
+    step: u32,
+) -> Option<Vec<Vec3>> {
     let (all, mut triangles, groups) = surface(panels, state, step);
     let (cloth, of_cloth) = (ends.len(), panels.mesh.triangles.len());
-    let near = sewn.near_seams(&panels.mesh.triangles);
     let vertices = 1 + (0..cloth as u32).map(|v| sewn.joined_vertex(v)).max()?;
     let mut positions = vec![Vec3::ZERO; vertices as usize];
     let mut can_move = vec![false; vertices as usize];
@@ -158,13 +165,18 @@ fn straightened(panels: &Scene, sewn: &Sewn, state: &State, ends: &[Vec3], step:
 }
 
 /// Whether the vertices of `state` can go to `ends` and nothing touches on the way but cloth within two rings of the
-/// same vertex of a seam.
-fn is_free_beyond_seams(panels: &Scene, sewn: &Sewn, state: &State, ends: &[Vec3], step: u32) -> Result<bool, String> {
+/// same vertex of a seam. `near`: [`Sewn::near_seams`].
+fn is_free_beyond_seams(
+    panels: &Scene,
+    state: &State,
+    ends: &[Vec3],
+    near: &[Vec<u32>],
+    step: u32,
+) -> Result<bool, String> {
     let (positions, triangles, _) = surface(panels, state, step);
     let mut there = positions.clone();
     there[..ends.len()].copy_from_slice(ends);
     let touching = way(panels, state, &triangles).touching(flat(&positions), flat(&there))?;
-    let near = sewn.near_seams(&panels.mesh.triangles);
     let is_at_seam = |impact: &Impact| {
         let (one, other) = features(impact);
         let of_cloth = |vertices: &[u32]| vertices.iter().all(|&v| (v as usize) < ends.len());
