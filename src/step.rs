@@ -17,6 +17,7 @@ mod limits;
 mod normal_forces;
 mod over_time;
 mod own_state;
+mod pinned;
 mod products;
 mod second_solve;
 mod span;
@@ -32,7 +33,8 @@ use crate::context::RankContext;
 use crate::forces::contact::ContactStep;
 use crate::gpu::{CpuExecutor, Executor};
 use crate::integrator::inertia::Inertia;
-use crate::integrator::pins::{PinPaths, PinTargets, Pins};
+use crate::integrator::pins::{PinPaths, PinTargets, Pins, Spring};
+use crate::integrator::surfaces::Surfaces;
 use crate::math::DIM;
 use crate::model::{RankModel, RankState};
 use crate::scene::{Obstacles, Settings};
@@ -114,6 +116,10 @@ struct RankCloth {
     /// True until the first step from the start state or from a state that was set.
     state_is_new: bool,
     pin_paths: PinPaths,
+    /// True if a pin of any rank is a spring.
+    springs: bool,
+    /// Springs on own rows in this part of the step.
+    own_springs: Vec<Spring>,
     state: StateVectors,
     elements: Elements,
     /// Present if a fabric of the scene has strain limits.
@@ -153,6 +159,7 @@ impl Simulation {
         if let Some(collisions) = &mut self.cloth.collisions {
             collisions.take_up(&mut rank, &mut stats)?;
         }
+        self.cloth.pins.let_go(span.end_s, span.length_s);
         self.cloth.state_is_new = false;
         if let Some(fault) = self.executor.take_fault() {
             return Err(Failure::in_step(step, fault));
@@ -176,8 +183,8 @@ impl Simulation {
         if let Some(collisions) = &mut cloth.collisions {
             collisions.forget_state(&state.let_go);
         }
+        cloth.pins.set_holds(&state.holds);
         cloth.state.set(executor, Rc::new(state));
-        cloth.pins.release_all();
         cloth.system.pinned.fill_zero(executor);
         cloth.state_is_new = true;
     }
@@ -193,6 +200,8 @@ impl RankCloth {
             pins,
             motions,
             followed,
+            surfaces,
+            springs,
             settings,
             cell_m,
             pins_move,
@@ -214,6 +223,13 @@ impl RankCloth {
             .then(|| matrix.schwarz(executor, &partition, &plan, exchange, &columns.numbering(&plan)));
         let followed = Obstacles::from_parts(followed, std::mem::take(&mut arrays.followed), Vec::new())
             .ok_or_else(|| SetupError::Pins("the followed vertices do not fit their header".into()))?;
+        let surfaces = Obstacles::from_parts(surfaces, std::mem::take(&mut arrays.surface_positions), Vec::new())
+            .and_then(|obstacles| {
+                let vertices = std::mem::take(&mut arrays.surface_vertices);
+                let triangles = std::mem::take(&mut arrays.surface_triangles);
+                Surfaces { obstacles, vertices, triangles }.checked()
+            })
+            .ok_or_else(|| SetupError::Pins("the obstacles to take hold of do not fit their header".into()))?;
         let padding_ratio = matrix.padding_ratio();
         let cloth = RankCloth {
             cell_m,
@@ -223,7 +239,9 @@ impl RankCloth {
             stiff: stiffness_ratio >= STIFF,
             stiffness_ratio,
             state_is_new: true,
-            pin_paths: PinPaths { motions, followed },
+            pin_paths: PinPaths { motions, followed, surfaces, touch_m: settings.thickness_m },
+            springs,
+            own_springs: Vec::new(),
             state: StateVectors::new(executor, &arrays, plan.own.clone()),
             elements,
             limited: LimitedTriangles::of(&arrays),
@@ -296,7 +314,7 @@ impl RankCloth {
 
         // 1. Settings, pins and obstacles at t1.
         self.take_time(rank.executor, span);
-        let targets = self.move_pins(rank, span);
+        let targets = self.move_pins(rank, span)?;
         self.aim(rank, span);
         let prescribed = self.starts_prescribed(rank, &targets)?;
 
@@ -312,7 +330,7 @@ impl RankCloth {
         rank.transport.alive()?;
 
         // 4. Matrix, right-hand side, preconditioner of the own rows.
-        self.fill_matrix(rank, span);
+        self.fill_matrix(rank, span, span.length_s);
         clock.lap_kernels(rank.executor, &mut stats.seconds.value_fill);
         rank.transport.alive()?;
 
@@ -337,18 +355,6 @@ impl RankCloth {
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.
         self.resolve_impacts(rank, span, halvings, stats)
-    }
-
-    fn move_pins(&mut self, rank: &mut RankContext<'_>, span: Span) -> PinTargets {
-        let (time_s, step_s) = (span.start_s, span.length_s);
-        if self.pins.changes(time_s, step_s) {
-            let own = self.state.recorded(rank);
-            let held = self.pins.regrip(time_s, step_s, &own.positions, &own.velocities);
-            let mut pinned = vec![0u32; self.rows.len()];
-            held.iter().for_each(|&row| pinned[row as usize] = 1);
-            self.system.pinned.write_range(rank.executor, 0, &pinned);
-        }
-        self.pins.targets(time_s, step_s, &self.pin_paths)
     }
 
     /// True if a pin of any rank changes its velocity, so that the solve starts from prescribed values. A pin at rest
@@ -418,7 +424,8 @@ impl RankCloth {
         rank.recorder.end(EventName::Elements, Activity::Compute, start, bytes, flops);
     }
 
-    fn fill_matrix(&mut self, rank: &mut RankContext<'_>, span: Span) {
+    /// `ahead_s`: as that of [`RankCloth::element_records`].
+    fn fill_matrix(&mut self, rank: &mut RankContext<'_>, span: Span, ahead_s: f64) {
         let params = FillParams {
             gravity: (self.settings.gravity_m_s2 * self.gravity_share()).to_array(),
             step_s: span.length_s as f32,
@@ -427,6 +434,7 @@ impl RankCloth {
         self.matrix.fill(rank, &params, &self.elements, &mut self.system);
         self.push(rank, span);
         self.pull_along(rank);
+        self.pull_springs(rank, span, ahead_s);
     }
 
     /// Solves for dv. False: the solve broke off and `may_halve` is true, because shorter steps can mend that: mass

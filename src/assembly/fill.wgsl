@@ -48,7 +48,7 @@ const SUMS: u32 = 9u;
 @group(0) @binding(9) var<storage, read> triangle_records: array<vec4<f32>>;
 @group(0) @binding(10) var<storage, read> hinge_records: array<vec4<f32>>;
 @group(0) @binding(11) var<storage, read> masses: array<f32>;
-@group(0) @binding(12) var<storage, read> pinned: array<u32>;
+@group(0) @binding(12) var<storage, read> pinned: array<f32>;
 @group(0) @binding(13) var<storage, read> contact_slots: array<u32>;
 @group(0) @binding(14) var<storage, read> contact_sums: array<f32>;
 @group(0) @binding(15) var<storage, read_write> values: array<f32>;
@@ -143,7 +143,7 @@ fn store_inverse(row: u32, m: mat3x3<f32>) {
     let a = cross(m[1], m[2]);
     let b = cross(m[2], m[0]);
     let c = cross(m[0], m[1]);
-    let scale = select(1.0 / dot(m[2], c), 0.0, pinned[row] != 0u);
+    let scale = select(1.0 / dot(m[2], c), 0.0, pinned[row] < 0.0);
     let at = row * 6u;
     inverse_diagonal[at] = a.x * scale;
     inverse_diagonal[at + 1u] = b.x * scale;
@@ -189,9 +189,9 @@ fn fill_force(row: u32) {
     rhs[row] = packed(force);
 }
 
-// Mass and the diagonal block of the contacts of a row.
+// Mass, the spring of a soft pin, and the diagonal block of the contacts of a row.
 fn mass_and_contacts(row: u32) -> mat3x3<f32> {
-    let mass = masses[row];
+    let mass = masses[row] + max(pinned[row], 0.0);
     var block = mat3x3<f32>(mass, 0.0, 0.0, 0.0, mass, 0.0, 0.0, 0.0, mass);
     let sums = contact_sums_of(row);
     if (sums != NO_SLOT) {

@@ -28,7 +28,8 @@ pub(crate) struct FillInputs<'a> {
     pub triangle_records: &'a [f32],
     pub hinge_records: &'a [f32],
     pub masses: &'a [f32],
-    pub pinned: &'a [u32],
+    /// Negative for a prescribed row, else dt^2 k of its spring, kg.
+    pub pinned: &'a [f32],
     /// Per own row its number among the rows with contacts; empty without contacts.
     pub contact_slots: &'a [u32],
     pub contact_sums: &'a [f32],
@@ -80,9 +81,10 @@ pub(super) fn fill(
             for i in inputs.hinge_offsets[row] as usize..inputs.hinge_offsets[row + 1] as usize {
                 add_hinge(inputs, inputs.hinge_entries[i], inputs.hinge_positions[i], &mut blocks, &mut force);
             }
+            let mass_and_spring = inputs.masses[row] + inputs.pinned[row].max(0.0);
             for c in [0, 4, 8] {
-                blocks[diagonal][c] += inputs.masses[row];
-                absolute[c] += inputs.masses[row];
+                blocks[diagonal][c] += mass_and_spring;
+                absolute[c] += mass_and_spring;
             }
             let mut impulse = (force * params.step_s).to_array();
             if let Some(&slot) = inputs.contact_slots.get(row)
@@ -101,7 +103,7 @@ pub(super) fn fill(
                 // SAFETY: the row's own entries.
                 unsafe { rhs_shared.set(row * 3 + c, value) };
             }
-            inverse.copy_from_slice(&if inputs.pinned[row] != 0 { [0.0; 6] } else { inverse_symmetric(&whole) });
+            inverse.copy_from_slice(&if inputs.pinned[row] < 0.0 { [0.0; 6] } else { inverse_symmetric(&whole) });
         }
     });
 }

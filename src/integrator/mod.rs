@@ -8,3 +8,4 @@ mod inertia_cpu;
 pub mod pins;
 pub mod scatter;
 mod scatter_cpu;
+pub mod surfaces;

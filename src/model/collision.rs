@@ -19,6 +19,14 @@ pub struct PinSpan {
     pub start_s: f64,
     /// End of the hold, seconds.
     pub end_s: f64,
+    /// True if the row is held only while it is one of those that touch ([`CollisionModel::inverse_masses`]).
+    pub on_touch: bool,
+}
+
+impl PinSpan {
+    fn of(pin: &RankPin) -> PinSpan {
+        PinSpan { row: pin.row, start_s: pin.start_s, end_s: pin.end_s, on_touch: pin.on_touch }
+    }
 }
 
 /// The scene as collisions use it. Vertices are numbered with the cloth rows (global order) first, then the obstacle
@@ -82,7 +90,8 @@ impl CollisionModel {
             pins: model
                 .pins
                 .iter()
-                .map(|pin: &RankPin| PinSpan { row: pin.row, start_s: pin.start_s, end_s: pin.end_s })
+                .filter(|pin| pin.stiffness_n_m.is_none())
+                .map(PinSpan::of)
                 .collect(),
             memory_limit_bytes: None,
             obstacle_header: model.obstacles.header().clone(),
@@ -97,12 +106,14 @@ impl CollisionModel {
         Obstacles::from_parts(self.obstacle_header.clone(), positions, triangles)
     }
 
-    /// Inverse masses of the rows during a step, 1/kg: 0 for held rows.
-    pub fn inverse_masses(&self, start_s: f64, step_s: f64, out: &mut [f32]) {
+    /// Inverse masses of the rows during a step, 1/kg: 0 for held rows. `touching`: rows of all ranks that are held since
+    /// they touched an obstacle, ascending.
+    pub fn inverse_masses(&self, start_s: f64, step_s: f64, touching: &[u32], out: &mut [f32]) {
         for (inverse, mass) in out.iter_mut().zip(&self.arrays.masses) {
             *inverse = 1.0 / mass;
         }
-        for pin in self.pins.iter().filter(|pin| is_held((pin.start_s, pin.end_s), start_s, step_s)) {
+        let is_on = |pin: &&PinSpan| !pin.on_touch || touching.binary_search(&pin.row).is_ok();
+        for pin in self.pins.iter().filter(|pin| is_held((pin.start_s, pin.end_s), start_s, step_s)).filter(is_on) {
             out[pin.row as usize] = 0.0;
         }
     }

@@ -96,6 +96,7 @@ impl Cut {
                 false => self.triangle_of.iter().map(|&t| before.stretches[t as usize]).collect(),
             },
             let_go: self.let_go(&before.let_go),
+            holds: renumbered(&before.holds, |v| self.vertex(v)),
         }
     }
 

@@ -106,7 +106,9 @@ impl GlobalModel {
             )
         };
         let obstacles = Obstacles::new(&scene.obstacles);
-        let grips = Grips::new(scene, &obstacles).of_pins(&scene.pins);
+        let grips = Grips::new(scene, &obstacles);
+        let surfaces: Vec<_> = scene.pins.iter().map(|pin| grips.surface_of(pin)).collect();
+        let grips = grips.of_pins(&scene.pins);
         let of_mesh = hinges(mesh);
         let mut bends: Vec<HingeElement> = of_mesh.iter().map(bend).collect();
         // Elements of a row then lie close together. Ties keep their order, so the result is the same on every machine.
@@ -132,14 +134,18 @@ impl GlobalModel {
             pins: scene
                 .pins
                 .iter()
-                .zip(&grips)
-                .map(|(pin, grip)| RankPin {
+                .zip(grips.iter().zip(surfaces))
+                .map(|(pin, (grip, surface))| RankPin {
                     row: map(pin.vertex),
                     start_m: mesh.positions[pin.vertex as usize].to_array(),
                     motion: pin.motion,
                     grip: *grip,
                     start_s: pin.start_s,
                     end_s: pin.end_s,
+                    stiffness_n_m: pin.stiffness_n_m,
+                    on_touch: pin.on_touch,
+                    takes_hold_later: pin.takes_hold_later(scene.motions.len()),
+                    surface,
                 })
                 .collect(),
             motions: scene.motions.clone(),
@@ -153,7 +159,7 @@ impl GlobalModel {
 
     /// Replaces the scene's start state by another one. Order, pins and rest shape stay those of the scene.
     pub fn set_state(&mut self, state: &State) {
-        let RankState { positions, velocities, creases, stretches, let_go: _ } =
+        let RankState { positions, velocities, creases, stretches, let_go: _, holds: _ } =
             state.gather(&self.original_from_global, &self.plastic_elements());
         (self.positions, self.velocities, self.stretches) = (positions, velocities, stretches);
         self.hinges.iter_mut().zip(creases).for_each(|(hinge, crease)| hinge.set_crease(crease));

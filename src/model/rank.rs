@@ -9,7 +9,7 @@ use crate::forces::stitch::StitchElement;
 use crate::forces::{FabricTable, HingeElement, TriangleElement};
 use crate::integrator::pins::RankPin;
 use crate::partition::{HaloPlan, RowPartition, halo_plans};
-use crate::scene::{Closing, Motion, ObstacleHeader, Settings};
+use crate::scene::{Closing, Motion, ObstacleHeader, Obstacles, Settings};
 
 /// All data that a worker needs to simulate its rows. Vertices are local indices of `plan`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -24,6 +24,10 @@ pub struct RankModel {
     pub motions: Vec<Motion>,
     /// Vertices of obstacles that the grips of the pins name.
     pub followed: ObstacleHeader,
+    /// Whole obstacles that pins on own rows take hold of while the cloth moves.
+    pub surfaces: ObstacleHeader,
+    /// True if a pin of any rank is a spring.
+    pub springs: bool,
     /// Parameters of the run.
     pub settings: Settings,
     /// Mean of the smallest altitudes of the triangles at rest, meters.
@@ -64,6 +68,12 @@ pub struct RankArrays {
     pub followed: Vec<f32>,
     /// Threads of seams that touch own rows, in global order.
     pub stitches: Vec<StitchElement>,
+    /// As [`crate::integrator::surfaces::Surfaces`] has them.
+    pub surface_vertices: Vec<u32>,
+    /// As [`crate::scene::Obstacles::arrays`] gives them.
+    pub surface_positions: Vec<f32>,
+    /// As [`crate::integrator::surfaces::Surfaces`] has them.
+    pub surface_triangles: Vec<[u32; 3]>,
 }
 
 /// Error of bytes that are not the arrays of a model.
@@ -83,7 +93,8 @@ impl RankModel {
         mut emit: impl FnMut(usize, RankModel) -> Result<(), E>,
     ) -> Result<(), E> {
         let collision = model.settings.collisions.then(|| CollisionModel::new(model));
-        let pins_move = model.pins.iter().any(|pin| pin.motion.is_some() || pin.start_s > 0.0);
+        let moves = |pin: &RankPin| pin.stiffness_n_m.is_none() && (pin.motion.is_some() || pin.start_s > 0.0);
+        let pins_move = model.pins.iter().any(moves);
         for (rank, plan) in RankModel::halo_plans(model, partition).into_iter().enumerate() {
             let mut part = RankModel::part(model, partition, plan, pins_move);
             part.collision.clone_from(&collision);
@@ -162,6 +173,8 @@ impl RankModel {
             .map(|pin| RankPin { row: pin.row - rows.start as u32, ..*pin })
             .collect();
         let followed = model.obstacles.only(&renumber_grips(&mut pins));
+        let (surface_vertices, surface_triangles) = renumber_surfaces(&mut pins, &model.obstacles);
+        let surfaces = model.obstacles.only(&surface_vertices);
         let arrays = RankArrays {
             positions: gather(&model.positions),
             velocities: gather(&model.velocities),
@@ -172,12 +185,17 @@ impl RankModel {
             fabrics: model.fabrics.clone(),
             followed: followed.arrays().0.to_vec(),
             stitches,
+            surface_vertices,
+            surface_positions: surfaces.arrays().0.to_vec(),
+            surface_triangles,
         };
         RankModel {
             partition: *partition,
             pins,
             motions: model.motions.clone(),
             followed: followed.header().clone(),
+            surfaces: surfaces.header().clone(),
+            springs: model.pins.iter().any(|pin| pin.stiffness_n_m.is_some()),
             settings: model.settings.clone(),
             cell_m: model.cell_m(),
             pins_move,
@@ -200,6 +218,26 @@ fn renumber_grips(pins: &mut [RankPin]) -> Vec<u32> {
         *vertex = named.partition_point(|other| other < vertex) as u32;
     }
     named
+}
+
+/// Lists the vertices and triangles of the obstacles that pins take hold of later, each obstacle once; vertices are
+/// those of all obstacles, ascending, triangles number these from 0 on, and so do the ranges of the pins.
+fn renumber_surfaces(pins: &mut [RankPin], obstacles: &Obstacles) -> (Vec<u32>, Vec<[u32; 3]>) {
+    let mut ranges: Vec<[u32; 2]> = pins.iter().filter_map(|pin| pin.surface).collect();
+    ranges.sort_unstable();
+    ranges.dedup();
+    let named = |&[first, end]: &[u32; 2]| &obstacles.triangles()[first as usize..end as usize];
+    let mut vertices: Vec<u32> = ranges.iter().flat_map(named).flatten().copied().collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    let local = |v: u32| vertices.partition_point(|&other| other < v) as u32;
+    let triangles = ranges.iter().flat_map(named).map(|corners| corners.map(local)).collect();
+    for surface in pins.iter_mut().filter_map(|pin| pin.surface.as_mut()) {
+        let before = ranges.iter().take_while(|range| *range < surface);
+        let first = before.map(|[first, end]| end - first).sum::<u32>();
+        *surface = [first, first + surface[1] - surface[0]];
+    }
+    (vertices, triangles)
 }
 
 /// Ranks that own one of the vertices of an element, each once.
@@ -237,11 +275,11 @@ impl RankModel {
 
     /// Sets the bulk arrays from bytes in the order of [`RankModel::to_bytes`].
     pub fn set_arrays(&mut self, bytes: &[&[u8]]) -> Result<(), RankModelError> {
-        let expected = if self.collision.is_some() { 16 } else { 9 };
+        let expected = if self.collision.is_some() { 19 } else { 12 };
         if bytes.len() != expected {
             return Err(RankModelError::Arrays(format!("{} arrays instead of {expected}", bytes.len())));
         }
-        let (own, all) = bytes.split_at(9);
+        let (own, all) = bytes.split_at(12);
         self.arrays = RankArrays {
             positions: cast(own[0])?,
             velocities: cast(own[1])?,
@@ -252,6 +290,9 @@ impl RankModel {
             fabrics: cast(own[6])?,
             followed: cast(own[7])?,
             stitches: cast(own[8])?,
+            surface_vertices: cast(own[9])?,
+            surface_positions: cast(own[10])?,
+            surface_triangles: cast(own[11])?,
         };
         if let Some(collision) = &mut self.collision {
             collision.arrays = CollisionArrays {
@@ -269,7 +310,7 @@ impl RankModel {
 }
 
 impl RankArrays {
-    fn to_bytes(&self) -> [&[u8]; 9] {
+    fn to_bytes(&self) -> [&[u8]; 12] {
         [
             bytemuck::cast_slice(&self.positions),
             bytemuck::cast_slice(&self.velocities),
@@ -280,6 +321,9 @@ impl RankArrays {
             bytemuck::cast_slice(&self.fabrics),
             bytemuck::cast_slice(&self.followed),
             bytemuck::cast_slice(&self.stitches),
+            bytemuck::cast_slice(&self.surface_vertices),
+            bytemuck::cast_slice(&self.surface_positions),
+            bytemuck::cast_slice(&self.surface_triangles),
         ]
     }
 }

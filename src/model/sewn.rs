@@ -219,6 +219,7 @@ impl Sewn {
             creases: self.creases(&panels.creases),
             stretches: panels.stretches.iter().flat_map(|&stretch| vec![stretch; self.parts]).collect(),
             let_go: self.let_go(&panels.let_go),
+            holds: renumbered(&panels.holds, |v| self.place_of[self.vertex_of[v as usize] as usize]),
         }
     }
 

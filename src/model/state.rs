@@ -9,7 +9,7 @@ use xxhash_rust::xxh3::Xxh3;
 
 use crate::math::{DIM, Vec3};
 use crate::mesh::hinges;
-use crate::scene::{Fabric, Scene};
+use crate::scene::{Fabric, Hold, Scene};
 
 /// State of the whole cloth, in the mesh's vertex order.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,6 +24,8 @@ pub struct State {
     pub stretches: Vec<RestStretch>,
     /// Ascending, each vertex and obstacle once. Empty unless obstacles that overlap have pinched the cloth.
     pub let_go: Vec<LetGo>,
+    /// What pins have taken hold of while the cloth moved, ascending by vertex, each once.
+    pub holds: Vec<Hold>,
 }
 
 /// A vertex and an obstacle that pass through each other, because the vertex had no room between that obstacle and one
@@ -94,6 +96,7 @@ impl State {
             creases: vec![Crease::default(); creases_of(scene)],
             stretches: vec![UNSTRETCHED; stretches_of(scene)],
             let_go: Vec::new(),
+            holds: Vec::new(),
         }
     }
 
@@ -105,6 +108,7 @@ impl State {
             creases: vec![Crease::default(); plastic.creases],
             stretches: vec![UNSTRETCHED; plastic.stretches],
             let_go: Vec::new(),
+            holds: Vec::new(),
         }
     }
 
@@ -115,21 +119,23 @@ impl State {
 
     /// Number of vertices of the mesh; none if the fields have different lengths or name vertices that are not there.
     pub fn vertices(&self) -> Option<usize> {
-        let State { positions, velocities, creases: _, stretches: _, let_go } = self;
-        let is_vertex = |one: &LetGo| (one.vertex as usize) < positions.len();
-        (positions.len() == velocities.len() && let_go.iter().all(is_vertex)).then_some(positions.len())
+        let State { positions, velocities, creases: _, stretches: _, let_go, holds } = self;
+        let mut named = let_go.iter().map(|one| one.vertex).chain(holds.iter().map(|hold| hold.vertex));
+        let known = named.all(|vertex| (vertex as usize) < positions.len());
+        (positions.len() == velocities.len() && known).then_some(positions.len())
     }
 
-    /// 16 hexadecimal digits over the bits of positions, velocities, creases, rest stretches, then what is let go.
+    /// 16 hexadecimal digits over the bits of positions, velocities, creases, rest stretches, what is let go, then holds.
     /// `-0.0` and `0.0` differ, so equal hashes mean equal bits, except with probability 2^-64.
     pub fn hash(&self) -> String {
-        let State { positions, velocities, creases, stretches, let_go } = self;
+        let State { positions, velocities, creases, stretches, let_go, holds } = self;
         let mut hasher = Xxh3::new();
         hash_words(&mut hasher, positions);
         hash_words(&mut hasher, velocities);
         hash_words(&mut hasher, creases);
         hash_words(&mut hasher, stretches);
         hash_words(&mut hasher, let_go);
+        hash_words(&mut hasher, holds);
         format!("{:016x}", hasher.digest())
     }
 
@@ -137,7 +143,7 @@ impl State {
     pub fn first_not_finite(&self) -> Option<NotFinite> {
         // Creases and rest stretches follow from positions, and plastic curvatures and strains are finite wherever the
         // rest is.
-        let State { positions, velocities, creases: _, stretches: _, let_go: _ } = self;
+        let State { positions, velocities, creases: _, stretches: _, let_go: _, holds: _ } = self;
         [("position", positions), ("velocity", velocities)].into_iter().find_map(|(quantity, values)| {
             let vertex = values.iter().position(|value| !value.is_finite())? as u32;
             Some(NotFinite { vertex, quantity })
@@ -147,13 +153,20 @@ impl State {
     /// The part of a rank. `order`: the vertex of each row, in the order of the rows; `plastic`: the elements that
     /// touch them.
     pub fn gather(&self, order: &[u32], plastic: &PlasticElements) -> RankState {
-        let State { positions, velocities, creases, stretches, let_go } = self;
+        let State { positions, velocities, creases, stretches, let_go, holds } = self;
         let mut own = Vec::new();
         if !let_go.is_empty() {
             for (row, &v) in (0..).zip(order) {
                 let first = let_go.partition_point(|one| one.vertex < v);
                 let of_vertex = let_go[first..].iter().take_while(|one| one.vertex == v);
                 own.extend(of_vertex.map(|one| LetGo { vertex: row, ..*one }));
+            }
+        }
+        let mut own_holds = Vec::new();
+        if !holds.is_empty() {
+            for (row, &v) in (0..).zip(order) {
+                let of_vertex = holds.binary_search_by_key(&v, |hold| hold.vertex);
+                own_holds.extend(of_vertex.ok().map(|place| Hold { vertex: row, ..holds[place] }));
             }
         }
         let rows = |values: &[Vec3]| order.iter().flat_map(|&v| values[v as usize].to_array()).collect();
@@ -163,16 +176,19 @@ impl State {
             creases: plastic.hinges.iter().map(|&hinge| creases[hinge as usize]).collect(),
             stretches: plastic.triangles.iter().map(|&triangle| stretches[triangle as usize]).collect(),
             let_go: own,
+            holds: own_holds,
         }
     }
 
     /// Copies the part of a rank into the state, which has nothing let go for its rows yet; the inverse of
     /// [`State::gather`]. A hinge or triangle that touches rows of several ranks has the same bits on each.
     pub fn scatter(&mut self, order: &[u32], plastic: &PlasticElements, part: &RankState) {
-        let State { positions, velocities, creases, stretches, let_go } = self;
+        let State { positions, velocities, creases, stretches, let_go, holds } = self;
         let in_mesh = |one: &LetGo| LetGo { vertex: order[one.vertex as usize], ..*one };
         let_go.extend(part.let_go.iter().map(in_mesh));
         let_go.sort_unstable();
+        holds.extend(part.holds.iter().map(|hold| Hold { vertex: order[hold.vertex as usize], ..*hold }));
+        holds.sort_unstable_by_key(|hold| hold.vertex);
         for (values, rows) in [(positions, &part.positions), (velocities, &part.velocities)] {
             assert_eq!(rows.len(), order.len() * DIM, "a rank's state has as many rows as its part of the order");
             for (&v, row) in order.iter().zip(rows.as_chunks::<DIM>().0) {
@@ -212,6 +228,8 @@ pub struct RankState {
     pub stretches: Vec<RestStretch>,
     /// Ascending.
     pub let_go: Vec<LetGo>,
+    /// Ascending by row.
+    pub holds: Vec<Hold>,
 }
 
 /// Error of bytes that are not the state of a rank.
@@ -228,6 +246,7 @@ impl RankState {
             creases: vec![Crease::default(); plastic.creases],
             stretches: vec![UNSTRETCHED; plastic.stretches],
             let_go: Vec::new(),
+            holds: Vec::new(),
         }
     }
 
@@ -236,14 +255,15 @@ impl RankState {
     }
 
     /// The arrays as bytes, in a fixed order; a message carries them unserialized.
-    pub fn to_bytes(&self) -> [&[u8]; 5] {
-        let RankState { positions, velocities, creases, stretches, let_go } = self;
+    pub fn to_bytes(&self) -> [&[u8]; 6] {
+        let RankState { positions, velocities, creases, stretches, let_go, holds } = self;
         [
             bytemuck::cast_slice(positions),
             bytemuck::cast_slice(velocities),
             bytemuck::cast_slice(creases),
             bytemuck::cast_slice(stretches),
             bytemuck::cast_slice(let_go),
+            bytemuck::cast_slice(holds),
         ]
     }
 
@@ -253,15 +273,17 @@ impl RankState {
     /// The bytes are not the arrays of `rows` rows and as many elements as `plastic` says.
     pub fn from_bytes(arrays: &[&[u8]], rows: usize, plastic: PlasticCounts) -> Result<RankState, RankStateError> {
         let mut state = RankState::zeros(rows, plastic);
-        let RankState { positions, velocities, creases, stretches, let_go } = &mut state;
-        let pairs = arrays.last().map_or(0, |bytes| bytes.len() / size_of::<LetGo>());
-        let_go.resize(pairs, LetGo::zeroed());
-        let fields: [&mut [u8]; 5] = [
+        let RankState { positions, velocities, creases, stretches, let_go, holds } = &mut state;
+        let count = |array: usize, size: usize| arrays.get(array).map_or(0, |bytes| bytes.len() / size);
+        let_go.resize(count(4, size_of::<LetGo>()), LetGo::zeroed());
+        holds.resize(count(5, size_of::<Hold>()), Hold::zeroed());
+        let fields: [&mut [u8]; 6] = [
             bytemuck::cast_slice_mut(positions),
             bytemuck::cast_slice_mut(velocities),
             bytemuck::cast_slice_mut(creases),
             bytemuck::cast_slice_mut(stretches),
             bytemuck::cast_slice_mut(let_go),
+            bytemuck::cast_slice_mut(holds),
         ];
         if arrays.len() != fields.len() {
             return Err(RankStateError(format!("{} arrays instead of {}", arrays.len(), fields.len())));
@@ -276,8 +298,9 @@ impl RankState {
             }
             field.copy_from_slice(bytes);
         }
-        match let_go.iter().find(|one| one.vertex as usize >= rows) {
-            Some(one) => Err(RankStateError(format!("row {} of {rows} is let go", one.vertex))),
+        let mut named = let_go.iter().map(|one| one.vertex).chain(holds.iter().map(|hold| hold.vertex));
+        match named.find(|&row| row as usize >= rows) {
+            Some(row) => Err(RankStateError(format!("row {row} of {rows} is let go or held"))),
             None => Ok(state),
         }
     }
@@ -286,6 +309,14 @@ impl RankState {
     pub fn bytes(&self) -> u64 {
         self.to_bytes().iter().map(|array| array.len() as u64).sum()
     }
+}
+
+/// Holds of other numbers of vertices; of several of one vertex the first one.
+pub(super) fn renumbered(holds: &[Hold], vertex_of: impl Fn(u32) -> u32) -> Vec<Hold> {
+    let mut all: Vec<Hold> = holds.iter().map(|hold| Hold { vertex: vertex_of(hold.vertex), ..*hold }).collect();
+    all.sort_by_key(|hold| hold.vertex);
+    all.dedup_by_key(|hold| hold.vertex);
+    all
 }
 
 /// Adds values made of 32-bit words to a hash, as little-endian bytes.
@@ -312,6 +343,16 @@ mod tests {
                 .map(|(vertex, obstacle, inside)| LetGo { vertex, obstacle, inside })
                 .into_iter()
                 .filter(|one| (one.vertex as usize) < vertices)
+                .collect(),
+            holds: [1, 3]
+                .map(|vertex| Hold {
+                    vertex,
+                    corners: [7, 8, 9],
+                    weights: [0.5, 0.25, 0.25],
+                    offset_m: [0.0, 1.0, 2.0],
+                })
+                .into_iter()
+                .filter(|hold| (hold.vertex as usize) < vertices)
                 .collect(),
         }
     }
@@ -340,6 +381,9 @@ mod tests {
         assert_eq!(again.hash(), whole.hash());
         again.creases[1][0] = 0.5;
         assert_ne!(again.hash(), whole.hash());
+        let other =
+            State { holds: vec![Hold { offset_m: [0.5; 3], ..whole.holds[0] }, whole.holds[1]], ..whole.clone() };
+        assert_ne!(other.hash(), whole.hash());
         again = whole.clone();
         again.stretches[1][3] = 0.25;
         assert_ne!(again.hash(), whole.hash());
@@ -353,8 +397,9 @@ mod tests {
     fn bytes_of_another_shape_are_refused() {
         let part = numbered(2).gather(&[0, 1], &PlasticElements { hinges: vec![1], triangles: vec![0] });
         let bytes = part.to_bytes();
-        assert_eq!(part.bytes(), 84);
-        let shorter = [bytes[0], &bytes[1][1..], bytes[2], bytes[3], bytes[4]];
+        // One of the two vertices is held.
+        assert_eq!(part.bytes(), 84 + 40);
+        let shorter = [bytes[0], &bytes[1][1..], bytes[2], bytes[3], bytes[4], bytes[5]];
         for (arrays, rows, creases, stretches) in [
             (&bytes[..1], 2, 1, 1),
             (&bytes[..], 1, 1, 1),
@@ -369,7 +414,7 @@ mod tests {
         let beyond = RankState { let_go: vec![LetGo { vertex: 2, obstacle: 0, inside: 0 }], ..part.clone() };
         let plastic = PlasticCounts { creases: 1, stretches: 1 };
         let error = RankState::from_bytes(&beyond.to_bytes(), 2, plastic).unwrap_err().to_string();
-        assert!(error.contains("row 2 of 2 is let go"), "{error}");
+        assert!(error.contains("row 2 of 2 is let go or held"), "{error}");
     }
 
     #[test]

@@ -3,9 +3,9 @@
 //! `checkpoint/step_%08d.ltc` (the newest three) and `states/step_%08d.ltc` (all that were requested), little-endian:
 //! "LOOMCKPT", version (u32), header length (u32), header (bincode), positions and velocities (3 f32 per vertex,
 //! original vertex order), creases (2 f32 per hinge), rest stretches (4 f32 per triangle), what is let go (3 u32 per
-//! pair), xxh3 of all bytes before (u64). A damaged file is detected and skipped, not repaired. A state without rest
-//! stretches is written in layout 3, one that has let nothing go in layout 2, one without creases as well in layout 1:
-//! their headers do not count what is not there.
+//! pair), holds of pins (10 words each), xxh3 of all bytes before (u64). A damaged file is detected and skipped, not
+//! repaired. A state without holds is written in layout 4, one without rest stretches as well in layout 3, one that has
+//! let nothing go in layout 2, one without creases as well in layout 1: their headers do not count what is not there.
 
 use std::fs;
 use std::io::{self, Write};
@@ -18,13 +18,16 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 use super::atomic::{WriteError, write_atomically};
 use super::ply::{positions_from_bytes, write_words};
 use crate::model::{Crease, LetGo, RestStretch, State};
+use crate::scene::Hold;
 
 const MAGIC: &[u8; 8] = b"LOOMCKPT";
-/// Layouts without creases, with creases, with what is let go as well, and with rest stretches as well.
-const VERSIONS: [u32; 4] = [1, 2, 3, 4];
+/// Layouts without creases, with creases, with what is let go as well, with rest stretches as well, and with holds as
+/// well.
+const VERSIONS: [u32; 5] = [1, 2, 3, 4, 5];
 const CREASE_BYTES: u64 = size_of::<Crease>() as u64;
 const STRETCH_BYTES: u64 = size_of::<RestStretch>() as u64;
 const LET_GO_BYTES: u64 = size_of::<LetGo>() as u64;
+const HOLD_BYTES: u64 = size_of::<Hold>() as u64;
 /// Magic, version and header length.
 const PREFIX_BYTES: usize = 16;
 /// Limit of the header length. A longer one in a file means damage.
@@ -65,7 +68,7 @@ pub enum CheckpointError {
     #[error("it is not a checkpoint")]
     Magic,
     /// The file was written by a version with another layout.
-    #[error("it has layout {0}, this program reads layouts 1 to 4")]
+    #[error("it has layout {0}, this program reads layouts 1 to 5")]
     Version(u32),
     /// The file is too short or too long.
     #[error("it is cut off or damaged: {got} bytes where its header asks for {expected}")]
@@ -97,14 +100,18 @@ impl Checkpoint {
             fingerprint: self.fingerprint,
             vertices: vertices as u64,
         };
-        let State { positions, velocities, creases, stretches, let_go } = &self.state;
+        let State { positions, velocities, creases, stretches, let_go, holds } = &self.state;
         let form = bincode_form();
-        let (version, header) = match [creases.len() as u64, let_go.len() as u64, stretches.len() as u64] {
-            [0, 0, 0] => (VERSIONS[0], bincode::serde::encode_to_vec(header, form)),
-            [creases, 0, 0] => (VERSIONS[1], bincode::serde::encode_to_vec((header, creases), form)),
-            [creases, let_go, 0] => (VERSIONS[2], bincode::serde::encode_to_vec((header, creases, let_go), form)),
-            [creases, let_go, stretches] => {
+        let counts = [creases.len(), let_go.len(), stretches.len(), holds.len()].map(|count| count as u64);
+        let (version, header) = match counts {
+            [0, 0, 0, 0] => (VERSIONS[0], bincode::serde::encode_to_vec(header, form)),
+            [creases, 0, 0, 0] => (VERSIONS[1], bincode::serde::encode_to_vec((header, creases), form)),
+            [creases, let_go, 0, 0] => (VERSIONS[2], bincode::serde::encode_to_vec((header, creases, let_go), form)),
+            [creases, let_go, stretches, 0] => {
                 (VERSIONS[3], bincode::serde::encode_to_vec((header, creases, let_go, stretches), form))
+            }
+            [creases, let_go, stretches, holds] => {
+                (VERSIONS[4], bincode::serde::encode_to_vec((header, creases, let_go, stretches, holds), form))
             }
         };
         let header = header.map_err(io::Error::other)?;
@@ -121,6 +128,7 @@ impl Checkpoint {
         for one in let_go {
             [one.vertex, one.obstacle, one.inside].iter().try_for_each(|word| out.write_all(&word.to_le_bytes()))?;
         }
+        write_words(&mut out, &mut buffer, bytemuck::cast_slice(holds))?;
         let checksum = out.hasher.digest();
         out.out.write_all(&checksum.to_le_bytes())
     }
@@ -144,26 +152,30 @@ impl Checkpoint {
         let body = PREFIX_BYTES + header_bytes;
         let Some(header) = bytes.get(PREFIX_BYTES..body) else { return Err(cut_off((body + CHECKSUM_BYTES) as u64)) };
         let form = bincode_form();
-        let decoded: Result<((Header, u64, u64, u64), usize), _> = if version == VERSIONS[0] {
-            bincode::serde::decode_from_slice(header, form).map(|(header, used)| ((header, 0, 0, 0), used))
+        let decoded: Result<((Header, u64, u64, u64, u64), usize), _> = if version == VERSIONS[0] {
+            bincode::serde::decode_from_slice(header, form).map(|(header, used)| ((header, 0, 0, 0, 0), used))
         } else if version == VERSIONS[1] {
             bincode::serde::decode_from_slice(header, form)
-                .map(|((header, creases), used)| ((header, creases, 0, 0), used))
+                .map(|((header, creases), used)| ((header, creases, 0, 0, 0), used))
         } else if version == VERSIONS[2] {
             bincode::serde::decode_from_slice(header, form)
-                .map(|((header, creases, let_go), used)| ((header, creases, let_go, 0), used))
+                .map(|((header, creases, let_go), used)| ((header, creases, let_go, 0, 0), used))
+        } else if version == VERSIONS[3] {
+            bincode::serde::decode_from_slice(header, form)
+                .map(|((header, creases, let_go, stretches), used)| ((header, creases, let_go, stretches, 0), used))
         } else {
             bincode::serde::decode_from_slice(header, form)
         };
-        let ((header, creases, let_go, stretches), used) = decoded.map_err(|_| CheckpointError::Header)?;
+        let ((header, creases, let_go, stretches, holds), used) = decoded.map_err(|_| CheckpointError::Header)?;
         if used != header_bytes {
             return Err(CheckpointError::Header);
         }
         let of_creases = creases.checked_mul(CREASE_BYTES).ok_or(CheckpointError::Header)?;
         let of_stretches = stretches.checked_mul(STRETCH_BYTES).ok_or(CheckpointError::Header)?;
         let of_let_go = let_go.checked_mul(LET_GO_BYTES).ok_or(CheckpointError::Header)?;
+        let of_holds = holds.checked_mul(HOLD_BYTES).ok_or(CheckpointError::Header)?;
         let of_vertices = header.vertices.checked_mul(24).and_then(|n| n.checked_add((body + CHECKSUM_BYTES) as u64));
-        let parts = [of_creases, of_stretches, of_let_go];
+        let parts = [of_creases, of_stretches, of_let_go, of_holds];
         let expected = parts.iter().fold(of_vertices, |sum, &part| sum.and_then(|n| n.checked_add(part)));
         let expected = expected.ok_or(CheckpointError::Header)?;
         if expected != got {
@@ -173,7 +185,8 @@ impl Checkpoint {
         if xxh3_64(content).to_le_bytes() != checksum {
             return Err(CheckpointError::Checksum);
         }
-        let (rest, let_go) = content[body..].split_at(content.len() - body - of_let_go as usize);
+        let (rest, holds) = content[body..].split_at(content.len() - body - of_holds as usize);
+        let (rest, let_go) = rest.split_at(rest.len() - of_let_go as usize);
         let (rest, stretches) = rest.split_at(rest.len() - of_stretches as usize);
         let (of_vertices, creases) = rest.split_at(rest.len() - of_creases as usize);
         let (positions, velocities) = of_vertices.split_at(of_vertices.len() / 2);
@@ -183,6 +196,7 @@ impl Checkpoint {
             creases: floats_from_bytes(creases),
             stretches: floats_from_bytes(stretches),
             let_go: let_go_from_bytes(let_go),
+            holds: holds_from_bytes(holds),
         };
         if state.vertices().is_none() {
             return Err(CheckpointError::Header);
@@ -206,6 +220,18 @@ fn let_go_from_bytes(bytes: &[u8]) -> Vec<LetGo> {
     let words = bytes.as_chunks().0.iter().map(|&word| u32::from_le_bytes(word)).collect::<Vec<_>>();
     let pairs = words.as_chunks().0.iter();
     pairs.map(|&[vertex, obstacle, inside]| LetGo { vertex, obstacle, inside }).collect()
+}
+
+fn holds_from_bytes(bytes: &[u8]) -> Vec<Hold> {
+    let words = bytes.as_chunks().0.iter().map(|&word| u32::from_le_bytes(word)).collect::<Vec<_>>();
+    let floats = |words: [u32; 3]| words.map(f32::from_bits);
+    let hold = |&[vertex, a, b, c, u, v, w, x, y, z]: &[u32; 10]| Hold {
+        vertex,
+        corners: [a, b, c],
+        weights: floats([u, v, w]),
+        offset_m: floats([x, y, z]),
+    };
+    words.as_chunks().0.iter().map(hold).collect()
 }
 
 fn bincode_form() -> impl bincode::config::Config {

@@ -45,7 +45,10 @@ impl BeyondLimits {
             return None;
         }
         let mut held = vec![false; scene.mesh.positions.len()];
-        let holds = |pin: &&crate::scene::Pin| (pin.start_s..pin.end_s).contains(&time_s);
+        let took_hold = |vertex: u32| state.holds.binary_search_by_key(&vertex, |hold| hold.vertex).is_ok();
+        let holds = |pin: &&crate::scene::Pin| {
+            (pin.start_s..pin.end_s).contains(&time_s) && (!pin.on_touch || took_hold(pin.vertex))
+        };
         scene.pins.iter().filter(holds).for_each(|pin| held[pin.vertex as usize] = true);
         let mut found = BeyondLimits::default();
         let (mut beyond, mut worst, mut worst_is_held) = (Vec::new(), 0, false);

@@ -244,7 +244,18 @@ fn handle_pin(
         return Ok(None);
     }
     let select = Selection::Vertices(numbers);
-    Ok(Some(PinSource { name: None, cloth, select, motion, follow: None, start_s, end_s, at: nodes.place() }))
+    Ok(Some(PinSource {
+        name: None,
+        cloth,
+        select,
+        motion,
+        follow: None,
+        start_s,
+        end_s,
+        stiffness_n_m: None,
+        on_touch: false,
+        at: nodes.place(),
+    }))
 }
 
 fn settings(root: &Json, left_out: &mut LeftOut) -> Result<Settings, SceneError> {

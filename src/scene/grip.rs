@@ -1,5 +1,6 @@
 //! How a pinned vertex hangs on a triangle of an obstacle.
 
+use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
 use crate::math::DVec3;
@@ -16,12 +17,50 @@ pub struct Grip {
     offset: [f64; 3],
 }
 
+/// What a vertex is held at by a pin that took hold while the cloth moved: a part of the state of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Hold {
+    /// Vertex of the mesh in the state of the whole cloth, place among the own rows in that of a rank.
+    pub vertex: u32,
+    /// Vertices of the triangle, in the numbering of all obstacles of the scene; [`Hold::NO_TRIANGLE`] for a place that
+    /// belongs to no obstacle.
+    pub corners: [u32; 3],
+    /// Barycentric coordinates of the foot.
+    pub weights: [f32; 3],
+    /// With a triangle as those of [`Grip`]; without one the place less the motion of the pin so far. Meters.
+    pub offset_m: [f32; 3],
+}
+
+impl Hold {
+    /// Corners of a hold that no triangle has.
+    pub const NO_TRIANGLE: [u32; 3] = [u32::MAX; 3];
+
+    /// As the grip that it rounds; none without a triangle.
+    pub fn grip(&self) -> Option<Grip> {
+        let of = |values: [f32; 3]| values.map(f64::from);
+        let grip = Grip { vertices: self.corners, weights: of(self.weights), offset: of(self.offset_m) };
+        (self.corners != Hold::NO_TRIANGLE).then_some(grip)
+    }
+}
+
 impl Grip {
+    /// The grip as a state keeps it, for a vertex.
+    pub fn hold(&self, vertex: u32) -> Hold {
+        let of = |values: [f64; 3]| values.map(|value| value as f32);
+        Hold { vertex, corners: self.vertices, weights: of(self.weights), offset_m: of(self.offset) }
+    }
+
     /// Takes hold of the triangle `vertices`, whose corners are at `corners`, at the foot with the barycentric
     /// coordinates `weights`, for a vertex at `point`.
     pub fn new(vertices: [u32; 3], corners: [DVec3; 3], weights: [f64; 3], point: DVec3) -> Grip {
         let offset = point - place(corners, weights);
         Grip { vertices, weights, offset: axes(corners).map(|axis| axis.dot(offset)) }
+    }
+
+    /// The same grip on a triangle whose corners have these numbers.
+    pub fn on(self, vertices: [u32; 3]) -> Grip {
+        Grip { vertices, ..self }
     }
 
     /// Where the vertex is when the triangle is at `corners`.

@@ -67,7 +67,7 @@ pub use error::SceneError;
 pub use fabric::{Fabric, Plasticity, StrainLimit, load_fabric, parse_fabric};
 pub use force_field::{FieldShape, ForceField};
 pub use gltf::{BodyFile, Clip, read_body};
-pub use grip::Grip;
+pub use grip::{Grip, Hold};
 pub use handles::{Handles, PinGroup};
 pub use live_seam::AddedSeam;
 pub use model::{Cloth, DEFAULT_THICKNESS_M, Overrides, Pin, RESOLUTIONS, Scene, Settings, SettingsOverTime};

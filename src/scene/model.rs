@@ -104,19 +104,36 @@ impl Scene {
     }
 }
 
-/// A vertex whose position is prescribed.
+/// A vertex that is held: its position is prescribed, or a spring pulls it to where it would be prescribed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pin {
     /// Vertex of the scene's mesh.
     pub vertex: u32,
     /// Index into `Scene::motions`; the motion is applied to the start position of the vertex. None = the vertex stays
     /// there. From the number of motions on, the index into `Scene::followed`: the vertex keeps its place on the
-    /// nearest triangle of that obstacle, where both are at time 0.
+    /// nearest triangle of that obstacle, where both are when the hold begins.
     pub motion: Option<u32>,
     /// Held from this time, seconds.
     pub start_s: f64,
     /// Released after this time, seconds (infinite = never).
     pub end_s: f64,
+    /// Stiffness of the spring to the prescribed position, N/m; none = the position is that one exactly.
+    pub stiffness_n_m: Option<f64>,
+    /// True if the hold begins only when the vertex touches the obstacle that it follows, not before `start_s`.
+    pub on_touch: bool,
+}
+
+impl Pin {
+    /// A pin that prescribes the position of its vertex from `start_s` to `end_s`.
+    pub fn new(vertex: u32, motion: Option<u32>, start_s: f64, end_s: f64) -> Pin {
+        Pin { vertex, motion, start_s, end_s, stiffness_n_m: None, on_touch: false }
+    }
+
+    /// True if what the vertex is held at follows from the state when the hold begins, not from the scene alone.
+    pub fn takes_hold_later(&self, motions: usize) -> bool {
+        let follows = self.motion.is_some_and(|motion| motion as usize >= motions);
+        self.on_touch || (self.start_s > 0.0 && (follows || self.stiffness_n_m.is_some()))
+    }
 }
 
 /// Numerical settings of a run.

@@ -9,9 +9,25 @@ use super::keyframes::motion;
 use super::pins::{self, PinSource, Selection, Spread};
 use super::{Motion, Obstacle, SceneError};
 
-pub(super) const PIN_FIELDS: [&str; 16] = [
-    "name", "cloth", "corners", "edge", "every", "count", "vertices", "group", "property", "box_m", "sphere",
-    "nearest", "start_s", "end_s", "motion", "follow",
+pub(super) const PIN_FIELDS: [&str; 18] = [
+    "name",
+    "cloth",
+    "corners",
+    "edge",
+    "every",
+    "count",
+    "vertices",
+    "group",
+    "property",
+    "box_m",
+    "sphere",
+    "nearest",
+    "start_s",
+    "end_s",
+    "motion",
+    "follow",
+    "attach",
+    "stiffness_n_m",
 ];
 
 /// What pins move with.
@@ -53,16 +69,24 @@ pub(super) fn pin(
         paths.motions.len() as u32 - 1
     });
     let follow = follow(fields, obstacles, &mut paths.followed)?;
-    if follow.is_none() && fields.get("nearest").is_some() {
-        return Err(fields.error_at("nearest", "needs `follow`: it selects what is nearest to that obstacle"));
+    if follow.is_none() && matches!(select, Selection::Nearest(_)) {
+        let what = "a number needs `follow`: it selects what is nearest to that obstacle; give \
+                    `{ point_m = [x, y, z], count = n }` for what is nearest to a point";
+        return Err(fields.error_at("nearest", what));
     }
+    let stiffness_n_m = fields.optional("stiffness_n_m", Value::positive)?;
+    let on_touch = fields.get("attach").is_some();
     let name = fields.optional("name", |value| value.text().map(str::to_owned))?;
-    Ok(PinSource { name, cloth, select, motion, follow, start_s, end_s, at: value.place() })
+    Ok(PinSource { name, cloth, select, motion, follow, start_s, end_s, stiffness_n_m, on_touch, at: value.place() })
 }
 
 /// The place in `followed` of the obstacle that a pin follows, and the obstacle.
 fn follow(fields: &Fields, obstacles: &[Obstacle], followed: &mut Vec<u32>) -> Result<Option<(u32, u32)>, SceneError> {
-    let Some(value) = fields.get("follow") else { return Ok(None) };
+    let value = match (fields.get("follow"), fields.get("attach")) {
+        (Some(_), Some(_)) => return Err(fields.error_at("attach", "give either `follow` or `attach`")),
+        (None, None) => return Ok(None),
+        (Some(value), None) | (None, Some(value)) => value,
+    };
     let name = value.text()?;
     let names: Vec<&str> = obstacles.iter().map(|obstacle| &obstacle.name[..]).collect();
     let Some(obstacle) = names.iter().position(|other| *other == name) else {
@@ -70,11 +94,8 @@ fn follow(fields: &Fields, obstacles: &[Obstacle], followed: &mut Vec<u32>) -> R
         return Err(value.error(format!("no obstacle is named `{name}` ({known})")));
     };
     if fields.get("motion").is_some() {
-        return Err(fields.error_at("motion", "give either `motion` or `follow`"));
-    }
-    if fields.or("start_s", 0.0, Value::number)? > 0.0 {
-        let what = "a pin that follows an obstacle takes its place on it at time 0, so it holds from there on";
-        return Err(fields.error_at("start_s", what));
+        let other = if fields.get("follow").is_some() { "follow" } else { "attach" };
+        return Err(fields.error_at("motion", format!("give either `motion` or `{other}`")));
     }
     let place = followed.iter().position(|&other| other as usize == obstacle).unwrap_or(followed.len());
     if place == followed.len() {
@@ -154,6 +175,11 @@ fn selection<'a>(pin: &Fields<'a>, cloth: &ClothSource, origin_m: DVec3) -> Resu
                 return Err(value.error("the first corner must be the lower one in x, y and z"));
             }
             Selection::Box { low: low - origin_m, high: high - origin_m }
+        }
+        "nearest" if value.is_table() => {
+            let place = value.table(&["point_m", "count"])?;
+            let count = place.required("count")?.whole(1..=1_000_000_000)? as usize;
+            Selection::NearestTo { point: place.required("point_m")?.vector()? - origin_m, count }
         }
         "nearest" => Selection::Nearest(value.whole(1..=1_000_000_000)? as usize),
         _ => {

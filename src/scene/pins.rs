@@ -22,6 +22,10 @@ pub(super) struct PinSource {
     pub follow: Option<(u32, u32)>,
     pub start_s: f64,
     pub end_s: f64,
+    /// N/m; none = positions are prescribed.
+    pub stiffness_n_m: Option<f64>,
+    /// True: takes hold of the followed obstacle where a vertex first touches it.
+    pub on_touch: bool,
     /// The field that selects the vertices.
     pub at: Place,
 }
@@ -45,6 +49,8 @@ pub(super) enum Selection {
     Sphere { center: DVec3, radius_m: f64 },
     /// The vertices that start nearest to the obstacle that the pin follows.
     Nearest(usize),
+    /// The vertices that start nearest to a point, relative to the scene's local origin.
+    NearestTo { point: DVec3, count: usize },
 }
 
 /// Selection of vertices along an edge.
@@ -103,6 +109,7 @@ impl PinSource {
                 let followed = self.follow.map(|(_, obstacle)| &obstacles[obstacle as usize]);
                 followed.map_or(Vec::new(), |obstacle| nearest(&cloth.mesh, obstacle, *count))
             }
+            Selection::NearestTo { point, count } => nearest_by(&cloth.mesh, |p| p.distance(*point), *count),
         };
         if vertices.is_empty() {
             return Err(self.at.error(format!("selects no vertex of `{name}`")));
@@ -119,7 +126,8 @@ impl PinSource {
     /// `motions` = number of the scene's motions.
     pub(super) fn hold(&self, vertex: u32, motions: u32) -> Pin {
         let motion = self.motion.or(self.follow.map(|(followed, _)| motions + followed));
-        Pin { vertex, motion, start_s: self.start_s, end_s: self.end_s }
+        let Self { start_s, end_s, stiffness_n_m, on_touch, .. } = *self;
+        Pin { vertex, motion, start_s, end_s, stiffness_n_m, on_touch }
     }
 }
 
@@ -184,7 +192,12 @@ fn nearest(mesh: &TriangleMesh, obstacle: &Obstacle, count: usize) -> Vec<u32> {
     let mut values = Vec::new();
     Obstacles::new(std::slice::from_ref(obstacle)).positions_at(0.0, &mut values);
     let surface = NearestPoint::new(bytemuck::cast_slice(&values), &obstacle.triangles);
-    let distance = |p: &Vec3| surface.to(p.as_dvec3()).map_or(f64::INFINITY, |point| point.distance_m);
+    nearest_by(mesh, |p| surface.to(p).map_or(f64::INFINITY, |point| point.distance_m), count)
+}
+
+/// The `count` vertices with the smallest `distance_m`, ascending; of equally near ones the first.
+fn nearest_by(mesh: &TriangleMesh, distance_m: impl Fn(DVec3) -> f64, count: usize) -> Vec<u32> {
+    let distance = |p: &Vec3| distance_m(p.as_dvec3());
     let mut by_distance: Vec<(f64, u32)> = mesh.positions.iter().map(distance).zip(0..).collect();
     by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     by_distance.truncate(count);
@@ -204,7 +217,8 @@ pub(super) fn without_conflicts(mut pins: Vec<Pin>) -> Result<Vec<Pin>, u32> {
         match kept.last_mut() {
             Some(last) if last.vertex == pin.vertex && pin.start_s <= last.end_s => {
                 // Overlapping holds by the same motion (a corner and its edge) are merged.
-                if last.motion != pin.motion {
+                let as_the_last = Pin { start_s: last.start_s, end_s: last.end_s, ..pin };
+                if as_the_last != *last {
                     return Err(pin.vertex);
                 }
                 last.end_s = last.end_s.max(pin.end_s);
@@ -257,7 +271,7 @@ mod tests {
 
     #[test]
     fn overlapping_holds_are_joined_or_refused() {
-        let pin = |vertex, motion, start_s, end_s| Pin { vertex, motion, start_s, end_s };
+        let pin = Pin::new;
         let two_times = vec![pin(4, None, 0.0, 1.0), pin(4, Some(0), 2.0, 3.0)];
         assert_eq!(without_conflicts(two_times.clone()), Ok(two_times));
         assert_eq!(
@@ -265,5 +279,7 @@ mod tests {
             Ok(vec![pin(4, None, 0.0, 9.0)])
         );
         assert_eq!(without_conflicts(vec![pin(4, None, 0.0, 1.0), pin(4, Some(0), 1.0, 3.0)]), Err(4));
+        let soft = Pin { stiffness_n_m: Some(5.0), ..pin(4, None, 0.0, 1.0) };
+        assert_eq!(without_conflicts(vec![pin(4, None, 0.0, 1.0), soft]), Err(4));
     }
 }

@@ -74,7 +74,8 @@ impl Start<'_> {
         }
         let cloth = merged.mesh.positions.len();
         let mut movable = vec![true; cloth];
-        self.pins.iter().filter(|pin| pin.start_s <= 0.0).for_each(|pin| movable[pin.vertex as usize] = false);
+        let is_held = |pin: &&Pin| pin.start_s <= 0.0 && pin.stiffness_n_m.is_none() && !pin.on_touch;
+        self.pins.iter().filter(is_held).for_each(|pin| movable[pin.vertex as usize] = false);
         movable.resize(surface.positions.len(), false);
         let (triangles, groups, gap_m) = (&surface.triangles[..], &surface.groups[..], GAP * self.settings.thickness_m);
         let done = Tangle { triangles, groups, movable: &movable, gap_m }.untangle(&surface.positions);

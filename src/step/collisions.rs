@@ -18,7 +18,7 @@ use crate::model::CollisionModel;
 use crate::partition::{HaloPlan, RowPartition};
 use crate::scene::Obstacles;
 use crate::telemetry::EventName;
-use crate::transport::{TracedTransport, Transport, share_lists, share_positions};
+use crate::transport::{TracedTransport, Transport, TransportError, share_lists, share_positions};
 
 use super::error::{Failure, Imposed, SetupError};
 use super::let_go_pairs::{LetGoPairs, Pressed};
@@ -90,6 +90,8 @@ pub(super) struct Collisions {
     /// Whether `x_t0` holds the cloth's state.
     pub(super) state_known: bool,
     pub(super) let_go: LetGoPairs,
+    /// Rows of all ranks that pins hold since they touched an obstacle, ascending.
+    touching: Vec<u32>,
 }
 
 impl Collisions {
@@ -121,7 +123,7 @@ impl Collisions {
         triangles.extend(obstacles.triangles().iter().map(|corners| corners.map(|v| v + rows as u32)));
         let mesh = CollisionMesh::new(vertices, rows, triangles).map_err(|error| unfit(error.to_string()))?;
         let mut inverse_masses = vec![0.0; vertices];
-        model.inverse_masses(0.0, step_s, &mut inverse_masses[..rows]);
+        model.inverse_masses(0.0, step_s, &[], &mut inverse_masses[..rows]);
         let params = ContactParams {
             thickness_m: model.thickness_m as f32,
             separation_m: 0.0,
@@ -148,9 +150,25 @@ impl Collisions {
             normal_forces,
             rough,
             let_go: LetGoPairs::new(&obstacles, step_s),
+            touching: Vec::new(),
             obstacles,
             model,
         })
+    }
+
+    /// Tells all ranks which own rows (within the row block) pins hold since they touched an obstacle, if the scene has
+    /// such pins.
+    pub(super) fn share_touching(&mut self, rank: &mut RankContext<'_>, own: &[u32]) -> Result<(), TransportError> {
+        if !self.model.pins.iter().any(|pin| pin.on_touch) {
+            return Ok(());
+        }
+        let first = self.partition.rows_of(self.plan.rank).start as u32;
+        let own: Vec<u32> = own.iter().map(|row| row + first).collect();
+        let touching = &mut self.touching;
+        touching.clear();
+        share_lists(rank.transport, &own, &mut |_, part: &[u32]| touching.extend_from_slice(part))?;
+        touching.sort_unstable();
+        Ok(())
     }
 
     /// Displacements of the obstacles' vertices from one time to another, meters.
@@ -173,7 +191,7 @@ impl Collisions {
         let rows = self.partition.rows();
         let params = self.detector.params();
         let mut inverse_masses = params.inverse_masses_per_kg.clone();
-        self.model.inverse_masses(span.start_s, span.length_s, &mut inverse_masses[..rows]);
+        self.model.inverse_masses(span.start_s, span.length_s, &self.touching, &mut inverse_masses[..rows]);
         if params.step_s == span.length_s as f32 && params.inverse_masses_per_kg == inverse_masses {
             return Ok(());
         }

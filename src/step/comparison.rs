@@ -146,11 +146,17 @@ impl Simulation {
     /// the preconditioner. Own rows have the same bits on any number of ranks, but not the bits of the stored product.
     ///
     /// # Errors
-    /// On a device, and with whole sub-vectors, because only the cpu executor with halo rows has such a product.
+    /// On a device, and with whole sub-vectors, because only the cpu executor with halo rows has such a product; with soft
+    /// pins, because it has no springs.
     pub fn drop_matrix(&mut self) -> Result<(), SetupError> {
         let cloth = &mut self.cloth;
         if !matches!(self.executor, Executor::Cpu(_)) || cloth.solver.spmv.mode() != ExchangeMode::Halo {
             return Err(SetupError::MatrixFree);
+        }
+        if cloth.springs {
+            return Err(SetupError::Pins(
+                "products without a stored matrix know no soft pins (pin.stiffness_n_m)".into(),
+            ));
         }
         let own = cloth.solver.spmv.halo().plan().own.clone();
         let lists = ElasticLists::new(&self.executor, own, &cloth.elements);

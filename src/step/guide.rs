@@ -125,7 +125,7 @@ impl RankCloth {
         stats: &mut StepStats,
     ) -> Result<bool, Failure> {
         let before = self.state.recorded(rank);
-        self.move_pins(rank, span);
+        self.move_pins(rank, span)?;
         self.find_contacts(rank, span, stats)?;
         let Some(collisions) = &mut self.collisions else { return Ok(true) };
         // No rounds of impact zones: any impact ends the attempt, on all ranks alike.

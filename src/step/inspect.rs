@@ -12,7 +12,8 @@ impl Simulation {
         let creases = self.cloth.elements.creases(&self.executor);
         let stretches = self.cloth.elements.stretches(&self.executor);
         let let_go = self.cloth.collisions.as_ref().map_or(Vec::new(), |collisions| collisions.let_go_of_rows());
-        RankState { creases, stretches, let_go, ..self.cloth.state.own(&self.executor).as_ref().clone() }
+        let holds = self.cloth.pins.holds();
+        RankState { creases, stretches, let_go, holds, ..self.cloth.state.own(&self.executor).as_ref().clone() }
     }
 
     /// Numbers of creases and rest stretches in a state of this rank.

@@ -22,7 +22,7 @@ use super::stats::{LimitCounts, StageClock, StepStats};
 use super::{Failure, RankCloth};
 use crate::context::RankContext;
 use crate::gpu::{DeviceVec, Executor};
-use crate::integrator::pins::PinTargets;
+use crate::integrator::pins::{PRESCRIBED, PinTargets};
 use crate::math::{DIM, Vec3};
 use crate::model::RankState;
 use crate::telemetry::{Activity, EventName};
@@ -197,7 +197,7 @@ impl RankCloth {
         let mut of_rows = DeviceVec::zeros(executor, rows * DIM);
         let masses = self.system.masses.host(executor);
         let pinned = self.system.pinned.host(executor);
-        let inverse = |(mass, pinned): (&f32, &u32)| if *pinned == 0 { 1.0 / mass } else { 0.0 };
+        let inverse = |(mass, pinned): (&f32, &f32)| if *pinned == PRESCRIBED { 0.0 } else { 1.0 / mass };
         let own: Vec<f32> = masses.iter().zip(pinned.iter()).flat_map(|row| [inverse(row); DIM]).collect();
         of_rows.write_range(executor, first * DIM, &own);
         self.state.exchange_values(rank, halo, &mut of_rows)?;

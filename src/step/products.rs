@@ -21,11 +21,11 @@ impl Simulation {
         let mut stats = StepStats { step, ..StepStats::default() };
         let mut rank = RankContext { executor: &self.executor, transport, recorder: &mut self.recorder };
         let cloth = &mut self.cloth;
-        cloth.move_pins(&mut rank, span);
+        cloth.move_pins(&mut rank, span)?;
         cloth.find_contacts(&mut rank, span, &mut stats)?;
         cloth.state.exchange(&mut rank, cloth.solver.spmv.halo())?;
         cloth.element_records(&mut rank, span, span.length_s);
-        cloth.fill_matrix(&mut rank, span);
+        cloth.fill_matrix(&mut rank, span, span.length_s);
         match self.executor.take_fault() {
             Some(fault) => Err(Failure::in_step(step, fault)),
             None => Ok(stats.contacts),

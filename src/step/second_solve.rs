@@ -72,7 +72,7 @@ impl RankCloth {
         clock.lap_kernels(rank.executor, &mut stats.seconds.elements);
         rank.transport.alive()?;
 
-        self.fill_matrix(rank, span);
+        self.fill_matrix(rank, span, 0.0);
         let masses = self.guided.as_ref().map_or(&self.system.masses, |guided| &guided.masses);
         let changes = changes.unwrap_or(&self.solver.vectors.x);
         self.inertia.apply(rank.executor, masses, changes, &mut self.system.rhs);

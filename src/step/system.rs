@@ -34,8 +34,9 @@ pub(super) struct System {
     pub contacts: ContactSystem,
     /// Masses, kg.
     pub masses: DeviceVec<f32>,
-    /// 1 for rows that a pin holds, 0 for others.
-    pub pinned: DeviceVec<u32>,
+    /// [`crate::integrator::pins::PRESCRIBED`] for rows that a pin prescribes, dt^2 k for those that a spring of stiffness
+    /// k holds, kg, 0 for others.
+    pub pinned: DeviceVec<f32>,
     /// dt (f + dt K v), xyz.
     pub rhs: DeviceVec<f32>,
     /// xx, xy, xz, yy, yz, zz of the inverse diagonal block; zeros on pinned rows.

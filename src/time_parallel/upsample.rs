@@ -67,7 +67,7 @@ impl Upsampling {
 
     /// The state of the fine level on the surface of `coarse`, a state of the coarse one. Positions and velocities in
     /// the middle of an edge are the means of its ends; a crease goes on to the parts of its edge, a rest stretch to
-    /// those of its triangle; what is let go goes on to all vertices of its triangles.
+    /// those of its triangle; what is let go goes on to all vertices of its triangles. Pins take hold anew.
     pub fn state(&self, coarse: &State) -> State {
         assert_eq!(coarse.vertices(), Some(self.coarse_vertices), "a state of the coarse level");
         State {
@@ -76,6 +76,7 @@ impl Upsampling {
             creases: self.creases(&coarse.creases),
             stretches: self.stretches(&coarse.stretches),
             let_go: self.let_go(&coarse.let_go),
+            holds: Vec::new(),
         }
     }
 

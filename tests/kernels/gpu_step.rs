@@ -2,7 +2,7 @@
 
 use loomtree::gpu::Executor;
 use loomtree::math::Vec3;
-use loomtree::scene::{Closing, Scene};
+use loomtree::scene::{Closing, Pin, Scene};
 use loomtree::solver::{ExchangeMode, PreconditionerKind};
 use support::device;
 use support::{Outcome, cpu, isotropic_fabric, scene, sewn_sheets, sheet, simulate};
@@ -42,15 +42,18 @@ fn a_device_follows_the_native_executor() {
     if device::executor().is_none() {
         return;
     }
-    let scene = hanging(21);
-    let expected = simulate(&scene, 1, ExchangeMode::Halo, 5, cpu);
-    assert!(expected.positions.iter().any(|p| p.z < -0.001), "the sheet falls");
-    for (ranks, mode) in [(1, ExchangeMode::Halo), (2, ExchangeMode::Full)] {
-        let found = simulate(&scene, ranks, mode, 5, gpu);
-        assert!(found.stats.iter().all(|s| s.converged && s.iterations > 3));
-        // Both solve to 1e-4 of the start; five steps add up to a few micrometres.
-        let distance = largest_distance(&found, &expected);
-        assert!(distance < 2e-5, "{mode:?}, {ranks} ranks: {distance} m apart");
+    let mut soft = hanging(21);
+    soft.pins.extend((100..120).map(|vertex| Pin { stiffness_n_m: Some(3.0), ..Pin::new(vertex, None, 0.0, 0.012) }));
+    for scene in [hanging(21), soft] {
+        let expected = simulate(&scene, 1, ExchangeMode::Halo, 5, cpu);
+        assert!(expected.positions.iter().any(|p| p.z < -0.001), "the sheet falls");
+        for (ranks, mode) in [(1, ExchangeMode::Halo), (2, ExchangeMode::Full)] {
+            let found = simulate(&scene, ranks, mode, 5, gpu);
+            assert!(found.stats.iter().all(|s| s.converged && s.iterations > 3));
+            // Both solve to 1e-4 of the start; five steps add up to a few micrometres.
+            let distance = largest_distance(&found, &expected);
+            assert!(distance < 2e-5, "{mode:?}, {ranks} ranks: {distance} m apart");
+        }
     }
 }
 

@@ -1,11 +1,15 @@
 //! A step depends on the scene, the state and its number only: a state that is set, after every step, late, or once
 //! more after other steps, leads to the bits of the run that went through it. Ranks as threads, native executor.
 
+use std::path::Path;
+
 use loomtree::gpu::Executor;
 use loomtree::math::{DVec3, Vec3};
 use loomtree::model::{GlobalModel, RankModel, RankState};
 use loomtree::partition::RowPartition;
-use loomtree::scene::{Keyframe, Motion, Pin, Plasticity, PreconditionerKind, Scene, StrainLimit};
+use loomtree::scene::{
+    Hold, Keyframe, Motion, Overrides, Pin, Plasticity, PreconditionerKind, Scene, StrainLimit, parse,
+};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::{ExchangePlan, Simulation};
 use loomtree::transport::Transport;
@@ -29,7 +33,7 @@ fn flag() -> Scene {
     scene.settings.air_density_kg_m3 = 1.2;
     let forward = Keyframe { translation_m: DVec3::new(0.01, 0.0, 0.02), ..Keyframe::identity(0.04) };
     scene.motions = vec![Motion { keyframes: vec![Keyframe::identity(0.01), forward] }];
-    let pin = |vertex, motion, start_s, end_s| Pin { vertex, motion, start_s, end_s };
+    let pin = Pin::new;
     scene.pins = vec![
         pin(0, None, 0.0, 6.0 * STEP_S),
         pin(CELLS, Some(0), 0.0, f64::INFINITY),
@@ -54,7 +58,7 @@ fn sphere() -> Scene {
     let mut scene = contact_scene(mesh, 1e-3, 0.3, DOWN);
     scene.velocities.iter_mut().for_each(|velocity| velocity.z = -1.0);
     scene.obstacles = vec![ball(0.08, 6, Vec3::new(0.0, 0.0, -0.08), 0.3)];
-    scene.pins = vec![Pin { vertex: 3, motion: None, start_s: 3.0 * STEP_S, end_s: 10.0 * STEP_S }];
+    scene.pins = vec![Pin::new(3, None, 3.0 * STEP_S, 10.0 * STEP_S)];
     scene
 }
 
@@ -88,6 +92,49 @@ fn stretched() -> Scene {
     scene
 }
 
+/// A sheet that falls on a box, which carries away what touches it; springs take hold of two corners, one of them while
+/// the sheet falls.
+fn attached() -> Scene {
+    let text = format!(
+        r#"
+        [simulation]
+        step_s = {STEP_S}
+        substeps = 1
+        [[cloth]]
+        sheet = {{ size_m = [0.4, 0.4], triangles = 256 }}
+        plane = "xz"
+        origin_m = [-0.2, 0.101, 0.2]
+        velocity_m_s = [0, -0.5, 0]
+        [[obstacle]]
+        name = "ball"
+        sphere = {{ center_m = [3, 0, 0], radius_m = 0.1, triangles = 20 }}
+        [[obstacle]]
+        name = "table"
+        box = {{ center_m = [0, 0, 0], size_m = [0.2, 0.18, 0.2], triangles = 48 }}
+        motion = [{{ time_s = 0 }}, {{ time_s = 1, translate_m = [0.3, 0.2, 0] }}]
+        [[pin]]
+        attach = "table"
+        box_m = [[-0.15, 0, -0.15], [0.15, 1, 0.15]]
+        [[pin]]
+        corners = "top-left"
+        stiffness_n_m = 20
+        [[pin]]
+        corners = "top-right"
+        stiffness_n_m = 20
+        start_s = {}
+        [[pin]]
+        follow = "table"
+        nearest = {{ point_m = [-0.2, 0.1, 0.2], count = 3 }}
+        start_s = {}
+        "#,
+        5.0 * STEP_S,
+        9.0 * STEP_S
+    );
+    let scene = parse(&text, Path::new("x.toml"), &Overrides::default()).expect("a scene");
+    assert!(scene.pins.len() > 50);
+    scene
+}
+
 fn step(simulation: &mut Simulation, transport: &mut dyn Transport, step: u32) -> RankState {
     simulation.step(transport, step, false).unwrap();
     simulation.state()
@@ -105,6 +152,7 @@ fn assert_bits(name: &str, states: &[RankState], expected: &[RankState]) {
         assert!(bits(&state.positions) == bits(&expected.positions), "{name}: positions of rank {rank}");
         assert!(bits(&state.velocities) == bits(&expected.velocities), "{name}: velocities of rank {rank}");
         assert_eq!(state.let_go, expected.let_go, "{name}: what rank {rank} has let go");
+        assert_eq!(state.holds, expected.holds, "{name}: what the pins of rank {rank} hold at");
         let (creases, expected_creases) = (state.creases.as_flattened(), expected.creases.as_flattened());
         assert!(bits(creases) == bits(expected_creases), "{name}: creases of rank {rank}");
         let (stretches, expected) = (state.stretches.as_flattened(), expected.stretches.as_flattened());
@@ -247,6 +295,29 @@ fn pinched(scene: &Scene) -> RankState {
         check("pinched", scene, ranks, ExchangeMode::Halo);
     }
     middle.remove(0)
+}
+
+#[test]
+fn pins_that_take_hold_while_the_cloth_moves() {
+    let model = GlobalModel::new(&attached());
+    let whole = |ranks| {
+        let parts = on_ranks(&model, ranks, ExchangeMode::Halo, cpu, |simulation, transport| {
+            (1..=MIDDLE).map(|number| step(simulation, transport, number)).last().expect("a step")
+        });
+        whole_state(&model, parts.iter())
+    };
+    let one = whole(1);
+    let (free, on_table) =
+        one.holds.iter().copied().partition::<Vec<Hold>, _>(|hold| hold.corners == Hold::NO_TRIANGLE);
+    assert_eq!(free.len(), 1, "the spring that took hold in the air");
+    assert!(on_table.len() > 5 && on_table.iter().all(|hold| hold.corners[0] >= 12), "those on the second obstacle");
+    for ranks in [2, 3, 5, 8] {
+        assert_eq!(whole(ranks).hash(), one.hash(), "{ranks} ranks");
+    }
+    for ranks in [1, 3] {
+        check("attached", &attached(), ranks, ExchangeMode::Halo);
+    }
+    check("attached", &attached(), 3, ExchangeMode::Full);
 }
 
 #[test]

@@ -8,6 +8,7 @@ use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::{LetGo, State};
 use loomtree::output::*;
+use loomtree::scene::Hold;
 use proptest::prelude::*;
 
 /// Two triangles that share an edge; vertex 1 lies on a seam.
@@ -157,7 +158,9 @@ fn checkpoint(step: u64) -> Checkpoint {
     // None of the first, so that all layouts are written.
     let let_go = (3..step as u32).map(|vertex| LetGo { vertex, obstacle: 7, inside: vertex % 2 }).collect();
     let stretches = (0..step / 4 % 2 * 5).map(|i| [1.0 + i as f32, 1.0, 0.25, 0.5]).collect();
-    let state = State { velocities: positions.clone(), positions, creases, stretches, let_go };
+    let hold = |vertex| Hold { vertex, corners: [4, 5, 6], weights: [0.5, 0.25, 0.25], offset_m: [0.0, -0.0, 1e-3] };
+    let holds = (0..step as u32 / 8 % 2 * 4).map(hold).collect();
+    let state = State { velocities: positions.clone(), positions, creases, stretches, let_go, holds };
     Checkpoint { frame: 2, step, time_s: 0.25, fingerprint: 77, state }
 }
 

@@ -23,7 +23,7 @@ use loomtree::output::{
     Checkpoint, Existing, FrameFormat, FrameSource, FrameWriter, Report, RunDirectory, RunManifest, checkpoint, obj,
     ply, read_trace,
 };
-use loomtree::scene::{self, Obstacles, Overrides, parse, parse_fabric};
+use loomtree::scene::{self, Hold, Obstacles, Overrides, parse, parse_fabric};
 use support::seeded::Seeded;
 
 /// Far above what any of these inputs needs (milliseconds), far below a hang.
@@ -84,7 +84,8 @@ fn checkpoint_seed() -> Vec<u8> {
     let positions = vec![Vec3::ZERO, Vec3::X, Vec3::new(0.5, -1.0, 2.0)];
     let let_go = vec![LetGo { vertex: 1, obstacle: 2, inside: 0 }];
     let (creases, stretches) = (vec![[0.5, 2.0]; 2], vec![[1.5, 0.75, 0.25, 0.5]]);
-    let state = State { velocities: vec![Vec3::Y; positions.len()], positions, creases, stretches, let_go };
+    let holds = vec![Hold { vertex: 2, corners: [0, 1, 2], weights: [0.5, 0.5, 0.0], offset_m: [0.0; 3] }];
+    let state = State { velocities: vec![Vec3::Y; positions.len()], positions, creases, stretches, let_go, holds };
     let whole = Checkpoint { frame: 2, step: 20, time_s: 0.08, fingerprint: 0x1234_5678_9abc_def0, state };
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::read(checkpoint::keep(folder.path(), &whole).expect("a checkpoint")).expect("its bytes")

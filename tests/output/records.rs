@@ -221,7 +221,7 @@ fn scene() -> Scene {
         velocities: vec![Vec3::ZERO; 4],
         fabrics: vec![fabric],
         fabric_of_triangle: vec![0, 0],
-        pins: vec![Pin { vertex: 0, motion: None, start_s: 0.0, end_s: f64::INFINITY }],
+        pins: vec![Pin::new(0, None, 0.0, f64::INFINITY)],
         motions: Vec::new(),
         followed: Vec::new(),
         cloths: Vec::new(),

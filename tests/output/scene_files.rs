@@ -321,7 +321,7 @@ fn mistakes_name_line_and_field() {
         with("\ncolour = 1"),
         "line 4: field `cloth.colour`: unknown field; known here: name, sheet, garment, mesh, material, \
          weld_m, subdivide, seams, plane, origin_m, rotate_deg, scale, fabric, thicken, damping_s, yield_curvature, \
-         yield_strain, hardening, weakening, strain_limit, velocity_m_s, friction, pressure_pa"
+         yield_strain, hardening, weakening, strain_limit, velocity_m_s, friction, pressure_pa, maps"
     );
     assert_eq!(
         with("fabric = \"coton\""),
@@ -401,6 +401,29 @@ fn mistakes_of_pins_name_line_and_field() {
             "edge = \"top\"\nmotion = [{ time_s = 1, rotate_deg = [10, 1, 0, 0] }, { time_s = 2, rotate_deg = [360, 0, 1, 0] }]"
         ),
         "line 5: field `pin.motion[1].rotate_deg`: turns by 180 degrees or more since the keyframe before, about another axis; add one between"
+    );
+    assert_eq!(
+        with("nearest = 3"),
+        "line 4: field `pin.nearest`: a number needs `follow`: it selects what is nearest to that obstacle; give \
+         `{ point_m = [x, y, z], count = n }` for what is nearest to a point"
+    );
+    assert_eq!(with("nearest = { count = 3 }"), "line 4: field `pin.nearest.point_m`: is missing");
+    assert_eq!(
+        with("edge = \"top\"\nstiffness_n_m = 0"),
+        "line 5: field `pin.stiffness_n_m`: must be a number above 0, not 0"
+    );
+    assert_eq!(
+        with("edge = \"top\"\nattach = \"table\""),
+        "line 5: field `pin.attach`: no obstacle is named `table` (the scene has none)"
+    );
+    let table = "[[obstacle]]\nname = \"table\"\nbox = { center_m = [5, 0, 0], size_m = [1, 1, 1] }";
+    assert_eq!(
+        with(&format!("edge = \"top\"\nattach = \"table\"\nfollow = \"table\"\n{table}")),
+        "line 5: field `pin.attach`: give either `follow` or `attach`"
+    );
+    assert_eq!(
+        with(&format!("edge = \"top\"\nattach = \"table\"\nmotion = [{{ time_s = 1 }}]\n{table}")),
+        "line 6: field `pin.motion`: give either `motion` or `attach`"
     );
     assert_eq!(
         with("edge = \"top\"\n[[pin]]\ncorners = \"top-left\"\nmotion = [{ time_s = 1 }]"),

@@ -40,7 +40,7 @@ fn scene(cell_m: f32, radius_m: f32, mu: f64) -> Scene {
     mesh.positions.iter_mut().for_each(|x| *x += Vec3::new(-LYING_M, 0.0, 0.99 * THICKNESS_M));
     let mut scene = contact_scene(mesh, f64::from(THICKNESS_M), mu, DOWN);
     scene.obstacles = vec![obstacle("table", table(radius_m), mu)];
-    scene.pins = (0..ACROSS as u32).map(|vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: HELD_S }).collect();
+    scene.pins = (0..ACROSS as u32).map(|vertex| Pin::new(vertex, None, 0.0, HELD_S)).collect();
     scene
 }
 

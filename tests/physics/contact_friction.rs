@@ -259,7 +259,7 @@ fn a_sheet_slides_on_cloth_as_on_an_obstacle() {
         mesh.velocities = std::mem::take(&mut scene.velocities);
         mesh.velocities.extend(vec![Vec3::ZERO; held as usize]);
         mesh.pins = (first..first + held)
-            .map(|vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY })
+            .map(|vertex| Pin::new(vertex, None, 0.0, f64::INFINITY))
             .collect();
         let mut cloth = OneRank::new(&mesh);
         let mean = |cloth: &OneRank| {

@@ -136,7 +136,7 @@ fn between_plates(kind: Kind, cells: [usize; 2]) -> Scene {
     let mut scene = kind.scene(mesh);
     scene.settings.gravity_m_s2 = Vec3::ZERO;
     let at_end = (0..=cells[1] as u32).map(|i| i * (cells[0] as u32 + 1));
-    scene.pins = at_end.map(|vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY }).collect();
+    scene.pins = at_end.map(|vertex| Pin::new(vertex, None, 0.0, f64::INFINITY)).collect();
     let closing_s = 0.014 / f64::from(kind.speed_m_s() * 0.1);
     let size = [0.5, 0.2, 0.01];
     let at = |z: f32| Vec3::new(0.15, 0.04, z);

@@ -35,8 +35,8 @@ fn folded(angle: f64, plasticity: Plasticity, step_s: f64) -> Scene {
     let columns = ACROSS as u32;
     scene.pins = (0..3 * columns)
         .map(|vertex| match vertex < 2 * columns {
-            true => Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY },
-            false => Pin { vertex, motion: Some(0), start_s: 0.0, end_s: RELEASED_AT_S },
+            true => Pin::new(vertex, None, 0.0, f64::INFINITY),
+            false => Pin::new(vertex, Some(0), 0.0, RELEASED_AT_S),
         })
         .collect();
     scene

@@ -229,7 +229,7 @@ fn impossible_limits_are_counted_and_named() {
             .map(|(time_s, by)| Keyframe { translation_m: DVec3::new(0.0, 0.0, -by), ..Keyframe::identity(time_s) })
             .into(),
     }];
-    let pin = |vertex: u32, motion| Pin { vertex, motion, start_s: 0.0, end_s: f64::INFINITY };
+    let pin = |vertex: u32, motion| Pin::new(vertex, motion, 0.0, f64::INFINITY);
     let columns = ACROSS as u32;
     scene.pins = (0..columns).map(|v| pin(v, None)).chain((last..last + columns).map(|v| pin(v, Some(0)))).collect();
     let mut cloth = OneRank::new(&scene);

@@ -17,6 +17,7 @@ mod pins;
 mod plates;
 mod rest;
 mod seams;
+mod soft_pins;
 mod stiff;
 mod stretches;
 mod substeps;

@@ -129,7 +129,7 @@ fn a_pin_without_room_between_obstacles_that_do_not_overlap_ends_the_run() {
         ],
     };
     scene.motions = vec![motion];
-    scene.pins.push(Pin { vertex: vertex.unwrap(), motion: Some(0), start_s: 0.0, end_s: f64::INFINITY });
+    scene.pins.push(Pin::new(vertex.unwrap(), Some(0), 0.0, f64::INFINITY));
     let model = GlobalModel::new(&scene);
     let ends = on_ranks(&model, 2, ExchangeMode::Halo, cpu, |simulation, transport| {
         (1..=10).find_map(|step| simulation.step(transport, step, false).err().map(|error| (error, simulation.state())))

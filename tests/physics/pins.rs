@@ -48,7 +48,7 @@ fn target(motion: &Motion, start: Vec3, from: Vec3, since_s: f64, time_s: f64) -
 fn moving_pins_follow_their_keyframes_to_the_last_bit() {
     let mut scene = level_sheet();
     scene.motions = vec![dance()];
-    scene.pins = CORNERS.map(|vertex| Pin { vertex, motion: Some(0), start_s: 0.0, end_s: f64::INFINITY }).to_vec();
+    scene.pins = CORNERS.map(|vertex| Pin::new(vertex, Some(0), 0.0, f64::INFINITY)).to_vec();
     let mut cloth = OneRank::new(&scene);
     for _ in 0..40 {
         let before = cloth.positions();
@@ -79,7 +79,7 @@ fn a_late_pin_takes_hold_where_the_vertex_is() {
     let mut scene = level_sheet();
     scene.motions = vec![dance()];
     scene.pins = [(CORNERS[0], None), (CORNERS[1], Some(0))]
-        .map(|(vertex, motion)| Pin { vertex, motion, start_s: since_s, end_s: f64::INFINITY })
+        .map(|(vertex, motion)| Pin::new(vertex, motion, since_s, f64::INFINITY))
         .to_vec();
     let mut cloth = OneRank::new(&scene);
     for _ in 0..hold {
@@ -111,8 +111,7 @@ fn a_released_sheet_falls() {
     let release = 16;
     let mut scene = level_sheet();
     scene.settings.relative_tolerance = TIGHT;
-    scene.pins =
-        CORNERS.map(|vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::from(release) * STEP_S }).to_vec();
+    scene.pins = CORNERS.map(|vertex| Pin::new(vertex, None, 0.0, f64::from(release) * STEP_S)).to_vec();
     let mut cloth = OneRank::new(&scene);
     let weight_n = cloth.masses().iter().sum::<f64>() * f64::from(GRAVITY_M_S2);
     for _ in 0..release {

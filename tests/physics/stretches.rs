@@ -34,8 +34,8 @@ fn pulled(stretch: f64, plasticity: Plasticity, step_s: f64) -> Scene {
         .map(|vertex| {
             let (column, vertex) = (vertex / ACROSS, vertex as u32);
             match column {
-                0 => Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY },
-                _ => Pin { vertex, motion: Some(column as u32 - 1), start_s: 0.0, end_s: RELEASED_AT_S },
+                0 => Pin::new(vertex, None, 0.0, f64::INFINITY),
+                _ => Pin::new(vertex, Some(column as u32 - 1), 0.0, RELEASED_AT_S),
             }
         })
         .collect();

@@ -45,7 +45,7 @@ impl ModelState {
                 break;
             }
         }
-        let RankState { positions, velocities, creases, stretches, let_go: _ } = simulation.state();
+        let RankState { positions, velocities, creases, stretches, let_go: _, holds: _ } = simulation.state();
         (model.positions, model.velocities, model.stretches) = (positions, velocities, stretches);
         // One rank holds all elements in the order of the model.
         model.hinges.iter_mut().zip(creases).for_each(|(hinge, crease)| hinge.set_crease(crease));

@@ -13,7 +13,7 @@ pub fn fill_diagonal(
     executor: &Executor,
     params: &FillParams,
     matrix: &ElementMatrix<'_>,
-    pinned: &DeviceVec<u32>,
+    pinned: &DeviceVec<f32>,
     contacts: Option<ContactSums<'_>>,
     rhs: &mut DeviceVec<f32>,
     inverse_diagonal: &mut DeviceVec<f32>,

@@ -42,7 +42,7 @@ pub(super) fn fill_diagonal(
             }
             // SAFETY: the row's own entries.
             unsafe { rhs.part(row * 3, 3) }.copy_from_slice(&impulse);
-            inverse.copy_from_slice(&if inputs.pinned[row] != 0 { [0.0; 6] } else { inverse_symmetric(&diagonal) });
+            inverse.copy_from_slice(&if inputs.pinned[row] < 0.0 { [0.0; 6] } else { inverse_symmetric(&diagonal) });
         }
     });
 }

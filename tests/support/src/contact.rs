@@ -104,7 +104,7 @@ pub fn there_and_back(body: Obstacle, name: &str, by: DVec3, times_s: [f64; 3]) 
 pub fn between_balls(depth_m: f64, times_s: [f64; 3]) -> Scene {
     let mesh = sheet(17, 17, [0.2; 2], Vec3::new(-0.1, 0.0, -0.1), Vec3::X, Vec3::Z);
     let mut scene = contact_scene(mesh, 1.5e-3, 0.3, DOWN);
-    let held = |vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY };
+    let held = |vertex| Pin::new(vertex, None, 0.0, f64::INFINITY);
     scene.pins = (16 * 17..17 * 17).map(held).collect();
     scene.obstacles = [("left", -1.0), ("right", 1.0)]
         .map(|(name, side)| {

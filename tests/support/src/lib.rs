@@ -76,7 +76,7 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
         fabric_of_triangle: vec![0; mesh.triangles.len()],
         mesh,
         fabrics: vec![fabric],
-        pins: pinned.iter().map(|&vertex| Pin { vertex, motion: None, start_s: 0.0, end_s: f64::INFINITY }).collect(),
+        pins: pinned.iter().map(|&vertex| Pin::new(vertex, None, 0.0, f64::INFINITY)).collect(),
         motions: Vec::new(),
         followed: Vec::new(),
         cloths: Vec::new(),
