@@ -116,6 +116,8 @@ fn search(
         friction: vec![0.0; vertices],
         inverse_masses_per_kg: vec![1.0; vertices],
         smallest_altitudes_m: vec![0.0; vertices],
+        friction_factors: Vec::new(),
+        thickness_factors: Vec::new(),
     };
     let mut detector = Detector::new(mesh, params).map_err(CliError::failed)?;
     let cpu = CpuExecutor::new(cores());

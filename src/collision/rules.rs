@@ -31,6 +31,11 @@ pub struct ContactParams {
     /// Per vertex: smallest altitude at rest of the triangles around it, meters: see `smallest_altitudes`. Not looked
     /// at for obstacles.
     pub smallest_altitudes_m: Vec<f32>,
+    /// Per vertex of cloth: factor on the coefficient of an obstacle that touches it; empty: 1 everywhere.
+    pub friction_factors: Vec<f32>,
+    /// Per vertex of cloth: factor on the thickness, at most 1; empty: 1 everywhere. A contact of cloth with cloth has the
+    /// mean of both features.
+    pub thickness_factors: Vec<f32>,
 }
 
 /// Why parameters cannot be used with a mesh.
@@ -126,11 +131,27 @@ impl Rules {
         let vertices = || pair.vertices.into_iter().filter(|&v| v != NO_VERTEX).map(|v| v as usize);
         let mut pieces = vertices().map(|v| self.pieces[v]);
         let first = pieces.next();
-        let most_m = self.params.thickness_m.min(pair.most_m);
+        let most_m = (self.params.thickness_m * self.thickness_factor(pair)).min(pair.most_m);
         if pieces.any(|piece| Some(piece) != first) {
             return most_m;
         }
         vertices().fold(most_m, |least, v| least.min(self.within_piece_m[v]))
+    }
+
+    /// Mean of the factors of the features that are cloth, each at its closest point.
+    fn thickness_factor(&self, pair: &Pair) -> f32 {
+        let factors = &self.params.thickness_factors;
+        if factors.is_empty() {
+            return 1.0;
+        }
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (&vertex, weight) in pair.vertices.iter().zip(pair.weights) {
+            if let Some(factor) = factors.get(vertex as usize) {
+                sum += weight.abs() * factor;
+                weights += weight.abs();
+            }
+        }
+        if weights > 0.0 { (sum / weights).min(1.0) } else { 1.0 }
     }
 
     /// True if a pair is closer than its thickness, or will be once it has come closer by `approach_m`.
@@ -172,7 +193,11 @@ impl Rules {
         let other = if pair.kind == 0 { b } else { c };
         let friction = |v: u32| self.params.friction[v as usize];
         let obstacle = [a, other].into_iter().find(|&v| v as usize >= self.cloth_vertices);
-        obstacle.map_or_else(|| 0.5 * (friction(a) + friction(other)), friction)
+        let factor = |obstacle: u32| {
+            let cloth = if obstacle == a { other } else { a };
+            self.params.friction_factors.get(cloth as usize).copied().unwrap_or(1.0)
+        };
+        obstacle.map_or_else(|| 0.5 * (friction(a) + friction(other)), |v| friction(v) * factor(v))
     }
 }
 
@@ -186,6 +211,17 @@ fn check(mesh: &CollisionMesh, params: &ContactParams) -> Result<(), DetectorErr
     for (what, list) in lists {
         if list.len() != mesh.vertices {
             return Err(DetectorError::Count { what, values: list.len(), vertices: mesh.vertices });
+        }
+        if let Some(&value) = list.iter().find(|&&value| !(value >= 0.0)) {
+            return Err(DetectorError::Value { what, value });
+        }
+    }
+    for (what, list) in [
+        ("the list of friction factors", &params.friction_factors),
+        ("the list of thickness factors", &params.thickness_factors),
+    ] {
+        if !list.is_empty() && list.len() != mesh.cloth_vertices {
+            return Err(DetectorError::Count { what, values: list.len(), vertices: mesh.cloth_vertices });
         }
         if let Some(&value) = list.iter().find(|&&value| !(value >= 0.0)) {
             return Err(DetectorError::Value { what, value });

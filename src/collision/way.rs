@@ -33,6 +33,8 @@ impl StraightWay<'_> {
             friction: vec![0.0; vertices],
             inverse_masses_per_kg: vec![1.0; vertices],
             smallest_altitudes_m: vec![f32::MAX; vertices],
+            friction_factors: Vec::new(),
+            thickness_factors: Vec::new(),
         };
         let mut detector = Detector::new(mesh, params).map_err(|error| error.to_string())?;
         detector.leave_out(self.left_out.clone());

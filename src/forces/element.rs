@@ -34,8 +34,8 @@ gpu_struct! {
         pub damage: f32,
         /// Pressure on the side from which its corners run clockwise over that on the other one, Pa.
         pub pressure_pa: f32,
-        /// Fills the struct to a multiple of 16 bytes.
-        pub padding: f32,
+        /// Factor on the stiffness of the fabric.
+        pub stiffness: f32,
     }
 }
 
@@ -234,7 +234,7 @@ pub fn triangle_element(vertices: [u32; 3], fabric: u32, uv: [Vec2; 3]) -> Trian
         area_m2: (0.5 * det.abs()) as f32,
         damage: 0.0,
         pressure_pa: 0.0,
-        padding: 0.0,
+        stiffness: 1.0,
     }
 }
 

@@ -8,7 +8,7 @@ struct TriangleElement {
     area_m2: f32,
     damage: f32,
     pressure_pa: f32,
-    padding: f32,
+    stiffness: f32,
 }
 
 struct HingeElement {

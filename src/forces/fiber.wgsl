@@ -42,7 +42,7 @@ fn fiber(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) 
     if (has_fibers(table)) {
         found = limit_of(table, xu, xv, wu, wv, params.ahead_s);
     }
-    let stiffness = found.fiber * element.area_m2;
+    let stiffness = found.fiber * element.stiffness * element.area_m2;
     let d = found.direction * select(0.0, 1.0, found.fiber > 0.0);
     let f = xu * d.x + xv * d.y;
     let w = wu * d.x + wv * d.y;

@@ -25,6 +25,15 @@ pub(super) struct Limit {
     pub plain_ahead: [f32; 3],
 }
 
+impl Limit {
+    /// What a triangle of `factor` times the stiffness of the fabric gets.
+    pub(super) fn times(self, factor: f32) -> Limit {
+        let of = |values: [f32; 3]| values.map(|value| value * factor);
+        let Limit { stress, fiber, plain, plain_ahead, .. } = self;
+        Limit { stress: of(stress), fiber: fiber * factor, plain: of(plain), plain_ahead: of(plain_ahead), ..self }
+    }
+}
+
 /// Stress (N/m) of a fiber at the Green strain `beyond` its limit, for a fabric of this
 /// [`FabricTable::limit_stiffness`]: quadratic, so that its slope is continuous, then linear, so that it is bounded.
 pub(super) fn fiber_stress(stiffness: f32, beyond: f32) -> f32 {

@@ -78,7 +78,7 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     let uu = 0.5 * (dot(xu, xu) - 1.0);
     let vv = 0.5 * (dot(xv, xv) - 1.0);
     let uv = 0.5 * dot(xu, xv);
-    let k = stretch_stiffness(element.fabric, uu, vv, uv) / (1.0 + element.damage);
+    let k = stretch_stiffness(element.fabric, uu, vv, uv) / (1.0 + element.damage) * element.stiffness;
     let warp = k.x;
     let cross_stiffness = k.y;
     let weft = k.z;
@@ -93,11 +93,11 @@ fn stretch(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups
     var limits_ahead = vec3<f32>(0.0);
     if (fabrics[element.fabric].limit_stiffness > 0.0) {
         let found = limit_of(limits_of_fabric(element.fabric), xu, xv, wu, wv, params.ahead_s);
-        suu += found.stress.x;
-        svv += found.stress.y;
-        suv += found.stress.z;
-        limits = found.plain;
-        limits_ahead = found.plain_ahead;
+        suu += found.stress.x * element.stiffness;
+        svv += found.stress.y * element.stiffness;
+        suv += found.stress.z * element.stiffness;
+        limits = found.plain * element.stiffness;
+        limits_ahead = found.plain_ahead * element.stiffness;
     }
     let p = positive_part(suu, suv, svv);
 

@@ -137,13 +137,16 @@ fn stretch_record(
         let left = 1.0 / (1.0 + element.damage);
         stiffness = stiffness.map(|k| k * left);
     }
+    if element.stiffness != 1.0 {
+        stiffness = stiffness.map(|k| k * element.stiffness);
+    }
     let [warp, cross, weft, shear] = stiffness;
     // Second Piola stress; the shear term of the energy is k/2 (uv)^2 with uv counted once.
     let (mut suu, mut svv, mut suv) = (warp * uu + cross * vv, weft * vv + cross * uu, 0.5 * shear * uv);
     // K w of a limit counts as far as its stress is not that of the end of the step, and it has no damping.
     let mut beyond = Limit::default();
     if fabric.is_limited() {
-        beyond = limit(fabric, [xu, xv], [wu, wv], params.ahead_s);
+        beyond = limit(fabric, [xu, xv], [wu, wv], params.ahead_s).times(element.stiffness);
         (suu, svv, suv) = (suu + beyond.stress[0], svv + beyond.stress[1], suv + beyond.stress[2]);
     }
     let [puu, puv, pvv] = positive_part(suu, suv, svv);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::math::{DVec3, Vec3};
+use crate::math::{DVec3, Vec2, Vec3};
 
 use super::{
     FileSeam, MeshFault, Part, Refinement, Surface, TextureFit, TriangleMesh, VertexProperty, coarser,
@@ -107,6 +107,7 @@ impl Surface {
             (MaterialSource::TextureOrShape, Some(_)) => true,
             _ => false,
         };
+        let texture = if is_a_map { of_corners(positions.len(), &triangles, &texture_uv) } else { Vec::new() };
         let mut material_uv = if from_texture { texture_uv } else { flatten_triangles(&positions, &triangles) };
         material::mirror_clockwise(&mut material_uv);
         let dropped = in_file - positions.len() - welded;
@@ -122,6 +123,7 @@ impl Surface {
             seams,
             mesh_vertices,
             added: Vec::new(),
+            texture,
             dropped,
             welded,
             turned,
@@ -152,6 +154,9 @@ pub struct FileMesh {
     /// The ends of the edge of each vertex that was added after those of the file ([`FileMesh::divide`],
     /// [`FileMesh::cut_edges`]).
     added: Vec<[u32; 2]>,
+    /// Texture coordinates of the vertices of the file that are in the mesh, of the last one of their corners; empty if
+    /// it has none.
+    texture: Vec<Vec2>,
     /// Vertices of the file in no triangle. They are dropped, because they have no mass.
     pub dropped: usize,
     /// Vertices that were joined with an earlier vertex.
@@ -175,6 +180,7 @@ impl From<TriangleMesh> for FileMesh {
             seams: Vec::new(),
             mesh_vertices: None,
             added: Vec::new(),
+            texture: Vec::new(),
             dropped: 0,
             welded: 0,
             turned: 0,
@@ -275,6 +281,32 @@ impl FileMesh {
         Some(vertices)
     }
 
+    /// The values of a property of the file at all vertices; none if the file has no such property. Of joined vertices
+    /// the first one counts, and an added vertex has the mean of the ends of its edge.
+    pub fn values_of(&self, name: &str) -> Option<Vec<f64>> {
+        let property = self.properties.iter().find(|property| property.name == name)?;
+        let mut values = vec![0.0; self.mesh.positions.len() - self.added.len()];
+        for (vertex, &value) in (0..property.values.len() as u32).zip(&property.values).rev() {
+            if let Some(vertex) = self.vertex(vertex) {
+                values[vertex as usize] = f64::from(value);
+            }
+        }
+        for &[a, b] in &self.added {
+            values.push(0.5 * (values[a as usize] + values[b as usize]));
+        }
+        Some(values)
+    }
+
+    /// Texture coordinates of all vertices; none if the file has none. Of a vertex with several the last one counts,
+    /// and an added vertex has the mean of the ends of its edge.
+    pub fn texture(&self) -> Option<Vec<Vec2>> {
+        let mut uv = self.texture.clone();
+        for &[a, b] in &self.added {
+            uv.push(uv.get(a as usize)?.midpoint(*uv.get(b as usize)?));
+        }
+        (uv.len() == self.mesh.positions.len()).then_some(uv)
+    }
+
     /// The vertices of the triangles in an object or group, ascending; none if the file has no such name.
     pub fn vertices_of(&self, name: &str) -> Vec<u32> {
         let named = self.parts.iter().filter(|part| part.is_named(name));
@@ -348,6 +380,15 @@ impl FileMesh {
     pub fn extent(&self) -> f64 {
         extent(&self.mesh.positions)
     }
+}
+
+/// Values of vertices from those of the corners of triangles; that of the last corner counts.
+fn of_corners(vertices: usize, triangles: &[[u32; 3]], of_corner: &[[Vec2; 3]]) -> Vec<Vec2> {
+    let mut values = vec![Vec2::ZERO; vertices];
+    for (corners, uv) in triangles.iter().zip(of_corner) {
+        corners.iter().zip(uv).for_each(|(&corner, &uv)| values[corner as usize] = uv);
+    }
+    values
 }
 
 /// The longest side of the bounding box of points.

@@ -60,6 +60,10 @@ pub struct CollisionArrays {
     pub masses: Vec<f32>,
     /// Friction coefficients of all rows.
     pub friction: Vec<f32>,
+    /// Factors of all rows on the friction of obstacles; empty where they are 1.
+    pub friction_factors: Vec<f32>,
+    /// Factors of all rows on the thickness; empty where they are 1.
+    pub thickness_factors: Vec<f32>,
     /// Obstacle positions, as [`Obstacles::arrays`] gives them.
     pub obstacle_positions: Vec<f32>,
     /// Obstacle triangles, numbered over the obstacles.
@@ -78,6 +82,8 @@ impl CollisionModel {
             altitudes_m,
             masses: model.masses.clone(),
             friction: model.friction.clone(),
+            friction_factors: model.factors[0].clone(),
+            thickness_factors: model.factors[1].clone(),
             obstacle_positions: positions.to_vec(),
             obstacle_triangles: model.obstacles.welded_triangles(),
             sewn: model.stitches.iter().map(|stitch| stitch.vertices).collect(),
@@ -87,12 +93,7 @@ impl CollisionModel {
             stiffness: model.settings.contact_stiffness,
             // Threads draw sides together in every step; what zones leave between them must not hold a seam open.
             margin_m: model.closing.map(|closing| SEWN_MARGIN * closing.last_m),
-            pins: model
-                .pins
-                .iter()
-                .filter(|pin| pin.stiffness_n_m.is_none())
-                .map(PinSpan::of)
-                .collect(),
+            pins: model.pins.iter().filter(|pin| pin.stiffness_n_m.is_none()).map(PinSpan::of).collect(),
             memory_limit_bytes: None,
             obstacle_header: model.obstacles.header().clone(),
             arrays,
@@ -121,7 +122,7 @@ impl CollisionModel {
 
 impl CollisionArrays {
     /// The arrays as bytes, in a fixed order.
-    pub fn to_bytes(&self) -> [&[u8]; 7] {
+    pub fn to_bytes(&self) -> [&[u8]; 9] {
         [
             bytemuck::cast_slice(&self.triangles),
             bytemuck::cast_slice(&self.altitudes_m),
@@ -130,6 +131,8 @@ impl CollisionArrays {
             bytemuck::cast_slice(&self.obstacle_positions),
             bytemuck::cast_slice(&self.obstacle_triangles),
             bytemuck::cast_slice(&self.sewn),
+            bytemuck::cast_slice(&self.friction_factors),
+            bytemuck::cast_slice(&self.thickness_factors),
         ]
     }
 }

@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use super::state::creases_of;
+use super::state::{creases_of, renumbered};
 use super::{Crease, LetGo, State};
 use crate::math::Vec3;
 use crate::mesh::{EdgeCut, Part, TriangleMesh, ascending, hinges};
@@ -65,6 +65,7 @@ impl Cut {
         let after = Scene {
             velocities: cut.vectors(&scene.velocities),
             fabric_of_triangle: cut.triangle_of.iter().map(fabric).collect(),
+            maps: scene.maps.mapped(|list| cut.numbers(list)),
             pins: scene.pins.iter().map(|pin| Pin { vertex: cut.vertex(pin.vertex), ..*pin }).collect(),
             cloths: cloths.collect(),
             parts: scene.parts.iter().map(|part| Part { triangles: range(&part.triangles), ..part.clone() }).collect(),
@@ -109,6 +110,12 @@ impl Cut {
             values[v as usize] = a.lerp(b, cut.share).as_vec3();
         }
         values
+    }
+
+    /// As `vectors` for numbers.
+    fn numbers(&self, before: &[f32]) -> Vec<f32> {
+        let of: Vec<Vec3> = before.iter().map(|&value| Vec3::splat(value)).collect();
+        self.vectors(&of).into_iter().map(|value| value.x).collect()
     }
 
     /// Hinges within a triangle of before are new and flat.

@@ -9,7 +9,7 @@ use crate::integrator::pins::RankPin;
 use crate::math::Vec2;
 use crate::mesh::{Hinge, closed_parts, hinges, vertex_order};
 use crate::partition::chunk_rows;
-use crate::scene::{Closing, Motion, Obstacles, Scene, Settings};
+use crate::scene::{Closing, Maps, Motion, Obstacles, Scene, Settings};
 
 /// The cloth in global order.
 pub struct GlobalModel {
@@ -43,6 +43,8 @@ pub struct GlobalModel {
     pub motions: Vec<Motion>,
     /// Friction coefficients in global order.
     pub friction: Vec<f32>,
+    /// Factors on the friction with obstacles and on the thickness, in global order; empty where they are 1.
+    pub factors: [Vec<f32>; 2],
     /// Obstacles.
     pub obstacles: Obstacles,
     /// Largest k dt^2 / (rho h^2) of a triangle: stiffness at rest, step, mass per area, smallest altitude.
@@ -87,9 +89,11 @@ impl GlobalModel {
             let fabric = scene.fabric_of_triangle[t];
             let mut element = triangle_element(corners.map(map), fabric as u32, *uv);
             element.pressure_pa = pressures.get(t).copied().unwrap_or(0.0);
+            element.stiffness = Maps::of_triangle(&scene.maps.stiffness, *corners) as f32;
             areas[t] = rest_area(uv);
             for &v in corners {
-                masses[map(v) as usize] += areas[t] * scene.fabrics[fabric as usize].density_kg_m2 / 3.0;
+                let third = areas[t] * scene.fabrics[fabric as usize].density_kg_m2 / 3.0;
+                masses[map(v) as usize] += third * Maps::factor(&scene.maps.density, v);
             }
             triangles.push(element);
         }
@@ -97,13 +101,16 @@ impl GlobalModel {
             let sides = hinge.triangles.map(|t| t as usize);
             let uv_edge =
                 sides.map(|t| edge_uv(mesh.triangles[t], mesh.material_uv[t], hinge.vertices[0], hinge.vertices[1]));
-            hinge_element(
+            let mut element = hinge_element(
                 hinge.vertices.map(map),
                 sides.map(|t| scene.fabric_of_triangle[t] as u32),
                 uv_edge,
                 sides.map(|t| areas[t]),
                 0.0,
-            )
+            );
+            let [one, other] = sides.map(|t| Maps::of_triangle(&scene.maps.stiffness, mesh.triangles[t]));
+            element.shape *= (0.5 * (one + other)) as f32;
+            element
         };
         let obstacles = Obstacles::new(&scene.obstacles);
         let grips = Grips::new(scene, &obstacles);
@@ -150,6 +157,10 @@ impl GlobalModel {
                 .collect(),
             motions: scene.motions.clone(),
             friction: original_from_global.iter().map(|&v| scene.friction_of_vertex(v) as f32).collect(),
+            factors: [&scene.maps.friction, &scene.maps.thickness].map(|list| match list.is_empty() {
+                true => Vec::new(),
+                false => original_from_global.iter().map(|&v| list[v as usize]).collect(),
+            }),
             obstacles,
             stiffness_ratio: stiffness_ratio(scene) * scene.settings.stiffness_factor_most(),
             settings: scene.settings.clone(),
@@ -184,13 +195,16 @@ impl GlobalModel {
 
 /// [`GlobalModel::stiffness_ratio`] of a scene.
 pub fn stiffness_ratio(scene: &Scene) -> f64 {
-    let of_triangle = |(&fabric, uv): (&u16, &[Vec2; 3])| {
+    let of_triangle = |((&fabric, uv), corners): ((&u16, &[Vec2; 3]), &[u32; 3])| {
         let (fabric, element) = (&scene.fabrics[usize::from(fabric)], triangle_element([0, 1, 2], 0, *uv));
         let [warp, _, weft, shear] = fabric.stretching_n_m[0];
         let steps_per_cell = scene.settings.step_s / f64::from(element.smallest_altitude_m());
-        warp.max(weft).max(shear) / fabric.density_kg_m2 * steps_per_cell.powi(2)
+        let [stiffer, heavier] =
+            [&scene.maps.stiffness, &scene.maps.density].map(|list| Maps::of_triangle(list, *corners));
+        warp.max(weft).max(shear) / fabric.density_kg_m2 * steps_per_cell.powi(2) * (stiffer / heavier)
     };
-    scene.fabric_of_triangle.iter().zip(&scene.mesh.material_uv).map(of_triangle).fold(0.0, f64::max)
+    let triangles = scene.fabric_of_triangle.iter().zip(&scene.mesh.material_uv).zip(&scene.mesh.triangles);
+    triangles.map(of_triangle).fold(0.0, f64::max)
 }
 
 /// A thread for every pair of a scene's seams, as stiff as the cloth beside its ends.

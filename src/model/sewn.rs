@@ -6,11 +6,11 @@
 
 use std::collections::HashMap;
 
-use super::state::creases_of;
+use super::state::{creases_of, renumbered};
 use super::{Crease, LetGo, State};
 use crate::math::{DVec3, Vec3};
 use crate::mesh::{Part, SewnMesh, TriangleMesh, ascending, hinges};
-use crate::scene::{Closing, Cloth, Pin, Scene, Settings, SettingsOverTime, Sewing};
+use crate::scene::{Closing, Cloth, Maps, Pin, Scene, Settings, SettingsOverTime, Sewing};
 
 /// The way from a state of panels to one of the sewn cloth.
 pub struct Sewn {
@@ -109,6 +109,7 @@ impl Sewn {
                 over_time: SettingsOverTime { gravity_waits: false, ..scene.settings.over_time.clone() },
                 ..scene.settings.clone()
             },
+            maps: scene.maps.mapped(|list| sewn.numbers(list)),
             sewing: None,
             mesh,
             ..scene.clone()
@@ -262,6 +263,17 @@ impl Sewn {
         placed
     }
 
+    /// Numbers of the vertices of the sewn scene from those of the panels: joined vertices have their mean.
+    fn numbers(&self, panels: &[f32]) -> Vec<f32> {
+        let mut sums = vec![(0.0f32, 0.0f32); self.joined()];
+        for (&joined, &value) in self.vertex_of.iter().zip(panels) {
+            let (sum, count) = &mut sums[joined as usize];
+            (*sum, *count) = (*sum + value, *count + 1.0);
+        }
+        let means: Vec<Vec3> = sums.iter().map(|(sum, count)| Vec3::splat(sum / count)).collect();
+        self.vectors(&means).into_iter().map(|value| value.x).collect()
+    }
+
     /// A crease goes on to the parts of its edge; seams start flat.
     fn creases(&self, panels: &[Crease]) -> Vec<Crease> {
         if self.hinges_before.is_empty() {
@@ -342,7 +354,7 @@ fn lumped_masses(scene: &Scene) -> Vec<f64> {
         let [a, b, c] = uv.map(|p| p.as_dvec2());
         let area_m2 = 0.5 * (b - a).perp_dot(c - a).abs();
         let third = area_m2 * scene.fabrics[usize::from(fabric)].density_kg_m2 / 3.0;
-        corners.iter().for_each(|&v| masses[v as usize] += third);
+        corners.iter().for_each(|&v| masses[v as usize] += third * Maps::factor(&scene.maps.density, v));
     }
     masses
 }

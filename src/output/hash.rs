@@ -39,6 +39,17 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     hash_words(&mut hasher, triangles);
     let frictions: Vec<f64> = scene.cloths.iter().map(|cloth| cloth.friction).collect();
     let _ = write!(TextSink(&mut hasher), "{:?} {frictions:?}", obstacles.header());
+    for (name, list) in [
+        ("density", &scene.maps.density),
+        ("stiffness", &scene.maps.stiffness),
+        ("friction", &scene.maps.friction),
+        ("thickness", &scene.maps.thickness),
+    ] {
+        if !list.is_empty() {
+            hasher.update(name.as_bytes());
+            hash_words(&mut hasher, list);
+        }
+    }
     // Zero near the world's origin; left out there, so that checkpoints of earlier versions still fit.
     if scene.origin_m != DVec3::ZERO {
         hash_words(

@@ -11,6 +11,7 @@ use super::cloth_source::{
 };
 use super::fields::{Fields, Value};
 use super::files::find;
+use super::map_file::maps;
 use super::pattern::{Pattern, is_pattern};
 use super::person::{Garment, KINDS};
 use super::placement::{Placement, unplaced_mesh};
@@ -107,7 +108,7 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 23] = [
+pub(super) const CLOTH_FIELDS: [&str; 24] = [
     "name",
     "sheet",
     "garment",
@@ -131,6 +132,7 @@ pub(super) const CLOTH_FIELDS: [&str; 23] = [
     "velocity_m_s",
     "friction",
     "pressure_pa",
+    "maps",
 ];
 
 /// Most times that the triangles of a mesh are divided into four.
@@ -248,6 +250,7 @@ pub(super) fn cloth(
         fabric,
         friction: fields.optional("friction", Value::not_negative)?,
         pressure_pa: fields.or("pressure_pa", 0.0, Value::number)?,
+        maps: maps(fields, path)?,
     };
     Ok(UnplacedCloth { source, placement, file: found })
 }

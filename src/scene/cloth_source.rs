@@ -8,6 +8,7 @@ use crate::mesh::{FileMesh, Outline};
 use super::SceneError;
 use super::error::Place;
 use super::fabric::Fabric;
+use super::maps::MapSource;
 use super::pattern::Pattern;
 use super::person::Garment;
 use super::placement::{Placement, place_mesh};
@@ -24,6 +25,7 @@ pub(super) struct ClothSource {
     pub friction: Option<f64>,
     /// Pressure inside over that outside, Pa.
     pub pressure_pa: f64,
+    pub maps: Vec<MapSource>,
 }
 
 /// Geometry of a piece of cloth.

@@ -58,6 +58,7 @@ impl Scene {
             fabric: self.fabrics.first().cloned().unwrap_or_else(|| Fabric::uniform("", 1.0, [1.0; 4], 1.0)),
             friction: None,
             pressure_pa: 0.0,
+            maps: Vec::new(),
         };
         let mut mesh = FileMesh::from(self.mesh.clone());
         let of_cloth = |cloth: &super::Cloth| Part {

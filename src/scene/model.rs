@@ -5,6 +5,7 @@ use crate::mesh::{Part, TriangleMesh};
 
 use super::fabric::Fabric;
 use super::force_field::ForceField;
+use super::maps::Maps;
 use super::motion::Motion;
 use super::obstacle::Obstacle;
 use super::over_time::OverTime;
@@ -58,6 +59,8 @@ pub struct Scene {
     pub cloths: Vec<Cloth>,
     /// Obstacles. [`Obstacles::new`](super::Obstacles::new) merges them into one numbered surface.
     pub obstacles: Vec<Obstacle>,
+    /// Factors that differ from vertex to vertex.
+    pub maps: Maps,
     /// Objects and groups of the pieces' mesh files, as triangles of the scene, ascending.
     pub parts: Vec<Part>,
     /// What its seams sew; none if it has no seams, or once they are sewn.
@@ -90,7 +93,8 @@ impl Scene {
     /// contact with an obstacle uses that of the obstacle alone.
     pub fn friction_of_vertex(&self, vertex: u32) -> f64 {
         let after = self.cloths.partition_point(|cloth| cloth.vertices.end <= vertex);
-        self.cloths.get(after).map_or(self.settings.friction, |cloth| cloth.friction)
+        let of_cloth = self.cloths.get(after).map_or(self.settings.friction, |cloth| cloth.friction);
+        of_cloth * Maps::factor(&self.maps.friction, vertex)
     }
 
     /// Name of a vertex for messages. In a scene with several pieces, the number counts within the piece.

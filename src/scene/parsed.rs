@@ -10,6 +10,7 @@ use crate::mesh::{Refinement, SewnMesh, closed_parts, extent};
 
 use super::cloth_source::{ClothSource, Shape};
 use super::error::Place;
+use super::map_values::merged_maps;
 use super::pieces::{Merged, Piece, merge, obstacle_warning, size_warning};
 use super::pins::{self, PinSource};
 use super::seam::{Joint, Joints, SeamSource, sew};
@@ -58,6 +59,11 @@ pub struct ParsedScene {
 }
 
 impl ParsedScene {
+    /// Length of a step, seconds.
+    pub fn step_s(&self) -> f64 {
+        self.settings.step_s
+    }
+
     /// Builds the scene at the resolution of `overrides`, or at its own if there is none.
     ///
     /// # Errors
@@ -220,6 +226,7 @@ impl ParsedScene {
             followed: self.followed.clone(),
             cloths: merged.cloths,
             obstacles: self.obstacles.clone(),
+            maps: merged_maps(pieces)?,
             parts: merged.parts,
             sewing,
             settings,

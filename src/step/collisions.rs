@@ -132,6 +132,8 @@ impl Collisions {
             friction,
             inverse_masses_per_kg: inverse_masses,
             smallest_altitudes_m: altitudes_m,
+            friction_factors: std::mem::take(&mut model.arrays.friction_factors),
+            thickness_factors: std::mem::take(&mut model.arrays.thickness_factors),
         };
         let rough = params.friction.iter().any(|&friction| friction > 0.0);
         let normal_forces = NormalForces::new(partition.rows_of(plan.rank), rows);

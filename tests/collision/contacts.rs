@@ -23,6 +23,8 @@ fn params(model: &Model, thickness_m: f32) -> ContactParams {
         friction: (0..vertices).map(|v| if v < cloth { 0.1 + 0.01 * (v % 7) as f32 } else { 0.9 }).collect(),
         inverse_masses_per_kg: (0..vertices).map(|v| if v < cloth && v % 11 != 0 { 1000.0 } else { 0.0 }).collect(),
         smallest_altitudes_m: smallest_altitudes(vertices, &model.triangles, rest),
+        friction_factors: Vec::new(),
+        thickness_factors: Vec::new(),
     }
 }
 

@@ -149,6 +149,8 @@ fn params(model: &Model, thickness_m: f32, separation_m: f32) -> ContactParams {
         friction: (0..vertices).map(|v| 0.1 + 0.01 * (v % 7) as f32).collect(),
         inverse_masses_per_kg: (0..vertices).map(|v| if v < cloth && v % 11 != 0 { 1000.0 } else { 0.0 }).collect(),
         smallest_altitudes_m: smallest_altitudes(vertices, &model.triangles, rest),
+        friction_factors: Vec::new(),
+        thickness_factors: Vec::new(),
     }
 }
 

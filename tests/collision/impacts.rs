@@ -21,6 +21,8 @@ fn detector(model: &Model, separation_m: f32) -> Detector {
         friction: vec![0.0; vertices],
         inverse_masses_per_kg: vec![1.0; vertices],
         smallest_altitudes_m: vec![1.0; vertices],
+        friction_factors: Vec::new(),
+        thickness_factors: Vec::new(),
     };
     Detector::new(model.mesh(), params).expect("a detector")
 }

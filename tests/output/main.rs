@@ -16,6 +16,7 @@ mod scene_arcsim;
 mod scene_contact;
 mod scene_far;
 mod scene_files;
+mod scene_maps;
 mod scene_obstacles;
 mod seams;
 mod trace;

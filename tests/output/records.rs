@@ -227,6 +227,7 @@ fn scene() -> Scene {
         cloths: Vec::new(),
         obstacles: Vec::new(),
         settings,
+        maps: Default::default(),
         parts: Vec::new(),
         sewing: None,
         warnings: Vec::new(),

@@ -144,6 +144,17 @@ fn a_factor_on_friction_lets_a_sheet_go() {
     assert!((slide.speed() / expected - 1.0).abs() < 0.005, "{} m/s for {expected}", slide.speed());
 }
 
+/// Slides as on an obstacle of that many times the friction.
+#[test]
+fn a_map_scales_the_friction_of_the_obstacle() {
+    let (angle, mu, factor) = (20.0, 0.6, 0.4);
+    let mut scene = incline(angle, mu, 4, 0.5, [1, 1]);
+    scene.maps.friction = vec![factor; scene.mesh.positions.len()];
+    let found = measured(angle, mu * f64::from(factor), 0.5, &scene, 40, 60);
+    let expected = acceleration(angle, mu * f64::from(factor));
+    assert!((found / expected - 1.0).abs() < 0.01, "{found} instead of {expected}");
+}
+
 /// The table of third-party data: angles around the limit for several coefficients, and whether the body holds.
 #[test]
 fn the_reference_table_of_inclines() {
@@ -258,9 +269,7 @@ fn a_sheet_slides_on_cloth_as_on_an_obstacle() {
         mesh.settings.contact_stiffness = scene.settings.contact_stiffness;
         mesh.velocities = std::mem::take(&mut scene.velocities);
         mesh.velocities.extend(vec![Vec3::ZERO; held as usize]);
-        mesh.pins = (first..first + held)
-            .map(|vertex| Pin::new(vertex, None, 0.0, f64::INFINITY))
-            .collect();
+        mesh.pins = (first..first + held).map(|vertex| Pin::new(vertex, None, 0.0, f64::INFINITY)).collect();
         let mut cloth = OneRank::new(&mesh);
         let mean = |cloth: &OneRank| {
             let v = &cloth.velocities()[..first as usize];

@@ -10,6 +10,7 @@ mod contact_scenes;
 mod creases;
 mod follow;
 mod limits;
+mod maps;
 mod motion;
 mod over_time;
 mod overlaps;

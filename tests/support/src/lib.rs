@@ -16,7 +16,7 @@ use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::{GlobalModel, RankModel, RankState, State};
 use loomtree::partition::RowPartition;
-use loomtree::scene::{Closing, Fabric, Pin, Scene, Settings, Sewing, Substeps};
+use loomtree::scene::{Closing, Fabric, Maps, Pin, Scene, Settings, Sewing, Substeps};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::{ExchangePlan, Simulation, StepStats};
 use loomtree::telemetry::{Activity, Event, EventName};
@@ -99,6 +99,7 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
             contact_stiffness: 8.0,
             over_time: Default::default(),
         },
+        maps: Maps::default(),
         parts: Vec::new(),
         sewing: None,
         warnings: Vec::new(),
