@@ -267,6 +267,85 @@ fn wrong_fields_of_a_cache_and_of_a_sequence_are_named() {
     assert!(error.contains("number 8 is missing"), "{error}");
 }
 
+/// A stage whose own file is sound, but not a layer that it refers to, or that lies in it.
+#[test]
+fn damaged_layers_that_a_stage_refers_to_are_refused() {
+    let Some(folder) = test_data("garments/caches") else { return };
+    let sound = std::fs::read(folder.join("wave.usdc")).unwrap();
+    let mut damaged = sound.clone();
+    let word = |bytes: &[u8], at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
+    // The count of the first section, and of every one after it.
+    let table = word(&sound, 16);
+    for section in 0..word(&sound, table) {
+        let start = word(&sound, table + 8 + 32 * section + 16);
+        damaged[start..start + 8].copy_from_slice(&(1u64 << 44).to_le_bytes());
+    }
+    let place = tempfile::tempdir().unwrap();
+    let write = |name: &str, bytes: &[u8]| std::fs::write(place.path().join(name), bytes).unwrap();
+    write("sound.usdc", &sound);
+    write("damaged.usdc", &damaged);
+    for layer in ["sound", "damaged"] {
+        let head = "#usda 1.0\n(metersPerUnit = 1)\n";
+        write(&format!("{layer}_below.usda"), format!("#usda 1.0\n(subLayers = [@{layer}.usdc@])\n").as_bytes());
+        write(
+            &format!("{layer}_refers.usda"),
+            format!("{head}def Xform \"x\" (references = @{layer}.usdc@</World>) {{}}\n").as_bytes(),
+        );
+        write(
+            &format!("{layer}_pays.usda"),
+            format!("{head}def Xform \"x\" (payload = @{layer}.usdc@</World>) {{}}\n").as_bytes(),
+        );
+        write(
+            &format!("{layer}.usdz"),
+            &packed(&format!("{layer}.usdc"), if layer == "sound" { &sound } else { &damaged }),
+        );
+    }
+    read(place.path(), "usd = \"sound_below.usda\"").unwrap();
+    read(place.path(), "usd = \"sound.usdz\"").unwrap();
+    for name in ["damaged_below.usda", "damaged_refers.usda", "damaged_pays.usda", "damaged.usdz"] {
+        let error = read(place.path(), &format!("usd = \"{name}\"")).unwrap_err().to_string();
+        assert!(
+            error.contains(name) && error.contains("is damaged: it counts") && !error.contains('\n'),
+            "{name}: {error}"
+        );
+        let told = name.ends_with("usdz") || error.contains("damaged.usdc");
+        assert!(told, "{name}: {error}");
+    }
+}
+
+/// A package with one file in it, as it is.
+fn packed(name: &str, bytes: &[u8]) -> Vec<u8> {
+    let crc = bytes.iter().fold(!0u32, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(crc & 1)))
+    });
+    let (size, length) = ((bytes.len() as u32).to_le_bytes(), (name.len() as u16).to_le_bytes());
+    // Data begin at a multiple of 64 bytes.
+    let padding = (64 - (30 + name.len()) % 64) % 64;
+    let fields = |extra: u16| {
+        let mut fields = vec![0, 0, 0, 0, 0, 0, 0x21, 0];
+        [&(!crc).to_le_bytes()[..], &size, &size, &length, &extra.to_le_bytes()]
+            .iter()
+            .for_each(|part| fields.extend(*part));
+        fields
+    };
+    let mut all = b"PK\x03\x04\x0a\0".to_vec();
+    all.extend(fields(padding as u16));
+    all.extend(name.as_bytes());
+    all.extend(vec![0; padding]);
+    all.extend(bytes);
+    let directory = all.len() as u32;
+    all.extend(b"PK\x01\x02\x0a\0\x0a\0");
+    all.extend(fields(0));
+    all.extend([0; 14]);
+    all.extend(name.as_bytes());
+    let directory_size = all.len() as u32 - directory;
+    all.extend(b"PK\x05\x06\0\0\0\0\x01\0\x01\0");
+    all.extend(directory_size.to_le_bytes());
+    all.extend(directory.to_le_bytes());
+    all.extend([0, 0]);
+    all
+}
+
 /// A stage in centimeters with z up: two triangles whose points move along z, below a transform that turns them about z
 /// by a right angle within a second and then moves them; a mesh that is mirrored and stands still; one that is hidden.
 const STAGE: &str = r#"#usda 1.0

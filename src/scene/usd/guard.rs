@@ -20,9 +20,21 @@ struct Crate<'a> {
     version: u8,
 }
 
-/// Checks the file if it is a binary stage. An error is half a sentence.
+const BINARY: &[u8] = b"PXR-USDC";
+/// Begins a file in a package (`.usdz`, a zip archive).
+const PACKED: &[u8] = b"PK\x03\x04";
+
+/// True for the first bytes of a file that [`check`] has something to say of.
+pub(super) fn is_checked(head: &[u8]) -> bool {
+    head.starts_with(BINARY) || head.starts_with(PACKED)
+}
+
+/// Checks the file if it is a binary stage, or a package with binary stages in it. An error is half a sentence.
 pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
-    if !bytes.starts_with(b"PXR-USDC") {
+    if bytes.starts_with(PACKED) {
+        return check_packed(bytes);
+    }
+    if !bytes.starts_with(BINARY) {
         return Ok(());
     }
     let file = Crate { bytes, version: bytes.get(9).copied().unwrap_or(0) };
@@ -30,6 +42,27 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
         return Err("is a binary stage of a version before 0.4, which is not read: save it anew".into());
     }
     file.sections()
+}
+
+/// Checks the files of a package, which lie in it one after the other as they are.
+fn check_packed(mut bytes: &[u8]) -> Result<(), String> {
+    /// Bytes before the name of a file.
+    const HEAD: usize = 30;
+    while bytes.starts_with(PACKED) {
+        let cut_off = || "is cut off: a file in it has fewer bytes than it needs".to_owned();
+        let head = bytes.first_chunk::<HEAD>().ok_or_else(cut_off)?;
+        let word = |at: usize| usize::from(u16::from_le_bytes([head[at], head[at + 1]]));
+        let size = u32::from_le_bytes([head[18], head[19], head[20], head[21]]) as usize;
+        // Bit 3: sizes stand after the file.
+        if word(8) != 0 || word(6) & 8 != 0 {
+            return Err("is a package whose files are compressed, which USD does not allow".into());
+        }
+        let start = HEAD + word(26) + word(28);
+        let end = start.saturating_add(size);
+        check(bytes.get(start..end).ok_or_else(cut_off)?)?;
+        bytes = &bytes[end..];
+    }
+    Ok(())
 }
 
 impl<'a> Crate<'a> {

@@ -4,6 +4,7 @@
 
 mod guard;
 mod mesh;
+mod resolver;
 mod skeleton;
 mod transform;
 mod value;
@@ -18,6 +19,7 @@ use super::SceneError;
 use super::sampled::{SampledBody, is_below, sampled};
 use crate::math::DQuat;
 use crate::os::panics::caught;
+use resolver::GuardedResolver;
 use value::{broken, one_line};
 
 pub(super) use skeleton::SkinnedBody;
@@ -59,25 +61,29 @@ pub(super) fn read_usd(path: &Path, only: Option<&str>, most: usize) -> Result<U
     }
 }
 
-/// Checks a binary stage, and nothing of another file.
+/// Checks a binary stage or a package, and nothing of another file.
 fn guard(path: &Path) -> Result<(), String> {
     const HEAD: u64 = 16;
     let unreadable = |error: std::io::Error| format!("cannot be read: {error}");
     let mut head = Vec::new();
     let mut file = std::fs::File::open(path).map_err(unreadable)?;
     file.by_ref().take(HEAD).read_to_end(&mut head).map_err(unreadable)?;
-    match head.starts_with(b"PXR-USDC") {
+    match guard::is_checked(&head) {
         true => guard::check(&std::fs::read(path).map_err(unreadable)?),
         false => Ok(()),
     }
 }
 
 fn body(name: &str, only: Option<&str>, most: usize) -> Result<UsdBody, String> {
-    let stage = Stage::open(name).map_err(|error| format!("is not a USD stage: {}", one_line(&error)))?;
-    let body = read(&stage, only, most)?;
+    let stage = Stage::builder()
+        .resolver(GuardedResolver::new())
+        .open(name)
+        .map_err(|error| format!("is not a USD stage: {}", one_line(&error)))?;
+    let body = read(&stage, only, most);
+    // Without a layer there may be no mesh, which then is not what is wrong.
     match stage.composition_errors().first() {
         Some(error) => Err(format!("refers to what cannot be read: {}", one_line(error))),
-        None => Ok(body),
+        None => body,
     }
 }
 
