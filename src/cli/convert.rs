@@ -32,7 +32,7 @@ pub struct ConvertArgs {
     pub run_dir: PathBuf,
     /// Formats, separated by commas: usd (one .usda stage), usdc (the same in binary, a quarter as large), abc (one
     /// Alembic archive), glb (a morph target per frame), mdd or pc2 (a point cache and an .obj per mesh), vtu (a grid
-    /// per frame, with stretch, rank, strain and contact, and a .pvd), ply (a file per mesh and frame).
+    /// per frame, with stretch, rank, strain, contact and its force, and a .pvd), ply (a file per mesh and frame).
     #[arg(long, value_name = "FORMATS", required = true, value_delimiter = ',')]
     pub to: Vec<Target>,
     /// Folder for the files [default: export in the run directory]
@@ -142,12 +142,12 @@ pub(super) fn export(run_dir: &Path, to: &[Target], out: Option<PathBuf>) -> Res
     Ok((lines, animation.source.numbers().len()))
 }
 
-/// Rank, strain and contact of the cloth's vertices, from the scene that the run has recorded.
+/// Rank, strain, contact and its force of the cloth's vertices, from the scene that the run has recorded.
 fn values(directory: &RunDirectory) -> Option<Box<VertexValues>> {
     let known = match Known::load(directory) {
         Ok(known) => RefCell::new(known),
         Err(why) => {
-            note(format_args!("grids without rank, strain and contact: {why}"));
+            note(format_args!("grids without rank, strain, contact and its force: {why}"));
             return None;
         }
     };
@@ -155,10 +155,12 @@ fn values(directory: &RunDirectory) -> Option<Box<VertexValues>> {
         let mut known = known.borrow_mut();
         let positions = known.about_origin(positions);
         // What a scene does not have, such as contacts without collisions, is left out.
+        let forces = known.contact_force(&positions, frame);
         let found = [
             ("rank", Ok(known.ranks())),
             ("strain", known.strain(&positions)),
             ("contact", known.contact(&positions, frame)),
+            ("contact_force", forces.map(|forces| forces.iter().flat_map(|force| force.to_array()).collect())),
         ];
         found.into_iter().filter_map(|(name, values)| values.ok().map(|values| (name, values))).collect()
     }))

@@ -111,18 +111,42 @@ impl Known {
     /// The positions are not of the scene's mesh, or the scene has no collisions.
     pub fn contact(&mut self, positions: &[Vec3], frame: u32) -> Result<Vec<f32>, String> {
         self.check(positions)?;
+        let time_s = self.time_s(frame);
+        self.look()?;
+        match &mut self.contacts {
+            Some(contacts) => contacts.near(&self.model, positions, time_s),
+            None => Err("no detector".into()),
+        }
+    }
+
+    /// Of every vertex: the sum of the normal forces of its contacts, N. `positions`: about the local origin.
+    ///
+    /// # Errors
+    /// As [`Known::contact`].
+    pub fn contact_force(&mut self, positions: &[Vec3], frame: u32) -> Result<Vec<Vec3>, String> {
+        self.check(positions)?;
+        let time_s = self.time_s(frame);
+        self.look()?;
+        match &mut self.contacts {
+            Some(contacts) => contacts.forces(&self.model, positions, time_s),
+            None => Err("no detector".into()),
+        }
+    }
+
+    /// Makes the detector.
+    fn look(&mut self) -> Result<(), String> {
         if !self.scene.settings.collisions {
             return Err("this scene has collisions = false".into());
         }
         if self.contacts.is_none() {
             self.contacts = Some(Contacts::new(&self.model)?);
         }
+        Ok(())
+    }
+
+    fn time_s(&self, frame: u32) -> f64 {
         let settings = &self.scene.settings;
-        let time_s = f64::from(frame) * f64::from(settings.steps_per_frame) * settings.step_s;
-        match &mut self.contacts {
-            Some(contacts) => contacts.near(&self.model, positions, time_s),
-            None => Err("no detector".into()),
-        }
+        f64::from(frame) * f64::from(settings.steps_per_frame) * settings.step_s
     }
 
     /// World positions about the local origin of the run.

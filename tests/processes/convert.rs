@@ -43,7 +43,7 @@ fn frame(place: &Place, frame: u32) -> [Vec<f32>; 3] {
 /// Positions of an obstacle of a scene at the time of a frame.
 fn obstacle_at(place: &Place, fields: &str, time_s: f64) -> Vec<f32> {
     let text = format!(
-        "[simulation]\ncollisions = false\n[[cloth]]\nsheet = {{ size_m = [1, 1], triangles = 8 }}\n\
+        "[simulation]\ncollisions = false\n[[cloth]]\nsheet = {{ size_m = [1, 1], triangles = 18 }}\n\
          [[obstacle]]\n{fields}\n"
     );
     let scene = parse(&text, &place.path("x.toml"), &Overrides::default()).unwrap();
@@ -149,6 +149,52 @@ fn a_stage_has_a_mesh_per_piece_and_obstacle_with_all_frames() {
     }
 }
 
+/// The bytes of an array of a grid.
+fn array_of<'a>(bytes: &'a [u8], name: &str) -> &'a [u8] {
+    let text = String::from_utf8_lossy(bytes);
+    let start = bytes.windows(2).position(|two| two == b"\n_").unwrap() + 2;
+    let (_, rest) = text.split_once(&format!("Name=\"{name}\" format=\"appended\" offset=\"")).unwrap();
+    let offset: usize = rest.split('"').next().unwrap().parse().unwrap();
+    let at = start + offset;
+    let length = u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
+    &bytes[at + 8..at + 8 + length]
+}
+
+fn floats_of(bytes: &[u8], name: &str) -> Vec<f32> {
+    array_of(bytes, name).as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+}
+
+#[test]
+fn contact_forces_of_a_cloth_at_rest_carry_its_weight() {
+    let place = Place::new();
+    place.write(
+        "scene.toml",
+        r#"
+[simulation]
+step_s = 0.004
+steps_per_frame = 50
+frames = 3
+[[cloth]]
+sheet = { size_m = [0.2, 0.2], triangles = 256 }
+plane = "xz"
+origin_m = [-0.1, 0.00199, 0.1]
+[[obstacle]]
+plane = { point_m = [0, 0, 0], normal = [0, 1, 0], size_m = [1, 1], triangles = 18 }
+"#,
+    );
+    place.run("run scene.toml --executor cpu --out run").expect(0);
+    place.run("convert run --to vtu --out grids").expect(0);
+    let forces = floats_of(&std::fs::read(place.path("grids/run_000003.vtu")).unwrap(), "contact_force");
+    let forces = forces.as_chunks::<3>().0;
+    let sum = |axis: usize| forces.iter().map(|force| f64::from(force[axis])).sum::<f64>();
+    // Cotton of 150 g/m^2.
+    let weight_n = 0.2 * 0.2 * 0.15 * 9.81;
+    assert!((sum(1) / weight_n - 1.0).abs() < 0.02, "{} N for a weight of {weight_n} N", sum(1));
+    assert!(sum(0).abs() < 0.01 * weight_n && sum(2).abs() < 0.01 * weight_n);
+    // Obstacles have none.
+    assert!(forces.len() > 137 && forces[forces.len() - 9..].iter().all(|force| *force == [0.0; 3]));
+}
+
 #[test]
 fn grids_hold_points_triangles_and_stretch() {
     let place = place();
@@ -157,18 +203,8 @@ fn grids_hold_points_triangles_and_stretch() {
     assert_eq!(list.matches("<DataSet ").count(), 4);
     assert!(list.contains("timestep=\"0.06\" part=\"0\" file=\"run_000003.vtu\""), "{list}");
     let bytes = std::fs::read(place.path("grids/run_000003.vtu")).unwrap();
-    let text = String::from_utf8_lossy(&bytes);
-    let start =
-        bytes.windows(3).position(|three| three == b"\n_\0" || (three[0] == b'\n' && three[1] == b'_')).unwrap() + 2;
-    let array = |name: &str| -> &[u8] {
-        let (_, rest) = text.split_once(&format!("Name=\"{name}\" format=\"appended\" offset=\"")).unwrap();
-        let offset: usize = rest.split('"').next().unwrap().parse().unwrap();
-        let at = start + offset;
-        let length = u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
-        &bytes[at + 8..at + 8 + length]
-    };
-    let floats =
-        |name: &str| -> Vec<f32> { array(name).as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect() };
+    let array = |name: &str| array_of(&bytes, name);
+    let floats = |name: &str| floats_of(&bytes, name);
     assert_eq!(floats("points"), frame(&place, 3).concat());
     let cells = array("types").len();
     assert!(array("types").iter().all(|&kind| kind == 5) && array("connectivity").len() == 12 * cells);

@@ -82,7 +82,7 @@ pub struct Animation {
     pub values: Option<Box<VertexValues>>,
 }
 
-/// Named values of all vertices of the cloth, of a frame and the positions in it.
+/// Named values of all vertices of the cloth, of a frame and the positions in it: one or three per vertex.
 pub type VertexValues = dyn Fn(u32, &[Vec3]) -> Vec<(&'static str, Vec<f32>)>;
 
 impl Animation {

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use super::{Animation, ExportError, Track};
-use crate::math::Vec2;
+use crate::math::{DIM, Vec2};
 use crate::output::{FrameMesh, WriteError, principal_stretches, write_atomically};
 
 /// VTK's number for a triangle.
@@ -12,7 +12,7 @@ const TRIANGLE: u8 = 5;
 
 /// Writes all tracks in a frame as one grid. Cells have `piece` (the number of the track from 0), `obstacle` (0 or 1)
 /// and, for cloth with a shape at rest, `stretch_max` and `stretch_min` (length / length at rest; 1 elsewhere). Points
-/// have the further values of the animation; at obstacles they are -1.
+/// have the further values of the animation; at obstacles they are -1, vectors 0.
 pub fn write_vtu(path: &Path, animation: &Animation, frame: u32) -> Result<(), ExportError> {
     let mut grid = Grid::default();
     for (number, track) in animation.tracks.iter().enumerate() {
@@ -21,11 +21,16 @@ pub fn write_vtu(path: &Path, animation: &Animation, frame: u32) -> Result<(), E
     if let Some(values) = &animation.values {
         let cloth = animation.source.read(frame)?.positions;
         for (name, of_cloth) in values(frame, &cloth) {
-            let own = |track: &Track| match of_cloth.get(track.vertices.clone()).filter(|_| !track.obstacle) {
-                Some(own) => own.to_vec(),
-                None => vec![-1.0; track.vertices.len()],
+            let width = if of_cloth.len() == DIM * cloth.len() { DIM } else { 1 };
+            let elsewhere = if width == 1 { -1.0 } else { 0.0 };
+            let own = |track: &Track| {
+                let range = width * track.vertices.start..width * track.vertices.end;
+                match of_cloth.get(range.clone()).filter(|_| !track.obstacle) {
+                    Some(own) => own.to_vec(),
+                    None => vec![elsewhere; range.len()],
+                }
             };
-            grid.values.push((name, animation.tracks.iter().flat_map(own).collect()));
+            grid.values.push((name, width, animation.tracks.iter().flat_map(own).collect()));
         }
     }
     write_atomically(path, |out| grid.write(out)).map_err(ExportError::Write)
@@ -50,8 +55,8 @@ struct Grid {
     piece: Vec<i32>,
     obstacle: Vec<u8>,
     stretch: [Vec<f32>; 2],
-    /// Of points, by name.
-    values: Vec<(&'static str, Vec<f32>)>,
+    /// Of points: name, values per point, values.
+    values: Vec<(&'static str, usize, Vec<f32>)>,
 }
 
 impl Grid {
@@ -82,9 +87,10 @@ impl Grid {
             ("CellData", "stretch_max", "Float32", bytemuck::cast_slice(&self.stretch[0])),
             ("CellData", "stretch_min", "Float32", bytemuck::cast_slice(&self.stretch[1])),
         ];
-        arrays.extend(
-            self.values.iter().map(|(name, values)| ("PointData", *name, "Float32", bytemuck::cast_slice(values))),
-        );
+        arrays.extend(self.values.iter().map(|(name, width, values)| {
+            let kind = if *width == DIM { "Float32\" NumberOfComponents=\"3" } else { "Float32" };
+            ("PointData", *name, kind, bytemuck::cast_slice(values))
+        }));
         let points = self.points.len() / 3;
         write!(
             out,
