@@ -37,7 +37,8 @@ fn body_at(scene: &Scene, time_s: f64) -> Vec<Vec3> {
 
 #[test]
 fn the_body_is_closed_stands_on_the_floor_and_stays_out_of_itself_in_every_clip() {
-    for (clip, length_s) in [("stand", 4.0), ("spin", 6.0), ("walk", 6.0), ("kneel", 4.0), ("kick", 4.0), ("sit", 4.0)]
+    for (clip, length_s) in
+        [("stand", 4.0), ("spin", 6.0), ("walk", 6.0), ("kneel", 4.0), ("kick", 4.0), ("sit", 4.0), ("bow", 4.0)]
     {
         let scene = person(&format!("clip = \"{clip}\""), "kind = \"skirt\", triangles = 3000");
         let body = &scene.obstacles[0];
@@ -77,7 +78,7 @@ fn garments_start_around_the_body_at_any_resolution() {
 
 #[test]
 fn shipped_scenes_start_at_any_resolution_and_hold_the_waist() {
-    for name in ["dress", "kneel", "karate", "princess", "pleats"] {
+    for name in ["dress", "kneel", "karate", "princess", "pleats", "kimono", "three_pieces"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes").join(name).with_extension("toml");
         let parsed = loomtree::scene::read(&path).unwrap();
         for resolution in [None, Some(5_000)] {

@@ -18,13 +18,14 @@ pub(super) struct Pose {
 pub(super) type Clip = (&'static str, f64, fn(f64) -> Pose);
 
 /// All clips.
-pub(super) const CLIPS: [Clip; 6] = [
+pub(super) const CLIPS: [Clip; 7] = [
     ("stand", 4.0, stand),
     ("spin", 6.0, spin),
     ("walk", 6.0, walk),
     ("kneel", 4.0, kneel),
     ("kick", 4.0, kick),
     ("sit", 4.0, sit),
+    ("bow", 4.0, bow),
 ];
 
 /// Over this height the foot that carries the body changes to the other.
@@ -220,6 +221,23 @@ fn sit(time_s: f64) -> Pose {
     }
     pose.turn(SPINE, [10.0 * lean, 0.0, 0.0]);
     pose.turn(CHEST, [6.0 * lean, 0.0, 0.0]);
+    let foot = |sign: f64| DVec3::new(sign * 0.160, 0.040, -0.040);
+    pose.anchored([(FOOT[0], foot(1.0)), (FOOT[1], foot(-1.0))]).grounded()
+}
+
+/// Bows from the hips and stands up again.
+fn bow(time_s: f64) -> Pose {
+    let down = bump(time_s, [0.2, 1.4, 2.2, 3.8]);
+    let mut pose = Pose::rest();
+    pose.close_legs(2.0 * down);
+    pose.turn(PELVIS, [26.0 * down, 0.0, 0.0]);
+    for side in [0, 1] {
+        pose.turn(THIGH[side], [-26.0 * down, 0.0, 0.0]);
+    }
+    pose.turn(SPINE, [10.0 * down, 0.0, 0.0]);
+    pose.turn(CHEST, [8.0 * down, 0.0, 0.0]);
+    pose.turn(NECK, [10.0 * down, 0.0, 0.0]);
+    pose.lower_arms(16.0 * down);
     let foot = |sign: f64| DVec3::new(sign * 0.160, 0.040, -0.040);
     pose.anchored([(FOOT[0], foot(1.0)), (FOOT[1], foot(-1.0))]).grounded()
 }
