@@ -16,7 +16,7 @@ pub(super) struct Common {
     /// Threads of each worker on the cpu executor
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: u16,
-    /// Also write the table as JSON (and as SVG where it is a curve) into this folder
+    /// Also write the table as JSON and CSV (and as SVG where it is a curve) into this folder
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }

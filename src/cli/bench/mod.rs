@@ -15,6 +15,7 @@ mod spmv;
 mod step;
 mod strain;
 mod table;
+mod table1;
 mod time;
 mod time_hybrid;
 mod time_levels;
@@ -55,6 +56,9 @@ enum Bench {
     Scaling(scaling::ScalingBench),
     /// The same integrator with and without a stored matrix (cpu executor, one rank): product, memory, whole step
     MatrixFree(matrix_free::MatrixFreeBench),
+    /// The eleven benchmarks of P-Cloth's Table 1 with scenes of this project: frames per second on 1, 2 and 4 workers,
+    /// measured here, modeled on a topology file's machine, and theirs, apart
+    Table1(table1::Table1Bench),
     /// Memory of scenes' workers per structure and vertex
     Memory(runs::ScenesBench),
     /// Drape coefficient and folds of every round cloth of a run, such as one of scenes/cusick.toml
@@ -80,6 +84,7 @@ pub fn run(args: BenchArgs, launch: &Launch) -> Result<(), CliError> {
         Bench::Assembly(bench) => bench.each(launch)?.iter().try_for_each(assembly::run),
         Bench::Scaling(bench) => scaling::run(&bench, launch),
         Bench::MatrixFree(bench) => matrix_free::run(&bench),
+        Bench::Table1(bench) => table1::run(&bench, launch),
         Bench::Memory(bench) => bench.each(launch)?.iter().try_for_each(step::memory),
         Bench::Drape(bench) => drape::run(&bench),
         Bench::Strain(bench) => strain::run(&bench),

@@ -77,6 +77,7 @@ impl ScenesBench {
         let one = |(i, scene): (usize, &PathBuf)| SceneBench {
             scene: scene.clone(),
             skip: self.skip.get(i).or(self.skip.first()).copied(),
+            step_s: None,
             suffix: if scenes > 1 { format!("_{}", stems[i]) } else { String::new() },
             settings: settings.clone(),
             launch: launch.clone(),
@@ -94,6 +95,8 @@ pub(super) struct SceneBench {
     skip: Option<u32>,
     /// Ending of the names of its tables.
     suffix: String,
+    /// Length of a step, if not that of the scene, seconds.
+    step_s: Option<f64>,
     /// Options that all scenes share.
     pub settings: Settings,
     /// Who starts the workers.
@@ -153,6 +156,29 @@ pub(super) struct Size {
 }
 
 impl SceneBench {
+    /// The benchmark of one scene, with steps of `step_s` seconds if that is given.
+    ///
+    /// # Errors
+    /// The launcher has started too few processes for every number of workers.
+    pub(super) fn alone(
+        scene: PathBuf,
+        skip: u32,
+        step_s: Option<f64>,
+        mut settings: Settings,
+        launch: &Launch,
+    ) -> Result<SceneBench, CliError> {
+        if let Some(ranks) = launch.ranks() {
+            settings.workers = within(&settings.workers, ranks)?;
+        }
+        Ok(SceneBench { scene, skip: Some(skip), suffix: String::new(), step_s, settings, launch: launch.clone() })
+    }
+
+    /// Length of a step, seconds.
+    pub(super) fn step_s(&self) -> Result<f64, CliError> {
+        let of_scene = || crate::scene::read(&self.scene).map(|scene| scene.step_s()).map_err(CliError::bad_input);
+        self.step_s.map_or_else(of_scene, Ok)
+    }
+
     /// Runs every number of workers `rounds` times, interleaved.
     pub(super) fn run(&self) -> Result<(Size, Vec<Runs>), CliError> {
         let mut all: Vec<Runs> =
@@ -232,6 +258,7 @@ impl SceneBench {
         let mut plan = RunPlan::new(&self.scene, &options).map_err(CliError::bad_input)?;
         // One frame at the end, so that frames are not part of what is measured.
         plan.scene.settings.steps_per_frame = self.steps().1;
+        plan.scene.settings.step_s = self.step_s.unwrap_or(plan.scene.settings.step_s);
         let size = Size { triangles: plan.scene.mesh.triangles.len(), vertices: plan.scene.mesh.positions.len() };
         let out = folder.path().join(RUN);
         let places = RunPlaces { scene: self.scene.clone(), out, existing: Existing::Refuse };

@@ -1,4 +1,4 @@
-//! A table of figures, measured or modeled: printed, and written as JSON and SVG.
+//! A table of figures, measured or modeled: printed, and written as JSON, CSV and SVG.
 
 use std::path::Path;
 
@@ -16,12 +16,15 @@ pub(super) struct FigureTable {
     y_label: &'static str,
     columns: Vec<&'static str>,
     rows: Vec<Vec<f64>>,
+    /// Head of a first column of names, and the name of every row.
+    names: Option<(&'static str, Vec<String>)>,
 }
 
 impl FigureTable {
     /// An empty table of measured figures; `name` names its files.
     pub(super) fn new(name: impl Into<String>, title: String, columns: Vec<&'static str>) -> FigureTable {
-        FigureTable { name: name.into(), title, kind: "measured", y_label: "speed-up", columns, rows: Vec::new() }
+        let kind = "measured";
+        FigureTable { name: name.into(), title, kind, y_label: "speed-up", columns, rows: Vec::new(), names: None }
     }
 
     /// The same for figures that were modeled.
@@ -49,6 +52,19 @@ impl FigureTable {
         self.columns.first().copied().unwrap_or("")
     }
 
+    /// The table with a name for every row, in a first column with this head.
+    pub(super) fn with_names(self, head: &'static str) -> FigureTable {
+        FigureTable { names: Some((head, Vec::new())), ..self }
+    }
+
+    /// Adds a row of a table with names.
+    pub(super) fn push_named(&mut self, name: &str, row: Vec<f64>) {
+        if let Some((_, names)) = &mut self.names {
+            names.push(name.to_owned());
+        }
+        self.push(row);
+    }
+
     /// Adds a row, one number per column.
     pub(super) fn push(&mut self, row: Vec<f64>) {
         assert_eq!(row.len(), self.columns.len());
@@ -63,9 +79,13 @@ impl FigureTable {
             v if v.abs() >= 100.0 => format!("{v:.1}"),
             v => format!("{v:.4}"),
         };
-        let cells: Vec<Vec<String>> = self.rows.iter().map(|row| row.iter().map(|&v| cell(v)).collect()).collect();
-        let widths: Vec<usize> = self
-            .columns
+        let mut heads = self.columns.clone();
+        let mut cells: Vec<Vec<String>> = self.rows.iter().map(|row| row.iter().map(|&v| cell(v)).collect()).collect();
+        if let Some((head, names)) = &self.names {
+            heads.insert(0, head);
+            cells.iter_mut().zip(names).for_each(|(row, name)| row.insert(0, name.clone()));
+        }
+        let widths: Vec<usize> = heads
             .iter()
             .enumerate()
             .map(|(i, head)| cells.iter().map(|row| row[i].len()).max().unwrap_or(0).max(head.len()))
@@ -74,7 +94,7 @@ impl FigureTable {
         let line = |cells: Vec<&str>| {
             cells.iter().zip(&widths).map(|(cell, &width)| format!("{cell:>width$}")).collect::<Vec<_>>().join("  ")
         };
-        text += &line(self.columns.clone());
+        text += &line(heads);
         for row in &cells {
             text.push('\n');
             text += &line(row.iter().map(String::as_str).collect());
@@ -85,9 +105,10 @@ impl FigureTable {
 
     /// The table as JSON.
     fn document(&self) -> Value {
-        let row = |row: &Vec<f64>| -> Value {
+        let row = |(i, row): (usize, &Vec<f64>)| -> Value {
+            let name = self.names.iter().map(|(head, names)| (head.to_string(), json!(names[i])));
             let cells = self.columns.iter().zip(row).map(|(head, &v)| (head.to_string(), json!(v)));
-            Value::Object(cells.collect::<Map<_, _>>())
+            Value::Object(name.chain(cells).collect::<Map<_, _>>())
         };
         let machine = Machine::here();
         json!({
@@ -96,17 +117,32 @@ impl FigureTable {
             "kind": self.kind,
             "command": std::env::args().collect::<Vec<_>>().join(" "),
             "machine": {"cpu": machine.cpu, "cores": machine.cores},
-            "rows": self.rows.iter().map(row).collect::<Vec<_>>(),
+            "rows": self.rows.iter().enumerate().map(row).collect::<Vec<_>>(),
         })
     }
 
-    /// Writes `name.json`, and `name.svg` with the columns of `curves` over its first one if there are at least two
+    /// The table as comma-separated values with a line of heads; empty where there is no number.
+    fn csv(&self) -> String {
+        let heads = self.names.iter().map(|(head, _)| *head).chain(self.columns.iter().copied());
+        let mut text = heads.collect::<Vec<_>>().join(",") + "\n";
+        for (i, row) in self.rows.iter().enumerate() {
+            let name = self.names.iter().map(|(_, names)| names[i].clone());
+            let cell = |v: &f64| if v.is_nan() { String::new() } else { v.to_string() };
+            text += &name.chain(row.iter().map(cell)).collect::<Vec<_>>().join(",");
+            text.push('\n');
+        }
+        text
+    }
+
+    /// Writes `name.json` and `name.csv`, and `name.svg` with the columns of `curves` over its first one if there are at least two
     /// rows.
     pub(super) fn write(&self, folder: &Path, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         std::fs::create_dir_all(folder)
             .map_err(|error| CliError::bad_input(format!("cannot write to {}: {error}", folder.display())))?;
         let text = serde_json::to_string_pretty(&self.document()).map_err(CliError::failed)?;
         write_atomically(&folder.join(format!("{}.json", self.name)), |out| out.write_all(text.as_bytes()))
+            .map_err(CliError::failed)?;
+        write_atomically(&folder.join(format!("{}.csv", self.name)), |out| out.write_all(self.csv().as_bytes()))
             .map_err(CliError::failed)?;
         let column = |name: &str| self.columns.iter().position(|head| *head == name);
         let Some((x, names)) = curves.filter(|_| self.rows.len() > 1) else { return Ok(()) };
