@@ -104,7 +104,8 @@ pub struct RunOptions {
     /// Seconds without a sign of life after which a worker counts as hung
     #[arg(long = "heartbeat", value_name = "S", value_parser = positive_seconds, default_value = "10")]
     pub heartbeat_s: f64,
-    /// Steps whose events are kept in trace.json, from the first one of this start
+    /// Steps whose events are kept in trace.json, from the first one of this start; of a shot that is split in time,
+    /// those of its first segment, in trace_steps.json, and of its coarse run
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub trace_steps: u32,
     /// A shot that is split in time.

@@ -114,6 +114,10 @@ impl SplitReport {
             _ => &own,
         };
         let per_frame = plan.fine.scene.settings.steps_per_frame;
+        let recorded = RunDirectory::trace_in(&Job::Segment(0).folder(run));
+        if j == 0 && recorded.is_file() {
+            fs::copy(&recorded, directory.trace_of_steps()).map_err(write_error)?;
+        }
         let first_frame = if j == 0 { 0 } else { start / per_frame + 1 };
         for frame in first_frame..=end / per_frame {
             let step = frame * per_frame;

@@ -25,6 +25,8 @@ pub(super) struct Schedule<'a> {
     pub fault: Mutex<Option<String>>,
     /// States that the run is to keep.
     pub keep: Option<KeepStates>,
+    /// First steps of the shot and of its coarse run whose events are recorded.
+    pub trace_steps: u32,
     pub scope: Scope,
 }
 
@@ -36,6 +38,11 @@ impl<'a> Schedule<'a> {
     /// The level that a job simulates.
     pub(super) fn level(&self, job: Job) -> &'a RunPlan {
         if job == Job::Coarse { &self.plan.coarse } else { &self.plan.fine }
+    }
+
+    /// First steps of a job whose events are recorded: one job of each level shows what its steps do.
+    pub(super) fn trace_steps(&self, job: Job) -> u32 {
+        if matches!(job, Job::Coarse | Job::Segment(0)) { self.trace_steps } else { 0 }
     }
 
     /// Last step of a job, in steps of its own level.
@@ -55,7 +62,8 @@ impl<'a> Schedule<'a> {
         let last_step = self.last_step(job, &cuts);
         let resumed = newest(&job.folder(run), job);
         let tells_start = resumed.is_none();
-        let mut segment = Segment { tells_start, ..Segment::plain(self.level(job), last_step) };
+        let trace_steps = self.trace_steps(job);
+        let mut segment = Segment { tells_start, trace_steps, ..Segment::plain(self.level(job), last_step) };
         if job == Job::Coarse {
             segment.wants_state = Arc::new(|_| true);
         }

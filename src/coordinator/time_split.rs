@@ -149,7 +149,7 @@ impl<'a> Listener<'a, '_> {
         let options = RunOptions {
             keep_states: Some(KeepStates::Every(std::num::NonZeroU32::MIN)),
             formats: FormatList(formats, Vec::new()),
-            trace_steps: 0,
+            trace_steps: self.schedule.trace_steps(job),
             ..self.options.clone()
         };
         let level = self.schedule.level(job);
@@ -339,6 +339,7 @@ pub fn run_split(
         changed: Condvar::new(),
         fault: Mutex::new(None),
         keep: options.keep_states,
+        trace_steps: options.trace_steps,
         scope,
     };
     let mut listener = Listener {

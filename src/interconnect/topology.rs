@@ -178,6 +178,19 @@ impl Topology {
         self.routes.path(from, to)
     }
 
+    /// Seconds for `bytes` between the two GPUs that are farthest apart, alone on their way; 0 with one GPU.
+    pub fn farthest_s(&self, bytes: f64) -> f64 {
+        let way = |from: usize, to: usize| -> f64 {
+            let links = self.path(from, to).iter().map(|hop| &self.links[hop.link]);
+            let (latency_us, narrowest) = links.fold((0.0, f64::INFINITY), |(latency, narrowest), link| {
+                (latency + link.latency_us, f64::min(narrowest, link.bandwidth_gb_s))
+            });
+            latency_us * 1e-6 + bytes / (narrowest * 1e9)
+        };
+        let pairs = (0..self.gpus()).flat_map(|from| (0..self.gpus()).map(move |to| (from, to)));
+        pairs.filter(|(from, to)| from != to).map(|(from, to)| way(from, to)).fold(0.0, f64::max)
+    }
+
     /// The root switch's node: the first switch of the file. None without switches.
     pub fn root(&self) -> Option<usize> {
         (!self.switch_names.is_empty()).then_some(self.gpus())

@@ -1,7 +1,7 @@
 //! The run directory: paths of all files of a run, and the lock that allows one writer.
 //!
 //! ```text
-//! RUN_DIR/report.json  report.html  run.toml  run_scene.<toml|json>  trace.json  rest.obj  cloth.pc2
+//! RUN_DIR/report.json  report.html  run.toml  run_scene.<toml|json>  trace.json  trace_steps.json  rest.obj  cloth.pc2
 //!         run_changes.toml  live.sock  (of a run that is steered while it goes on)
 //!         rest_2.obj  cloth_2.pc2  (the second mesh of a run that sews)
 //!         frames/frame_%06d.<ext>  frames/obstacle_%06d.<ext>  checkpoint/step_%08d.ltc
@@ -69,12 +69,13 @@ pub struct RunDirectory {
 }
 
 /// Files at the top level of a run directory.
-const FILES: [&str; 12] = [
+const FILES: [&str; 13] = [
     "report.json",
     "run.toml",
     "run_scene.toml",
     "run_scene.json",
     "trace.json",
+    "trace_steps.json",
     "cloth.pc2",
     "rest.obj",
     "cloth_2.pc2",
@@ -145,7 +146,15 @@ impl RunDirectory {
     }
     /// `trace.json`.
     pub fn trace(&self) -> PathBuf {
-        self.path.join("trace.json")
+        RunDirectory::trace_in(&self.path)
+    }
+    /// `trace.json` of the run directory `path`.
+    pub fn trace_in(path: &Path) -> PathBuf {
+        path.join("trace.json")
+    }
+    /// `trace_steps.json`: events of the first steps of a shot that is split in time, whose `trace.json` has its jobs.
+    pub fn trace_of_steps(&self) -> PathBuf {
+        self.path.join("trace_steps.json")
     }
     /// `cloth.pc2`: the whole animation in one file.
     pub fn point_cache(&self) -> PathBuf {

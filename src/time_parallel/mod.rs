@@ -9,4 +9,4 @@ mod virtual_run;
 
 pub use distance::{Comparison, Distance, rms};
 pub use upsample::Upsampling;
-pub use virtual_run::{Costs, Method, Partition, Played};
+pub use virtual_run::{Costs, Cut, Method, Partition, Played};

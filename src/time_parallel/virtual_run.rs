@@ -35,6 +35,18 @@ pub struct Method {
     pub coarse_to_end: bool,
 }
 
+/// A shot that has been cut.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cut {
+    /// First steps of the segments.
+    pub starts: Vec<u64>,
+    /// Steps of the hand-over to every segment; 0 where there is none, as for the first one.
+    pub handover_steps: Vec<u64>,
+    /// Whether it is cut by what the whole coarse run has counted, so that no segment but the first begins before its
+    /// end.
+    pub waits_for_coarse: bool,
+}
+
 /// The rule for the cuts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Partition {
@@ -113,6 +125,15 @@ impl Costs {
         self.time(&fine, &CoarseRun::serial(coarse, reach), starts, processes, method)
     }
 
+    /// Plays the shot as `cut`, with a process per segment, one of which makes the coarse run first. Of `method`, cuts
+    /// and hand-overs are not looked at.
+    pub fn play_cut(&self, cut: &Cut, method: &Method) -> Played {
+        let coarse = CoarseRun::serial(Prefix::new(&self.coarse[0]), self.fine.len() as u64);
+        let coarse = CoarseRun { whole: cut.waits_for_coarse, ..coarse };
+        let (fine, processes) = (Prefix::new(&self.fine), cut.starts.len());
+        self.time_joined(&fine, &coarse, cut.starts.clone(), &cut.handover_steps, processes, method)
+    }
+
     /// Cuts with known costs; `split` processes make the coarse run.
     fn play_split(&self, fine: &Prefix, processes: usize, split: usize, method: &Method) -> Played {
         let cost = Prefix::new(&self.coarse[0]);
@@ -135,8 +156,22 @@ impl Costs {
         self.time(fine, &coarse_run, starts, processes, method)
     }
 
-    /// The clock for given cuts.
+    /// The clock for given cuts, with as many steps in every hand-over.
     fn time(&self, fine: &Prefix, above: &CoarseRun, starts: Vec<u64>, processes: usize, method: &Method) -> Played {
+        let handover_steps = vec![method.handover_steps; starts.len()];
+        self.time_joined(fine, above, starts, &handover_steps, processes, method)
+    }
+
+    /// The clock for given cuts, and steps of the hand-over to every segment.
+    fn time_joined(
+        &self,
+        fine: &Prefix,
+        above: &CoarseRun,
+        starts: Vec<u64>,
+        handover_steps: &[u64],
+        processes: usize,
+        method: &Method,
+    ) -> Played {
         let steps = self.fine.len() as u64;
         let mut free = above.free_at(processes);
         let mut ends: Vec<f64> = Vec::with_capacity(starts.len());
@@ -150,8 +185,8 @@ impl Costs {
         }
         // All seams at once, when both segments beside a seam are done.
         let mut seconds = ends.iter().copied().fold(0.0, f64::max);
-        for (j, &start) in starts.iter().enumerate().skip(1).filter(|_| method.handover_steps > 0) {
-            let work = fine.between(start, (start + method.handover_steps).min(steps));
+        for (j, &start) in starts.iter().enumerate().skip(1).filter(|(j, _)| handover_steps[*j] > 0) {
+            let work = fine.between(start, (start + handover_steps[j]).min(steps));
             busy += work;
             seconds = f64::max(seconds, ends[j].max(ends[j - 1] + method.fine_state_s) + work);
         }
@@ -299,6 +334,22 @@ impl Plan<'_> {
 mod tests {
     use super::*;
     use crate::time_parallel::partition::{speedup_balanced, speedup_with_extra_steps};
+
+    /// Two segments of 40 and 60 steps of a second; a coarse step takes 0.1 s. The process that is free at once makes the
+    /// first one, and that of the coarse run, which ends after 10 s, the other one, after two steps of recovery.
+    #[test]
+    fn a_shot_that_has_been_cut_is_played_as_it_is() {
+        let costs = Costs { fine: vec![1.0; 100], coarse: vec![vec![0.1; 100]], stride: 1 };
+        let method = Method { recovery_steps: 2, coarse_state_s: 1.0, fine_state_s: 50.0, ..PLAIN };
+        let cut = |handover: u64, waits_for_coarse: bool| {
+            let cut = Cut { starts: vec![0, 40], handover_steps: vec![0, handover], waits_for_coarse };
+            costs.play_cut(&cut, &Method { coarse_to_end: true, ..method }).seconds
+        };
+        // The state is there after 5 s, or a second after the end of the coarse run.
+        assert!((cut(0, false) - 72.0).abs() < 1e-9 && (cut(0, true) - 73.0).abs() < 1e-9);
+        // The hand-over waits for the end of the first segment, which comes after 40 + 50 s.
+        assert!((cut(5, false) - 95.0).abs() < 1e-9, "{}", cut(5, false));
+    }
 
     const PLAIN: Method = Method {
         partition: Partition::Static,

@@ -86,6 +86,25 @@ fn state(folder: &Path, step: u64) -> State {
     Checkpoint::from_bytes(&bytes).expect("a state").state
 }
 
+/// `predict` of a shot of three segments of 40 steps on another machine: the clock by hand from what it says of steps.
+fn is_predicted(place: &Place, run: &str) {
+    let topology = "--topology topology/dgx1_8.toml";
+    let said = place.run(&format!("predict {run} {topology} --json --kernels recorded")).expect(0).stdout;
+    let found: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+    assert_eq!(found["steps"].as_array().map(Vec::len), Some(20), "steps that were recorded");
+    let shot = &found["shot"];
+    assert_eq!((&shot["segments"], &shot["workers_per_segment"]), (&3.into(), &1.into()));
+    assert_eq!(shot["starts"], serde_json::json!([0, 40, 80]));
+    let of = |name: &str| shot[name].as_f64().unwrap_or_else(|| panic!("no {name} in {shot}"));
+    let plain_s = of("modelled_s") * of("speed_up");
+    assert!((plain_s - 120.0 * of("step_modelled_s")).abs() < 1e-6 * plain_s, "{shot}");
+    assert!(of("speed_up") > 1.0 && of("speed_up") < 3.0 && of("k") > 0.0, "{shot}");
+    let text = place.run(&format!("predict {run} {topology}")).expect(0).stdout;
+    assert!(text.contains("the shot, modelled: 3 segments of 1 workers"), "{text}");
+    let small = place.run(&format!("predict {run} --topology topology/pcie_2.toml")).expect(2).stderr;
+    assert!(small.contains("3 segments of 1 workers need 3 GPUs, topology/pcie_2.toml has 2"), "{small}");
+}
+
 #[test]
 fn a_split_shot_has_all_frames_and_the_same_bits_however_it_is_run() {
     let place = place();
@@ -117,6 +136,7 @@ fn a_split_shot_has_all_frames_and_the_same_bits_however_it_is_run() {
     );
     assert!(place.path("split/preview/frames/frame_000024.ply").exists());
     assert!(!place.path("split/segments").exists(), "intermediate states are gone");
+    is_predicted(&place, "split");
     for frame in 0..=24 {
         let bytes = std::fs::read(place.path(&format!("split/frames/frame_{frame:06}.ply"))).expect("a frame");
         let mesh = loomtree::output::ply::read(&bytes).expect("a mesh");
@@ -414,8 +434,6 @@ fn what_is_still_coarse_is_marked() {
     }
     let drawn = place.run("render again --size 64x48 --executor cpu").expect(0);
     assert!(!drawn.stderr.contains("coarse run"), "{}", drawn.stderr);
-    let predicted = place.run("predict again --topology topology/dgx1_8.toml").expect(2).stderr;
-    assert!(predicted.contains("again is split in time"), "{predicted}");
     let trace = std::fs::read_to_string(place.path("again/trace.json")).expect("a trace");
     let events: Vec<serde_json::Value> = serde_json::from_str(&trace).expect("JSON");
     assert!(events.iter().any(|event| event["ph"] == "X" && event["name"].as_str().unwrap().starts_with("seam 1")));

@@ -78,7 +78,7 @@ impl Recorded {
             fine.report.header.machine.cpu,
         );
         let [fine_state_s, coarse_state_s] =
-            [fine.state_bytes(), coarser[0].state_bytes()].map(|bytes| farthest_s(machine, bytes));
+            [fine.state_bytes(), coarser[0].state_bytes()].map(|bytes| machine.farthest_s(bytes));
         Ok(Recorded { costs, coarse_state_s, fine_state_s, title })
     }
 
@@ -94,19 +94,4 @@ impl Recorded {
             stride: ((self.costs.stride as f64 * stretch) as u64).max(1),
         }
     }
-}
-
-/// Seconds for the way between the two ranks of `machine` that are farthest apart.
-fn farthest_s(machine: &Topology, bytes: f64) -> f64 {
-    let ranks = machine.gpus();
-    let way = |from: usize, to: usize| -> f64 {
-        let links = machine.path(from, to).iter().map(|hop| &machine.links()[hop.link]);
-        let (latency_us, narrowest) = links.fold((0.0, f64::INFINITY), |(latency, narrowest), link| {
-            (latency + link.latency_us, f64::min(narrowest, link.bandwidth_gb_s))
-        });
-        latency_us * 1e-6 + bytes / (narrowest * 1e9)
-    };
-    (0..ranks)
-        .flat_map(|from| (0..ranks).map(move |to| (from, to)))
-        .fold(0.0, |most, (from, to)| if from == to { most } else { f64::max(most, way(from, to)) })
 }

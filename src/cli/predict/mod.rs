@@ -3,6 +3,7 @@
 
 mod pictures;
 mod recorded_run;
+mod split_shot;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -18,6 +19,7 @@ use crate::os::console::{is_json, note};
 use crate::output::{Report, write_timeline};
 use recorded_run::BetweenHosts;
 pub(super) use recorded_run::RecordedRun;
+use split_shot::SplitShot;
 
 /// Arguments of `loomtree predict`.
 #[derive(Clone, Debug, clap::Args)]
@@ -118,12 +120,14 @@ struct Prediction {
     memory: Vec<u64>,
     measured: Option<Measured>,
     between_hosts: Option<BetweenHosts>,
+    /// The shot as it was split in time.
+    shot: Option<SplitShot>,
     assumptions: Vec<String>,
 }
 
 impl Prediction {
     fn make(args: &PredictArgs) -> Result<Prediction, CliError> {
-        let recorded = RecordedRun::read(&args.run)?;
+        let recorded = RecordedRun::read_any(&args.run)?;
         let whole = Topology::read(&args.topology).map_err(CliError::bad_input)?;
         let topology = whole.with_first_gpus(recorded.ranks).map_err(CliError::bad_input)?;
         let (ranks, rows) = (recorded.ranks, recorded.rows()?);
@@ -142,6 +146,8 @@ impl Prediction {
         let how = Replay { topology: &topology, plan: &plan, exchange, kernels, rows };
         let steps = recorded.replay(&how)?;
         let between_hosts = recorded.between(topology.hosts(), exchange)?;
+        let is_split = !recorded.report.segments.is_empty();
+        let shot = if is_split { Some(SplitShot::play(args, &recorded, &steps, &whole, &how)?) } else { None };
         let report = recorded.report;
         let mut memory = vec![0u64; ranks];
         for record in &report.steps {
@@ -159,6 +165,7 @@ impl Prediction {
             memory,
             measured: None,
             between_hosts,
+            shot,
             assumptions: Vec::new(),
         };
         prediction.measured = prediction.find_measured(args)?;
@@ -218,6 +225,9 @@ impl Prediction {
             );
         }
         all.push("transfers run beside kernels; no protocol overhead, no host work between kernels".into());
+        if self.shot.is_some() {
+            all.push(SplitShot::ASSUMPTION.into());
+        }
         all.push("one GPU: the same kernels added up over the ranks, border elements counted on both sides".into());
         let recorded = self.report.header.exchange.as_str();
         if self.exchange == ProductExchange::Halo {
@@ -320,6 +330,9 @@ impl Prediction {
             writeln!(out, "between hosts: {}", between.sentence())?;
         }
         writeln!(out, "{}", self.memory_sentence())?;
+        if let Some(shot) = &self.shot {
+            shot.write_text(out)?;
+        }
         match &self.measured {
             Some(measured) => writeln!(
                 out,
@@ -396,6 +409,7 @@ impl Prediction {
             "memory_bytes_per_gpu": self.memory,
             "memory_limit_bytes": self.topology.device().memory_gb * 1e9,
             "measured": measured,
+            "shot": self.shot.as_ref().map(SplitShot::json),
             "assumptions": self.assumptions,
             "steps": steps,
         })

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::cli::CliError;
 use crate::interconnect::{Crossing, ProductExchange, RecordedStep, Replay, ReplayedStep, crossing, replay};
-use crate::output::{Report, read_trace};
+use crate::output::{Report, RunDirectory, read_trace};
 use crate::telemetry::Event;
 
 /// Report and trace of a run.
@@ -24,16 +24,29 @@ pub(crate) struct RecordedRun {
 impl RecordedRun {
     /// Reads the files of the run directory `run`.
     pub(crate) fn read(run: &Path) -> Result<RecordedRun, CliError> {
-        let trace = run.join("trace.json");
+        let recorded = RecordedRun::read_any(run)?;
+        if !recorded.report.segments.is_empty() {
+            return Err(CliError::bad_input(format!(
+                "{} is split in time; this takes the steps of a plain run (--segments 1)",
+                run.display()
+            )));
+        }
+        Ok(recorded)
+    }
+
+    /// As [`RecordedRun::read`], also of a shot that is split in time: its recorded steps are those of its first
+    /// segment, in a file of their own.
+    pub(crate) fn read_any(run: &Path) -> Result<RecordedRun, CliError> {
+        let of_split = run.join("trace_steps.json");
+        let trace = if of_split.is_file() { of_split } else { RunDirectory::trace_in(run) };
         let (report, events) = std::thread::scope(|scope| {
             let events = scope.spawn(|| read_trace(&trace));
             (Report::load(&run.join("report.json")), events.join())
         });
         let report = report.map_err(CliError::bad_input)?;
-        if !report.segments.is_empty() {
+        if !report.segments.is_empty() && !trace.ends_with("trace_steps.json") {
             return Err(CliError::bad_input(format!(
-                "{} is split in time; this re-times the steps of a plain run (--segments 1), and `loomtree bench time` \
-                 plays splits, with --ranks in space and time",
+                "{} has no events of its steps (trace_steps.json): split the shot again with --trace-steps",
                 run.display()
             )));
         }
