@@ -79,6 +79,8 @@ impl Made {
                 "seconds_per_step": summary.seconds_per_step,
                 "last_frame": last.map(|frame| frame.frame),
                 "state_hash": last.map(|frame| &frame.state_hash),
+                "stages": report.header.stages,
+                "open_seams": report.header.open_seams,
             });
             print(&format!("{document}\n"))?;
         }

@@ -74,9 +74,10 @@ impl Detector {
     }
 
     /// Pairs of vertices that become one: in later queries for contacts both sides keep a distance that grows with the
-    /// way along the cloth through the seam. Impacts are found all the same.
-    pub fn sew(&mut self, pairs: &[[u32; 2]]) {
-        self.sewn_sides = SewnSides::new(self.searches.native.mesh(), &self.around, pairs);
+    /// way along the cloth through the seam. Impacts are found all the same. `near`: pairs of a vertex and one of
+    /// `pairs` that it is near along the cloth, ascending; seams are looked for there.
+    pub fn sew(&mut self, pairs: &[[u32; 2]], near: &[[u32; 2]]) {
+        self.sewn_sides = SewnSides::new(self.searches.native.mesh(), &self.around, pairs, near);
     }
 
     /// Corners of the triangles around a vertex, in the order of the mesh.

@@ -5,7 +5,7 @@
 //! The gap of a pair is at most [`SLOPE`] of the way along the cloth from one of its points to the other through the
 //! seam: from the point to its side, and from the same place of the other side to the other point. It is zero where the
 //! sides meet, and reaches the thickness a few thicknesses away, on any mesh. The way is looked for through the edges
-//! and vertices of seams within one ring of a pair's vertices; pairs without any have the whole thickness.
+//! and vertices of seams that a pair's vertices are near; pairs without any have the whole thickness.
 
 use super::around::Around;
 use super::broad::CollisionMesh;
@@ -30,13 +30,18 @@ struct Side {
 pub(super) struct SewnSides {
     /// Start of every vertex's list in `near`; one more than vertices.
     first: Vec<u32>,
-    /// Sides within one ring of a vertex, ascending.
+    /// Sides that a vertex is near, ascending.
     near: Vec<Side>,
 }
 
 impl SewnSides {
-    /// `pairs`: vertices that become one.
-    pub(super) fn new(mesh: &CollisionMesh, around: &Around, pairs: &[[u32; 2]]) -> SewnSides {
+    /// `pairs`: vertices that become one; `near_vertices`: a vertex and one of these that it is near, ascending.
+    pub(super) fn new(
+        mesh: &CollisionMesh,
+        around: &Around,
+        pairs: &[[u32; 2]],
+        near_vertices: &[[u32; 2]],
+    ) -> SewnSides {
         if pairs.is_empty() {
             return SewnSides::default();
         }
@@ -53,10 +58,12 @@ impl SewnSides {
             around.neighbors(mesh, v).filter(is_side).map(move |w| side(v, w)).chain([side(v, v)])
         };
         let (mut first, mut near) = (vec![0], Vec::new());
+        let mut of_vertices = near_vertices.chunk_by(|a, b| a[0] == b[0]).peekable();
         for v in 0..mesh.vertices as u32 {
             let start = near.len();
-            let ring = [v].into_iter().chain(around.neighbors(mesh, v)).filter(|&v| is_sewn[v as usize]);
-            ring.for_each(|v| near.extend(sides_at(v)));
+            if let Some(of_vertex) = of_vertices.next_if(|of_vertex| of_vertex[0][0] == v) {
+                of_vertex.iter().for_each(|&[_, sewn]| near.extend(sides_at(sewn)));
+            }
             near[start..].sort_unstable();
             let mut kept = start;
             for at in start..near.len() {
@@ -145,7 +152,12 @@ mod tests {
         let strip = |v: u32| [[v, v + 1, v + 4], [v, v + 4, v + 3], [v + 1, v + 2, v + 5], [v + 1, v + 5, v + 4]];
         let mesh = CollisionMesh::new(12, 12, [strip(0), strip(6)].concat()).unwrap();
         let around = Around::new(&mesh);
-        let sides = SewnSides::new(&mesh, &around, &[[3, 9], [4, 10]]);
+        let pairs = [[3, 9], [4, 10]];
+        let ring =
+            |v: u32| [v].into_iter().chain(around.neighbors(&mesh, v)).collect::<std::collections::BTreeSet<_>>();
+        let of = |v: u32| ring(v).into_iter().filter(|v| pairs.as_flattened().contains(v)).map(move |w| [v, w]);
+        let near: Vec<[u32; 2]> = (0..12).flat_map(of).collect();
+        let sides = SewnSides::new(&mesh, &around, &pairs, &near);
         let row = |y: f32| (0..3).flat_map(move |x| [x as f32, y, 0.0]);
         let x: Vec<f32> = row(1.0).chain(row(0.0)).chain(row(-1.2)).chain(row(-0.2)).collect();
         let none = NO_VERTEX;

@@ -12,6 +12,7 @@
 
 pub mod crew;
 pub mod live;
+mod open_seams;
 pub mod options;
 pub mod plan;
 mod progress;
@@ -50,7 +51,7 @@ pub use recorder::{RecordError, RunPlaces};
 pub use session::{Session, SessionError, SessionPlace};
 use shot::{Ended, News, ShotError, Told};
 use stage_source::{StageSource, Steered};
-use stages::{Begin, Stage, Stages};
+use stages::{Attempt, Begin, Stage, Stages};
 pub use start_from::StartFrom;
 pub use steering::Steering;
 pub use time_job::Scope;
@@ -61,7 +62,7 @@ pub use time_split::run_split;
 use crate::model::State;
 use crate::os::console::note;
 use crate::os::signals;
-use crate::output::{Checkpoint, SeamGap, Status};
+use crate::output::{Checkpoint, Status, Straightened};
 use crate::scene::{Change, Edit};
 use crate::step::StepStats;
 use crate::transport::MachineError;
@@ -173,22 +174,14 @@ pub fn run(plan: RunPlan, options: &RunOptions, places: &RunPlaces, launch: &Lau
         done: StepStats { step: first_step, ..StepStats::default() },
         substeps: 0,
         seconds: 0.0,
-        gap: None,
+        sewing: Vec::new(),
     };
     let session = options.session();
     let played = shot::play_from(&source, 1, &session, launch, &mut |told| listener.hear(told));
     // The socket goes before anything else is said.
     drop(server);
-    if let Some(gap) = listener.gap.filter(|_| played.is_ok()) {
-        let widest_mm = 1e3 * gap.widest_m;
-        match gap.open {
-            0 => note(format_args!(
-                "the seams are closed to {widest_mm:.2} mm, but not sewn: the run ended, or something was in the way"
-            )),
-            open => note(format_args!(
-                "the seams are not sewn: {open} places are open by more than weld_m, the widest by {widest_mm:.2} mm"
-            )),
-        }
+    if played.is_ok() {
+        listener.tell_open_seams().map_err(RunError::Failed)?;
     }
     let plan = Arc::clone(&listener.stage.plan);
     let Listener { mut recorder, progress, done: StepStats { step: done, .. }, substeps, seconds, .. } = listener;
@@ -251,8 +244,8 @@ struct Listener<'a> {
     /// Of all steps done.
     substeps: u64,
     seconds: f64,
-    /// How far the seams of the last frame are open; none without seams or once they are sewn.
-    gap: Option<SeamGap>,
+    /// The last two frames' states with their steps, the newest last; empty without seams and once they are sewn.
+    sewing: Vec<(u32, State)>,
 }
 
 impl Listener<'_> {
@@ -299,7 +292,11 @@ impl Listener<'_> {
 
     fn state(&mut self, plan: &RunPlan, step: u32, state: State) -> Result<Option<String>, RecordError> {
         let gap = self.stage.gap(&state);
-        self.gap = gap;
+        if gap.is_some() {
+            let known = self.sewing.len();
+            self.sewing.drain(..known.saturating_sub(1));
+            self.sewing.push((step, state.clone()));
+        }
         self.recorder.state_with(plan, step, state, gap)
     }
 
@@ -314,14 +311,46 @@ impl Listener<'_> {
         if self.stage.mesh == before.mesh {
             return Ok(());
         }
-        self.gap = None;
-        self.recorder.begin_mesh(&plan, self.stage.mesh, step)?;
+        self.sewing.clear();
+        let straightened = self.stage.straightened;
+        self.recorder.begin_mesh(&plan, self.stage.mesh, step, straightened)?;
         let (mesh, origin) = (&plan.scene.mesh, self.stage.origin);
         note(format_args!(
             "{origin} after step {step}: {} vertices, {} triangles",
             mesh.positions.len(),
             mesh.triangles.len()
         ));
+        if let Some(Straightened { vertices, farthest_m }) = straightened {
+            let farthest_mm = 1e3 * farthest_m;
+            note(format_args!(
+                "{vertices} vertices of tangled corners were straightened while welding, by up to {farthest_mm:.1} mm"
+            ));
+        }
+        Ok(())
+    }
+
+    /// Says which seams are open at the end of the run, and why.
+    fn tell_open_seams(&mut self) -> Result<(), String> {
+        let Some((step, state)) = self.sewing.last() else { return Ok(()) };
+        let Some(gap) = self.stage.gap(state) else { return Ok(()) };
+        let widest_mm = 1e3 * gap.widest_m;
+        let before = self.sewing.first().filter(|(before, _)| before < step);
+        let open = self.stage.open_seams(before.map(|(step, state)| (*step, state)), state, *step)?;
+        if open.is_empty() {
+            let why = match self.stages.attempt(&self.stage, state, *step)? {
+                Attempt::Blocked => "the way of their vertices to each other is not free",
+                Attempt::Sewn(..) | Attempt::Open => "the run has ended: one frame more sews them",
+            };
+            note(format_args!("the seams are closed to {widest_mm:.2} mm, but not sewn: {why}"));
+        } else {
+            let clauses: Vec<String> = open.iter().map(ToString::to_string).collect();
+            note(format_args!(
+                "the seams are not sewn: {} places are open by more than weld_m, the widest by {widest_mm:.2} mm: {}",
+                gap.open,
+                clauses.join("; ")
+            ));
+        }
+        self.recorder.open_seams(open);
         Ok(())
     }
 }

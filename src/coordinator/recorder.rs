@@ -14,9 +14,9 @@ use crate::impact_zone::ZoneCounts;
 use crate::model::State;
 use crate::os::console::note;
 use crate::output::{
-    BeyondLimits, Checkpoint, Existing, FrameRecord, FrameWriter, LetGoRecord, QueryRecord, RankEvents, ReportHeader,
-    ReportWriter, RunDirectory, RunManifest, SeamGap, StageRecord, Status, StepRecord, TraceWriter, checkpoint,
-    scene_fingerprint, take_up_formats,
+    BeyondLimits, Checkpoint, Existing, FrameRecord, FrameWriter, LetGoRecord, OpenSeam, QueryRecord, RankEvents,
+    ReportHeader, ReportWriter, RunDirectory, RunManifest, SeamGap, StageRecord, Status, StepRecord, Straightened,
+    TraceWriter, checkpoint, scene_fingerprint, take_up_formats,
 };
 use crate::protocol::WorkerReady;
 use crate::scene::Obstacles;
@@ -214,13 +214,19 @@ impl Recorder {
     }
 
     /// Call it when a session holds a level of the run with another mesh, that of number `mesh`, which goes on from the
-    /// state after `step`.
-    pub(super) fn begin_mesh(&mut self, plan: &RunPlan, mesh: usize, step: u32) -> Result<(), RecordError> {
+    /// state after `step`. `straightened`: what welding has straightened.
+    pub(super) fn begin_mesh(
+        &mut self,
+        plan: &RunPlan,
+        mesh: usize,
+        step: u32,
+        straightened: Option<Straightened>,
+    ) -> Result<(), RecordError> {
         let scene = &plan.scene;
         let first_frame = step / scene.settings.steps_per_frame + 1;
         self.mesh = mesh;
         let (triangles, vertices) = (scene.mesh.triangles.len(), scene.mesh.positions.len());
-        let record = StageRecord { step: u64::from(step), first_frame, triangles, vertices };
+        let record = StageRecord { step: u64::from(step), first_frame, triangles, vertices, straightened };
         if let Some(report) = &mut self.report {
             report.stage(record);
         }
@@ -430,6 +436,13 @@ impl Recorder {
         let path = checkpoint::write(&self.directory.checkpoints(), last).map_err(write_error)?;
         tracing::debug!("step {}: checkpoint {} in {:.1} ms", last.step, path.display(), ms_since(started));
         Ok(format!("; the last good state (step {}) is kept in {}, continue with --resume", last.step, path.display()))
+    }
+
+    /// Notes the seams that are open when the run ends.
+    pub(super) fn open_seams(&mut self, seams: Vec<OpenSeam>) {
+        if let Some(report) = &mut self.report {
+            report.open_seams(seams);
+        }
     }
 
     pub(super) fn finish(self, status: Status) -> Result<(), RecordError> {

@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::live::merged;
+use super::open_seams::open_seams;
 use super::options::RunOptions;
 use super::plan::{PlanError, RunPlan};
 use super::welding::{Welded, welded};
 use crate::model::{Cut, Sewn, State};
-use crate::output::{Checkpoint, SeamGap, scene_fingerprint};
+use crate::output::{Checkpoint, OpenSeam, SeamGap, Straightened, scene_fingerprint};
 use crate::scene::{Change, Edit, Handles, RESOLUTIONS, SeamEnd};
 
 /// A stage of a run.
@@ -28,6 +29,8 @@ pub(super) struct Stage {
     pub origin: &'static str,
     /// What changes name; nothing in a run that cannot be changed.
     pub handles: Handles,
+    /// What was straightened when seams were welded into it.
+    pub straightened: Option<Straightened>,
     /// The cloth that its seams make; none without seams.
     sewn: Option<Box<SewnCloth>>,
 }
@@ -111,7 +114,7 @@ impl Stages {
     }
 
     /// What the seams of a stage make of it.
-    fn sewn(&self, stage: &Stage) -> Option<Arc<Stage>> {
+    fn sewn(&self, stage: &Stage, straightened: Option<Straightened>) -> Option<Arc<Stage>> {
         let sewn = stage.sewn.as_deref()?;
         let make = |number| {
             Ok(Stage {
@@ -121,6 +124,7 @@ impl Stages {
                 fingerprint: sewn.fingerprint,
                 origin: "the seams are closed",
                 handles: sewn.handles.clone(),
+                straightened,
                 sewn: None,
             })
         };
@@ -132,7 +136,7 @@ impl Stages {
         let mut stage = Arc::clone(&self.first);
         for change in self.changes.iter().filter(|change| u64::from(change.step) < checkpoint.step) {
             stage = match change.edit {
-                Edit::Welded => self.sewn(&stage)?,
+                Edit::Welded => self.sewn(&stage, None)?,
                 _ => self.changed(&stage, change, None).ok()?.stage,
             };
         }
@@ -140,7 +144,7 @@ impl Stages {
             stage.fingerprint == checkpoint.fingerprint
                 && stage.plan.scene.mesh.positions.len() == checkpoint.state.positions.len()
         };
-        if fits(&stage) { Some(stage) } else { self.sewn(&stage).filter(|sewn| fits(sewn)) }
+        if fits(&stage) { Some(stage) } else { self.sewn(&stage, None).filter(|sewn| fits(sewn)) }
     }
 
     /// The stage that a change makes of another one, and the state there. Without a state it follows from what the
@@ -242,12 +246,12 @@ impl Stages {
     /// A sentence, if detection fails.
     pub(super) fn attempt(&self, stage: &Stage, state: &State, step: u32) -> Result<Attempt, String> {
         let Some(SewnCloth { way: sewn, plan, .. }) = stage.sewn.as_deref() else { return Ok(Attempt::Open) };
-        let state = match welded(&stage.plan.scene, &plan.scene, sewn, state, step)? {
-            Welded::Done(state) => state,
+        let (state, straightened) = match welded(&stage.plan.scene, &plan.scene, sewn, state, step)? {
+            Welded::Done(state, straightened) => (state, straightened),
             Welded::Open => return Ok(Attempt::Open),
             Welded::Blocked => return Ok(Attempt::Blocked),
         };
-        Ok(self.sewn(stage).map_or(Attempt::Open, |stage| Attempt::Sewn(stage, Box::new(state))))
+        Ok(self.sewn(stage, straightened).map_or(Attempt::Open, |stage| Attempt::Sewn(stage, Box::new(state))))
     }
 }
 
@@ -276,7 +280,7 @@ impl Stage {
             }
         };
         let fingerprint = scene_fingerprint(&plan.scene);
-        Ok(Stage { number, mesh, plan: Arc::new(plan), fingerprint, origin, handles, sewn })
+        Ok(Stage { number, mesh, plan: Arc::new(plan), fingerprint, origin, handles, straightened: None, sewn })
     }
 
     /// Whether seams are still to be sewn.
@@ -289,6 +293,21 @@ impl Stage {
         let sewn = &self.sewn.as_deref()?.way;
         let (widest_m, ends) = sewn.ends(&state.positions);
         Some(SeamGap { widest_m, open: sewn.open(&state.positions, &ends).count() })
+    }
+
+    /// The seams that are open in a state after `step`, and why. `before`: a state of the stage before it, with its
+    /// step.
+    ///
+    /// # Errors
+    /// A sentence, if detection fails.
+    pub(super) fn open_seams(
+        &self,
+        before: Option<(u32, &State)>,
+        state: &State,
+        step: u32,
+    ) -> Result<Vec<OpenSeam>, String> {
+        let Some(sewn) = self.sewn.as_deref() else { return Ok(Vec::new()) };
+        open_seams(&self.plan.scene, &sewn.way, before, state, step)
     }
 }
 

@@ -40,13 +40,19 @@ gpu_struct! {
 }
 
 impl TriangleElement {
-    /// Smallest altitude of the rest shape, metres: twice the area over the longest side.
-    pub fn smallest_altitude_m(&self) -> f32 {
+    /// Lengths of the sides of the rest shape, meters: from corner 0 to 1, from 1 to 2, from 2 to 0.
+    pub fn sides_m(&self) -> [f64; 3] {
         let ([u1, u2], [v1, v2]) = (self.weights_u.map(f64::from), self.weights_v.map(f64::from));
         // The weights are the inverse of the matrix of the two sides from corner 0.
         let det = u1 * v2 - u2 * v1;
         let (a, b) = (DVec2::new(v2, -u2) / det, DVec2::new(-v1, u1) / det);
-        let longest = a.length().max(b.length()).max((a - b).length());
+        [a.length(), (a - b).length(), b.length()]
+    }
+
+    /// Smallest altitude of the rest shape, metres: twice the area over the longest side.
+    pub fn smallest_altitude_m(&self) -> f32 {
+        let [ab, bc, ca] = self.sides_m();
+        let longest = ab.max(ca).max(bc);
         (2.0 * f64::from(self.area_m2) / longest) as f32
     }
 

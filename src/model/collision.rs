@@ -4,11 +4,17 @@
 use serde::{Deserialize, Serialize};
 
 use super::GlobalModel;
+use super::seam_reach::{Reach, near_seams};
 use crate::integrator::pins::{RankPin, is_held};
 use crate::scene::{ObstacleHeader, Obstacles};
 
 /// Distance that impact zones leave over the last length of threads, while cloth is sewn.
 const SEWN_MARGIN: f64 = 0.08;
+
+/// How far along the cloth seams are looked for, beyond one ring, over the thickness. The gap of both sides of a seam is
+/// half of the way through it (`collision/sewn_sides.rs`), so it reaches the thickness after twice that on both sides
+/// together; a way along edges is up to twice as long as the straight one.
+const REACH: f64 = 4.0;
 
 /// Time span in which a row is pinned.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,6 +76,8 @@ pub struct CollisionArrays {
     pub obstacle_triangles: Vec<[u32; 3]>,
     /// Rows that seams make one.
     pub sewn: Vec<[u32; 2]>,
+    /// Pairs of a row and a row of a seam that it is near along the cloth, ascending.
+    pub near_sewn: Vec<[u32; 2]>,
 }
 
 impl CollisionModel {
@@ -77,6 +85,10 @@ impl CollisionModel {
     pub fn new(model: &GlobalModel) -> CollisionModel {
         let altitudes_m = model.triangles.iter().map(|e| e.smallest_altitude_m()).collect();
         let (positions, _) = model.obstacles.arrays();
+        let sewn: Vec<[u32; 2]> = model.stitches.iter().map(|stitch| stitch.vertices).collect();
+        let sides = model.triangles.iter().map(|triangle| (triangle.vertices, triangle.sides_m()));
+        let reach = Reach { rings: 1, beyond_m: REACH * model.settings.thickness_m };
+        let near_sewn = near_seams(sides, model.rows(), sewn.iter().flatten().copied(), reach);
         let arrays = CollisionArrays {
             triangles: model.triangles.iter().map(|e| e.vertices).collect(),
             altitudes_m,
@@ -86,7 +98,8 @@ impl CollisionModel {
             thickness_factors: model.factors[1].clone(),
             obstacle_positions: positions.to_vec(),
             obstacle_triangles: model.obstacles.welded_triangles(),
-            sewn: model.stitches.iter().map(|stitch| stitch.vertices).collect(),
+            sewn,
+            near_sewn,
         };
         CollisionModel {
             thickness_m: model.settings.thickness_m,
@@ -122,7 +135,7 @@ impl CollisionModel {
 
 impl CollisionArrays {
     /// The arrays as bytes, in a fixed order.
-    pub fn to_bytes(&self) -> [&[u8]; 9] {
+    pub fn to_bytes(&self) -> [&[u8]; 10] {
         [
             bytemuck::cast_slice(&self.triangles),
             bytemuck::cast_slice(&self.altitudes_m),
@@ -133,6 +146,7 @@ impl CollisionArrays {
             bytemuck::cast_slice(&self.sewn),
             bytemuck::cast_slice(&self.friction_factors),
             bytemuck::cast_slice(&self.thickness_factors),
+            bytemuck::cast_slice(&self.near_sewn),
         ]
     }
 }

@@ -7,6 +7,7 @@ mod cut;
 mod global;
 mod grips;
 mod rank;
+mod seam_reach;
 mod sewn;
 mod state;
 

@@ -275,7 +275,7 @@ impl RankModel {
 
     /// Sets the bulk arrays from bytes in the order of [`RankModel::to_bytes`].
     pub fn set_arrays(&mut self, bytes: &[&[u8]]) -> Result<(), RankModelError> {
-        let expected = if self.collision.is_some() { 21 } else { 12 };
+        let expected = if self.collision.is_some() { 22 } else { 12 };
         if bytes.len() != expected {
             return Err(RankModelError::Arrays(format!("{} arrays instead of {expected}", bytes.len())));
         }
@@ -305,6 +305,7 @@ impl RankModel {
                 sewn: cast(all[6])?,
                 friction_factors: cast(all[7])?,
                 thickness_factors: cast(all[8])?,
+                near_sewn: cast(all[9])?,
             };
         }
         Ok(())

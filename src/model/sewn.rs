@@ -6,6 +6,7 @@
 
 use std::collections::HashMap;
 
+use super::seam_reach::{Reach, near_seams};
 use super::state::{creases_of, renumbered};
 use super::{Crease, LetGo, State};
 use crate::math::{DVec3, Vec3};
@@ -159,6 +160,11 @@ impl Sewn {
         self.sets.iter().map(Vec::as_slice).filter(is_open)
     }
 
+    /// The vertices of every place at which several become one.
+    pub fn places(&self) -> impl Iterator<Item = &[u32]> {
+        self.sets.iter().map(Vec::as_slice)
+    }
+
     /// Largest [`Sewn::ends`] at which seams count as closed, meters.
     pub fn weld_m(&self) -> f64 {
         self.weld_m
@@ -175,25 +181,20 @@ impl Sewn {
         self.vertex_of[panels as usize]
     }
 
-    /// For every vertex of the panels the vertices of the sewn mesh that it is within two rings of and that several
-    /// became, ascending. `triangles`: those of the panels.
-    pub fn near_seams(&self, triangles: &[[u32; 3]]) -> Vec<Vec<u32>> {
-        let mut near: Vec<Vec<u32>> = vec![Vec::new(); self.vertex_of.len()];
-        self.sets.iter().flatten().for_each(|&v| near[v as usize].push(self.vertex_of[v as usize]));
-        for _ in 0..2 {
-            let mut wider = near.clone();
-            for corners in triangles {
-                for (&v, &w) in corners.iter().flat_map(|v| corners.iter().map(move |w| (v, w))) {
-                    wider[v as usize].extend_from_slice(&near[w as usize]);
-                }
-            }
-            wider.iter_mut().for_each(|list| {
-                list.sort_unstable();
-                list.dedup();
-            });
-            near = wider;
+    /// For every vertex of the panels the vertices of the sewn mesh that it is near and that several became, ascending:
+    /// within two rings of the sewn mesh, or within a way of `beyond_m` along edges at rest from there. `panels`: their
+    /// mesh.
+    pub fn near_seams(&self, panels: &TriangleMesh, beyond_m: f64) -> Vec<Vec<u32>> {
+        let joined = |v: u32| self.vertex_of[v as usize];
+        let sides = panels.triangles.iter().zip(&panels.material_uv).map(|(corners, &[a, b, c])| {
+            (corners.map(joined), [[a, b], [b, c], [c, a]].map(|[p, q]| p.as_dvec2().distance(q.as_dvec2())))
+        });
+        let seams = self.sets.iter().map(|members| joined(members[0]));
+        let mut near: Vec<Vec<u32>> = vec![Vec::new(); self.joined()];
+        for [v, seam] in near_seams(sides, self.joined(), seams, Reach { rings: 2, beyond_m }) {
+            near[v as usize].push(seam);
         }
-        near
+        self.vertex_of.iter().map(|&v| near[v as usize].clone()).collect()
     }
 
     /// Vertex of the sewn cloth that a vertex of the panels has become.

@@ -131,6 +131,18 @@ fn facts(report: &Report) -> Vec<Row> {
         }],
         ["loomtree".into(), header.version.clone()],
     ];
+    for stage in &header.stages {
+        let mut what = format!("{} triangles, {} vertices", stage.triangles, stage.vertices);
+        if let Some(done) = &stage.straightened {
+            let farthest_mm = 1e3 * done.farthest_m;
+            what += &format!("; {} vertices straightened by up to {farthest_mm:.1} mm", done.vertices);
+        }
+        rows.push([format!("mesh after step {}", stage.step), what]);
+    }
+    if !header.open_seams.is_empty() {
+        let clauses: Vec<String> = header.open_seams.iter().map(ToString::to_string).collect();
+        rows.push(["open seams".into(), clauses.join("; ")]);
+    }
     if let Some(last) = report.frames.last() {
         rows.push(["state of the last frame".into(), last.state_hash.clone()]);
     }

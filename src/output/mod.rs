@@ -20,6 +20,7 @@ pub mod plot;
 pub mod ply;
 mod read;
 mod report;
+mod sewing;
 mod stretch;
 mod take_up;
 mod timeline;
@@ -39,9 +40,10 @@ pub use machine::Machine;
 pub use manifest::{Input, ManifestError, RunManifest};
 pub use read::{FrameSource, FramesError};
 pub use report::{
-    FrameRecord, LetGoRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, SeamGap,
-    SeamRecord, SegmentRecord, StageRecord, Status, StepRecord,
+    FrameRecord, LetGoRecord, QueryRecord, Report, ReportError, ReportHeader, ReportWriter, Resumption, SeamRecord,
+    SegmentRecord, Status, StepRecord,
 };
+pub use sewing::{OpenBecause, OpenSeam, SeamGap, StageRecord, Straightened};
 pub use stretch::{BeyondLimits, TouchedObstacle, beyond_limit, principal_stretches};
 pub use take_up::take_up_formats;
 pub use timeline::{Timeline, TimelineBox, timeline_svg, write_timeline};

@@ -14,6 +14,7 @@ use thiserror::Error;
 
 use super::atomic::{WriteError, write_atomically};
 use super::machine::Machine;
+use super::sewing::{OpenSeam, SeamGap, StageRecord};
 use super::stretch::BeyondLimits;
 use crate::impact_zone::ZoneCounts;
 use crate::model::LetGo;
@@ -115,6 +116,9 @@ pub struct ReportHeader {
     /// Meshes after the first one, in a run that sews; omitted if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub stages: Vec<StageRecord>,
+    /// Seams that were open when the run ended; omitted if there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub open_seams: Vec<OpenSeam>,
     /// Figures of the untangling of the start state, if there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub untangled: Option<Untangling>,
@@ -175,28 +179,6 @@ pub struct FrameRecord {
     /// How far the seams are open; omitted without seams, and once they are sewn.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seams: Option<SeamGap>,
-}
-
-/// A stage that begins with another mesh: panels have been sewn.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct StageRecord {
-    /// The last step of the stage before.
-    pub step: u64,
-    /// The first frame with the new mesh.
-    pub first_frame: u32,
-    /// Triangles of the mesh.
-    pub triangles: usize,
-    /// Vertices of the mesh.
-    pub vertices: usize,
-}
-
-/// How far the seams of a state are open.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct SeamGap {
-    /// The largest distance that vertices have to go to each other, meters.
-    pub widest_m: f64,
-    /// Places where they have farther to go than half of `weld_m`.
-    pub open: usize,
 }
 
 /// Vertices that pass through an obstacle, because they had no room between it and one that overlaps it.
@@ -532,6 +514,11 @@ impl ReportWriter {
     /// The records so far.
     pub fn report(&self) -> &Report {
         &self.report
+    }
+
+    /// Notes the seams that are open when the run ends.
+    pub fn open_seams(&mut self, seams: Vec<OpenSeam>) {
+        self.report.header.open_seams = seams;
     }
 
     /// Sets the status and the end time and writes the file.

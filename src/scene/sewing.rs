@@ -52,6 +52,11 @@ impl Closing {
         1.0 + (FIRM - 1.0) * (4.0 * ((time_s - self.start_s) / self.close_s - 1.0)).clamp(0.0, 1.0)
     }
 
+    /// Whether the threads are at their firmest at a time (seconds).
+    pub fn is_firm(&self, time_s: f64) -> bool {
+        self.firmness(time_s) >= FIRM
+    }
+
     /// Change of [`Closing::share`], 1/s.
     pub fn share_rate(&self, time_s: f64) -> f64 {
         if time_s - self.start_s < self.close_s { 1.0 / self.close_s } else { 0.0 }

@@ -139,7 +139,7 @@ impl Collisions {
         let normal_forces = NormalForces::new(partition.rows_of(plan.rank), rows);
         let mut detector = Detector::new(mesh, params).map_err(|error| unfit(error.to_string()))?;
         detector.limit_memory(model.memory_limit_bytes);
-        detector.sew(&std::mem::take(&mut model.arrays.sewn));
+        detector.sew(&std::mem::take(&mut model.arrays.sewn), &std::mem::take(&mut model.arrays.near_sewn));
         Ok(Collisions {
             detector,
             cpu,
