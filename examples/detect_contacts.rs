@@ -19,6 +19,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         friction: vec![0.3; 6],
         inverse_masses_per_kg: vec![1e3; 6],
         smallest_altitudes_m: vec![0.05; 6],
+        friction_factors: Vec::new(),
+        thickness_factors: Vec::new(),
     };
     let mut contacts = Vec::new();
     Detector::new(mesh, params)?.contacts(&CpuExecutor::new(1), &x, &mut Split::alone(0, 1), &mut contacts)?;
