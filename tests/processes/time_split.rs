@@ -102,7 +102,7 @@ fn is_predicted(place: &Place, run: &str) {
     let text = place.run(&format!("predict {run} {topology}")).expect(0).stdout;
     assert!(text.contains("the shot, modelled: 3 segments of 1 workers"), "{text}");
     let small = place.run(&format!("predict {run} --topology topology/pcie_2.toml")).expect(2).stderr;
-    assert!(small.contains("3 segments of 1 workers need 3 GPUs, topology/pcie_2.toml has 2"), "{small}");
+    assert!(small.contains("3 segments of 1 workers need 3 GPUs, pcie_2 has 2"), "{small}");
 }
 
 #[test]

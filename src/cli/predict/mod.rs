@@ -147,7 +147,7 @@ impl Prediction {
         let steps = recorded.replay(&how)?;
         let between_hosts = recorded.between(topology.hosts(), exchange)?;
         let is_split = !recorded.report.segments.is_empty();
-        let shot = if is_split { Some(SplitShot::play(args, &recorded, &steps, &whole, &how)?) } else { None };
+        let shot = if is_split { Some(SplitShot::play(&args.run, &recorded, &steps, &whole, &how)?) } else { None };
         let report = recorded.report;
         let mut memory = vec![0u64; ranks];
         for record in &report.steps {

@@ -2,10 +2,11 @@
 //! times are modelled.
 
 use std::io::{self, Write};
+use std::path::Path;
 
 use serde_json::json;
 
-use super::{PredictArgs, RecordedRun};
+use super::recorded_run::RecordedRun;
 use crate::cli::CliError;
 use crate::coordinator::{PartitionRule, RunOptions};
 use crate::interconnect::{Replay, ReplayedStep, Topology, plan};
@@ -38,17 +39,17 @@ impl SplitShot {
                                          segment, cut and handed over as recorded; states move alone between the two \
                                          GPUs that are farthest apart";
 
-    /// Plays the shot of `fine`, whose recorded steps last as long as `steps` says on the machine of `how`; `machine`:
-    /// all of it.
+    /// Plays the shot of the run directory `run`, `fine`, whose recorded steps last as long as `steps` says on the
+    /// machine of `how`; `machine`: all of it.
     pub(super) fn play(
-        args: &PredictArgs,
+        run: &Path,
         fine: &RecordedRun,
         steps: &[ReplayedStep],
         machine: &Topology,
         how: &Replay<'_>,
     ) -> Result<SplitShot, CliError> {
-        let refuse = |what: String| CliError::bad_input(format!("{}: {what}", args.run.display()));
-        let directory = RunDirectory::open(&args.run).map_err(CliError::bad_input)?;
+        let refuse = |what: String| CliError::bad_input(format!("{}: {what}", run.display()));
+        let directory = RunDirectory::open(run).map_err(CliError::bad_input)?;
         let manifest = RunManifest::load(&directory).map_err(CliError::bad_input)?;
         let time = manifest.flags::<RunOptions>().map_err(CliError::bad_input)?.time;
         if time.sweeps > 0 || time.levels > 2 {
@@ -58,7 +59,7 @@ impl SplitShot {
         let (count, workers) = (segments.len(), fine.ranks);
         if machine.gpus() < count * workers {
             let what = format!("{count} segments of {workers} workers need {} GPUs", count * workers);
-            return Err(refuse(format!("{what}, {} has {}", args.topology.display(), machine.gpus())));
+            return Err(refuse(format!("{what}, {} has {}", machine.name(), machine.gpus())));
         }
         let coarse = RecordedRun::read_any(&directory.preview())?;
         let rows = coarse.rows()?;
