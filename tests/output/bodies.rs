@@ -216,7 +216,7 @@ fn wrong_fields_of_a_pin_that_follows_are_named() {
     for (pin, words) in [
         ("follow = \"wall\"\nedge = \"top\"", ["pin.follow", "no obstacle is named `wall` (body)"]),
         ("follow = \"body\"\nedge = \"top\"\nmotion = []", ["pin.motion", "`follow`"]),
-        ("follow = \"body\"\nedge = \"top\"\nstart_s = 0.5", ["pin.start_s", "at time 0"]),
+        ("follow = \"body\"\nattach = \"body\"\nedge = \"top\"", ["pin.attach", "either `follow` or `attach`"]),
         ("nearest = 4", ["pin.nearest", "`follow`"]),
         ("follow = \"body\"\nnearest = 0", ["pin.nearest", "1 to"]),
         ("follow = \"body\"", ["pin", "exactly one of"]),
