@@ -213,8 +213,8 @@ impl Fill {
         Fill { no_slots: DeviceVec::zeros(executor, 0), no_sums: DeviceVec::zeros(executor, 0) }
     }
 
-    /// Fills `matrix`, `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows). `contacts` are
-    /// added to the diagonal blocks and the right-hand side of the rows that they touch.
+    /// Fills `matrix`, `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows). `contacts`
+    /// are added to the diagonal blocks and the right-hand side of the rows that they touch.
     #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shader's bindings")]
     pub fn apply(
         &self,

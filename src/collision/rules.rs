@@ -33,8 +33,8 @@ pub struct ContactParams {
     pub smallest_altitudes_m: Vec<f32>,
     /// Per vertex of cloth: factor on the coefficient of an obstacle that touches it; empty: 1 everywhere.
     pub friction_factors: Vec<f32>,
-    /// Per vertex of cloth: factor on the thickness, at most 1; empty: 1 everywhere. A contact of cloth with cloth has the
-    /// mean of both features.
+    /// Per vertex of cloth: factor on the thickness, at most 1; empty: 1 everywhere. A contact of cloth with cloth has
+    /// the mean of both features.
     pub thickness_factors: Vec<f32>,
 }
 

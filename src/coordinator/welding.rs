@@ -3,8 +3,8 @@
 //! First the way of the paired vertices to each other is proven free. Where panels meet in a corner, sides can have
 //! come to lie on each other, or the tip of one behind the border of another: drawn to each other they do not come
 //! apart. The cloth there is straightened, that is, the vertices of triangles that would cross move toward the middle
-//! of their neighbors until the exact check finds no crossing. Near a seam's vertices, within a few rings, cloth may pass
-//! cloth on this way, since it is one surface at the end wherever its sides lay; all else is proven free, and
+//! of their neighbors until the exact check finds no crossing. Near a seam's vertices, within a few rings, cloth may
+//! pass cloth on this way, since it is one surface at the end wherever its sides lay; all else is proven free, and
 //! obstacles are.
 
 use std::collections::BTreeSet;

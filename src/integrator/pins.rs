@@ -219,8 +219,8 @@ impl Pins {
         }
     }
 
-    /// True if the set of prescribed rows changes in the step that starts at `time_s`, which it always does in the first
-    /// step from a state that was set. Call it after [`Pins::take_hold`].
+    /// True if the set of prescribed rows changes in the step that starts at `time_s`, which it always does in the
+    /// first step from a state that was set. Call it after [`Pins::take_hold`].
     pub fn changes(&self, time_s: f64, step_s: f64) -> bool {
         (0..self.pins.len()).any(|i| self.is_prescribed(i, time_s, step_s) != self.held[i].is_some())
     }

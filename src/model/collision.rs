@@ -11,9 +11,9 @@ use crate::scene::{ObstacleHeader, Obstacles};
 /// Distance that impact zones leave over the last length of threads, while cloth is sewn.
 const SEWN_MARGIN: f64 = 0.08;
 
-/// How far along the cloth seams are looked for, beyond one ring, over the thickness. The gap of both sides of a seam is
-/// half of the way through it (`collision/sewn_sides.rs`), so it reaches the thickness after twice that on both sides
-/// together; a way along edges is up to twice as long as the straight one.
+/// How far along the cloth seams are looked for, beyond one ring, over the thickness. The gap of both sides of a seam
+/// is half of the way through it (`collision/sewn_sides.rs`), so it reaches the thickness after twice that on both
+/// sides together; a way along edges is up to twice as long as the straight one.
 const REACH: f64 = 4.0;
 
 /// Time span in which a row is pinned.
@@ -120,8 +120,8 @@ impl CollisionModel {
         Obstacles::from_parts(self.obstacle_header.clone(), positions, triangles)
     }
 
-    /// Inverse masses of the rows during a step, 1/kg: 0 for held rows. `touching`: rows of all ranks that are held since
-    /// they touched an obstacle, ascending.
+    /// Inverse masses of the rows during a step, 1/kg: 0 for held rows. `touching`: rows of all ranks that are held
+    /// since they touched an obstacle, ascending.
     pub fn inverse_masses(&self, start_s: f64, step_s: f64, touching: &[u32], out: &mut [f32]) {
         for (inverse, mass) in out.iter_mut().zip(&self.arrays.masses) {
             *inverse = 1.0 / mass;

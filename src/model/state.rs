@@ -125,7 +125,8 @@ impl State {
         (positions.len() == velocities.len() && known).then_some(positions.len())
     }
 
-    /// 16 hexadecimal digits over the bits of positions, velocities, creases, rest stretches, what is let go, then holds.
+    /// 16 hexadecimal digits over the bits of positions, velocities, creases, rest stretches, what is let go, then
+    /// holds.
     /// `-0.0` and `0.0` differ, so equal hashes mean equal bits, except with probability 2^-64.
     pub fn hash(&self) -> String {
         let State { positions, velocities, creases, stretches, let_go, holds } = self;

@@ -1,5 +1,5 @@
-//! Values of a piece of cloth that differ from vertex to vertex: factors from a vertex property of its file, or from the
-//! brightness of an image by texture coordinates.
+//! Values of a piece of cloth that differ from vertex to vertex: factors from a vertex property of its file, or from
+//! the brightness of an image by texture coordinates.
 
 use std::sync::Arc;
 

@@ -146,8 +146,8 @@ impl Simulation {
     /// the preconditioner. Own rows have the same bits on any number of ranks, but not the bits of the stored product.
     ///
     /// # Errors
-    /// On a device, and with whole sub-vectors, because only the cpu executor with halo rows has such a product; with soft
-    /// pins, because it has no springs.
+    /// On a device, and with whole sub-vectors, because only the cpu executor with halo rows has such a product; with
+    /// soft pins, because it has no springs.
     pub fn drop_matrix(&mut self) -> Result<(), SetupError> {
         let cloth = &mut self.cloth;
         if !matches!(self.executor, Executor::Cpu(_)) || cloth.solver.spmv.mode() != ExchangeMode::Halo {

@@ -1,7 +1,7 @@
-//! Pins of a step: prescribed rows, and the springs of soft pins. A spring of stiffness k from a row at x with velocity v
-//! to its target x* at the end of the step adds dt^2 k to the diagonal of the row and dt k (x* - x - a v) to its
-//! right-hand side, where a is the time that forces are taken ahead: backward Euler of a spring, exactly. Masses stay as
-//! they are, so impact zones and inertia know nothing of springs.
+//! Pins of a step: prescribed rows, and the springs of soft pins. A spring of stiffness k from a row at x with velocity
+//! v to its target x* at the end of the step adds dt^2 k to the diagonal of the row and dt k (x* - x - a v) to its
+//! right-hand side, where a is the time that forces are taken ahead: backward Euler of a spring, exactly. Masses stay
+//! as they are, so impact zones and inertia know nothing of springs.
 
 use super::RankCloth;
 use super::span::Span;

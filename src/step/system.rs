@@ -34,8 +34,8 @@ pub(super) struct System {
     pub contacts: ContactSystem,
     /// Masses, kg.
     pub masses: DeviceVec<f32>,
-    /// [`crate::integrator::pins::PRESCRIBED`] for rows that a pin prescribes, dt^2 k for those that a spring of stiffness
-    /// k holds, kg, 0 for others.
+    /// [`crate::integrator::pins::PRESCRIBED`] for rows that a pin prescribes, dt^2 k for those that a spring of
+    /// stiffness k holds, kg, 0 for others.
     pub pinned: DeviceVec<f32>,
     /// dt (f + dt K v), xyz.
     pub rhs: DeviceVec<f32>,

@@ -335,8 +335,8 @@ mod tests {
     use super::*;
     use crate::time_parallel::partition::{speedup_balanced, speedup_with_extra_steps};
 
-    /// Two segments of 40 and 60 steps of a second; a coarse step takes 0.1 s. The process that is free at once makes the
-    /// first one, and that of the coarse run, which ends after 10 s, the other one, after two steps of recovery.
+    /// Two segments of 40 and 60 steps of a second; a coarse step takes 0.1 s. The process that is free at once makes
+    /// the first one, and that of the coarse run, which ends after 10 s, the other one, after two steps of recovery.
     #[test]
     fn a_shot_that_has_been_cut_is_played_as_it_is() {
         let costs = Costs { fine: vec![1.0; 100], coarse: vec![vec![0.1; 100]], stride: 1 };

@@ -89,7 +89,8 @@ fn check(model: &Model, thickness_m: f32) -> Vec<ContactElement> {
     expected
 }
 
-/// Contacts say what they must, in f64: normals and distances are those of the weights, and weights are those of closest points.
+/// Contacts say what they must, in f64: normals and distances are those of the weights, and weights are those of
+/// closest points.
 fn geometry(model: &Model, thickness_m: f32, contacts: &[ContactElement]) {
     for contact in contacts {
         let present = || (0..4).filter(|&i| contact.vertices[i] != NO_VERTEX);
@@ -156,7 +157,8 @@ fn aligned_grids_push_vertically_at_every_vertex() {
             assert_eq!(contact.normal, [0.0, 0.0, -1.0], "{contact:?}");
             assert_eq!(contact.distance_m, gap, "{contact:?}");
         }
-        // One contact per pair of vertices that is not pinned on both sides; diagonals that cross in flat sheets are none.
+        // One contact per pair of vertices that is not pinned on both sides; diagonals that cross in flat sheets are
+        // none.
         let vertices = contacts.iter().filter(|c| c.vertices[2] == NO_VERTEX).count() as u32;
         let both_pinned = (0..n * n).filter(|v| v % 11 == 0 && (v + n * n) % 11 == 0).count() as u32;
         assert_eq!(vertices, n * n - both_pinned);

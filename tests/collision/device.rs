@@ -1,5 +1,5 @@
-//! Detection with kernels, on a device and with their native twins: brute force's candidates, and the contacts and impacts
-//! of the native detection bit for bit, on any number of ranks.
+//! Detection with kernels, on a device and with their native twins: brute force's candidates, and the contacts and
+//! impacts of the native detection bit for bit, on any number of ranks.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -22,8 +22,8 @@ fn executors() -> Vec<Executor> {
     std::iter::once(Executor::cpu(1)).chain(device::executor()).collect()
 }
 
-/// A folded sheet and another one through it, both moving, one lone large triangle of cloth, a finer and a coarser obstacle,
-/// a floor of two triangles, and a piece far away.
+/// A folded sheet and another one through it, both moving, one lone large triangle of cloth, a finer and a coarser
+/// obstacle, a floor of two triangles, and a piece far away.
 fn scene(n: usize, seed: u64) -> Model {
     let mut random = Seeded::new(seed);
     let mut model = Model::default();
@@ -226,7 +226,8 @@ fn contacts_ahead_do_not_depend_on_the_number_of_ranks() {
 
 #[test]
 fn nothing_near_the_reach_is_dropped() {
-    // Pairs around the reach within roundoffs, far from the origin and of bad shape: what the filter drops must be apart.
+    // Pairs around the reach within roundoffs, far from the origin and of bad shape: what the filter drops must be
+    // apart.
     for executor in executors() {
         let mut random = Seeded::new(77);
         for case in 0..12 {

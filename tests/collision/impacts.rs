@@ -1,4 +1,5 @@
-//! Impacts: the whole pipeline against the continuous test on every pair of features, and searches among touched vertices.
+//! Impacts: the whole pipeline against the continuous test on every pair of features, and searches among touched
+//! vertices.
 
 use glam::Vec4;
 use loomtree::collision::broad::{CollisionMesh, Split, brute_force};

@@ -1,5 +1,5 @@
-//! Maps of a cloth: factors from vertex properties and images, at every vertex, and the sentence for every mistake. What
-//! they do to the motion is `physics::maps`'s question.
+//! Maps of a cloth: factors from vertex properties and images, at every vertex, and the sentence for every mistake.
+//! What they do to the motion is `physics::maps`'s question.
 
 use std::path::Path;
 

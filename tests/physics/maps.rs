@@ -1,5 +1,5 @@
-//! Values that differ from vertex to vertex, with known answers: weight and stiffness of a hanging strip, the distance of
-//! contacts; the same bits on any number of ranks.
+//! Values that differ from vertex to vertex, with known answers: weight and stiffness of a hanging strip, the distance
+//! of contacts; the same bits on any number of ranks.
 
 use loomtree::math::Vec3;
 use loomtree::mesh::shapes;

@@ -1,5 +1,5 @@
-//! Prescribed vertices: they follow keyframes to the last bit, take hold without a jump, let go, on any rank count. Whether
-//! the free vertices beside them are right is `physics_system.rs`'s question.
+//! Prescribed vertices: they follow keyframes to the last bit, take hold without a jump, let go, on any rank count.
+//! Whether the free vertices beside them are right is `physics_system.rs`'s question.
 
 use loomtree::math::{DQuat, DVec3, Vec3};
 use loomtree::scene::{Keyframe, Motion, Pin, Scene};

@@ -15,8 +15,8 @@ use crate::solver::ExchangeMode;
 /// Arguments of benchmarks of whole steps.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ScenesBench {
-    /// Scenes to run, separated by commas or each with a --scene of its own; of several, each has its tables, and files named
-    /// after it
+    /// Scenes to run, separated by commas or each with a --scene of its own; of several, each has its tables, and files
+    /// named after it
     #[arg(long, value_delimiter = ',', default_value = "scenes/flag.toml")]
     pub scene: Vec<PathBuf>,
     /// Steps before the counted ones, for scenes whose contacts come late: one number for all scenes, or one for each
@@ -47,7 +47,8 @@ pub(super) struct Settings {
     /// What a product exchanges
     #[arg(long, value_enum, default_value = "halo")]
     pub exchange: ExchangeMode,
-    /// Preconditioner of the solver [default: the scene's]; auto takes schwarz from a size on, which weak scaling may cross
+    /// Preconditioner of the solver [default: the scene's]; auto takes schwarz from a size on, which weak scaling may
+    /// cross
     #[arg(long, value_enum)]
     pub preconditioner: Option<PreconditionerKind>,
 }

@@ -134,8 +134,8 @@ impl FigureTable {
         text
     }
 
-    /// Writes `name.json` and `name.csv`, and `name.svg` with the columns of `curves` over its first one if there are at least two
-    /// rows.
+    /// Writes `name.json` and `name.csv`, and `name.svg` with the columns of `curves` over its first one if there are
+    /// at least two rows.
     pub(super) fn write(&self, folder: &Path, curves: Option<(&str, &[&str])>) -> Result<(), CliError> {
         std::fs::create_dir_all(folder)
             .map_err(|error| CliError::bad_input(format!("cannot write to {}: {error}", folder.display())))?;

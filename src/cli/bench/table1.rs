@@ -1,7 +1,7 @@
-//! `loomtree bench table1`: the eleven benchmarks of P-Cloth's Table 1 [Li et al. 2020] with this project's scenes: steps
-//! per second on 1, 2 and 4 workers (a frame is a time step there). Columns called measured come from processes that share
-//! this machine, columns called modelled from the events of a run of the same steps, re-timed on the machine of a topology
-//! file as `loomtree predict` does it, and columns called paper from their table.
+//! `loomtree bench table1`: the eleven benchmarks of P-Cloth's Table 1 [Li et al. 2020] with this project's scenes:
+//! steps per second on 1, 2 and 4 workers (a frame is a time step there). Columns called measured come from processes
+//! that share this machine, columns called modelled from the events of a run of the same steps, re-timed on the machine
+//! of a topology file as `loomtree predict` does it, and columns called paper from their table.
 
 use std::path::PathBuf;
 

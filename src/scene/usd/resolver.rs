@@ -1,5 +1,5 @@
-//! Finds and opens the layers that a stage refers to, as the crate does by itself, but none before its counts were looked
-//! at (`guard`).
+//! Finds and opens the layers that a stage refers to, as the crate does by itself, but none before its counts were
+//! looked at (`guard`).
 
 use std::collections::HashSet;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
