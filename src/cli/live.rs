@@ -148,6 +148,9 @@ pub enum SeamCommand {
         /// Gap at which seams count as closed, meters [default: as the scene has it, or 0.001]
         #[arg(long, value_name = "M")]
         weld_m: Option<f64>,
+        /// Angle that its edges have at rest, degrees; positive stands out on the outside [default: 0]
+        #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+        angle_deg: Option<f64>,
     },
     /// Take a seam out
     Remove {
@@ -221,8 +224,16 @@ fn request_of(command: &LiveCommand) -> Result<Option<Value>, CliError> {
             }),
         ),
         LiveCommand::Pin { pin, .. } => request("unpin", json!({ "pin": pin })),
-        LiveCommand::Seam(SeamCommand::Add { a, b, name, close_s, weld_m }) => {
-            let fields = json!({ "name": name, "a": side(a)?, "b": side(b)?, "close_s": close_s, "weld_m": weld_m });
+        LiveCommand::Seam(SeamCommand::Add { a, b, name, close_s, weld_m, angle_deg }) => {
+            let (a, b) = (side(a)?, side(b)?);
+            let fields = json!({
+                "name": name,
+                "a": a,
+                "b": b,
+                "close_s": close_s,
+                "weld_m": weld_m,
+                "angle_deg": angle_deg,
+            });
             request("sew", fields)
         }
         LiveCommand::Seam(SeamCommand::Remove { name }) => request("unsew", json!({ "name": name })),

@@ -3,11 +3,12 @@
 
 use std::collections::HashMap;
 
+use super::folds::listed;
 use super::state::{creases_of, renumbered};
 use super::{Crease, LetGo, State};
 use crate::math::Vec3;
 use crate::mesh::{EdgeCut, Part, TriangleMesh, ascending, hinges};
-use crate::scene::{Cloth, Pin, Scene, Sewing};
+use crate::scene::{Cloth, Fold, Pin, Scene, Sewing};
 
 /// The way from a mesh to one with more vertices on its border.
 pub struct Cut {
@@ -61,6 +62,8 @@ impl Cut {
             pairs: sewing.pairs.iter().map(|pair| pair.map(|v| cut.vertex(v))).collect(),
             ..sewing.clone()
         });
+        let placed = |fold: &Fold| (ascending(fold.edge.map(|v| cut.vertex(v))), fold.angle);
+        let folds = listed(scene.folds.iter().map(placed));
         let fabric = |&t: &u32| scene.fabric_of_triangle[t as usize];
         let after = Scene {
             velocities: cut.vectors(&scene.velocities),
@@ -69,6 +72,7 @@ impl Cut {
             pins: scene.pins.iter().map(|pin| Pin { vertex: cut.vertex(pin.vertex), ..*pin }).collect(),
             cloths: cloths.collect(),
             parts: scene.parts.iter().map(|part| Part { triangles: range(&part.triangles), ..part.clone() }).collect(),
+            folds,
             sewing,
             mesh,
             ..scene.clone()

@@ -9,7 +9,7 @@ use crate::integrator::pins::RankPin;
 use crate::math::Vec2;
 use crate::mesh::{Hinge, closed_parts, hinges, vertex_order};
 use crate::partition::chunk_rows;
-use crate::scene::{Closing, Maps, Motion, Obstacles, Scene, Settings};
+use crate::scene::{Closing, Fold, Maps, Motion, Obstacles, Scene, Settings};
 
 /// The cloth in global order.
 pub struct GlobalModel {
@@ -106,7 +106,7 @@ impl GlobalModel {
                 sides.map(|t| scene.fabric_of_triangle[t] as u32),
                 uv_edge,
                 sides.map(|t| areas[t]),
-                0.0,
+                Fold::angle_of(&scene.folds, [hinge.vertices[0], hinge.vertices[1]]),
             );
             let [one, other] = sides.map(|t| Maps::of_triangle(&scene.maps.stiffness, mesh.triangles[t]));
             element.shape *= (0.5 * (one + other)) as f32;

@@ -4,6 +4,7 @@
 
 mod collision;
 mod cut;
+mod folds;
 mod global;
 mod grips;
 mod rank;

@@ -6,12 +6,13 @@
 
 use std::collections::HashMap;
 
+use super::folds::{add_parts, folds_of_seams, listed};
 use super::seam_reach::{Reach, near_seams};
 use super::state::{creases_of, renumbered};
 use super::{Crease, LetGo, State};
 use crate::math::{DVec3, Vec3};
 use crate::mesh::{Part, SewnMesh, TriangleMesh, ascending, hinges};
-use crate::scene::{Closing, Cloth, Maps, Pin, Scene, Settings, SettingsOverTime, Sewing};
+use crate::scene::{Closing, Cloth, Fold, Maps, Pin, Scene, Settings, SettingsOverTime, Sewing};
 
 /// The way from a state of panels to one of the sewn cloth.
 pub struct Sewn {
@@ -33,6 +34,8 @@ pub struct Sewn {
     /// Edges in the order of the creases of the panels and of the sewn cloth; empty if no fabric is plastic.
     hinges_before: Vec<[u32; 2]>,
     hinges_after: Vec<[u32; 2]>,
+    /// Those of the sewn scene.
+    folds: Vec<Fold>,
 }
 
 impl Sewn {
@@ -48,6 +51,8 @@ impl Sewn {
         let mut is_pinned = vec![false; scene.mesh.positions.len()];
         scene.pins.iter().for_each(|pin| is_pinned[pin.vertex as usize] = true);
         let SewnMesh { mut mesh, vertex_of } = joined;
+        let mut folds = folds_of_seams(&scene.mesh, &mesh, sewing);
+        folds.extend(scene.folds.iter().map(|fold| (ascending(fold.edge.map(|v| vertex_of[v as usize])), fold.angle)));
         // A pin holds where it took hold.
         for (joined, members) in members.iter().enumerate() {
             if let Some(&pinned) = members.iter().find(|&&v| is_pinned[v as usize]) {
@@ -57,7 +62,7 @@ impl Sewn {
         let mut cloth_of: Vec<u32> = members.iter().map(|members| cloth_of_vertex(scene, members[0])).collect();
         let mut pins: Vec<Pin> =
             scene.pins.iter().map(|pin| Pin { vertex: vertex_of[pin.vertex as usize], ..*pin }).collect();
-        let mut halved = Vec::new();
+        let (mut halved, first_half) = (Vec::new(), mesh.positions.len() as u32);
         for _ in 0..sewing.refine {
             let edges = mesh.halved_edges();
             pins.extend(pins_of_halves(&pins, &edges, mesh.positions.len() as u32));
@@ -67,6 +72,7 @@ impl Sewn {
             mesh = mesh.divided();
             halved.push(edges);
         }
+        add_parts(&mut folds, &halved, first_half);
         // The vertices of a cloth lie together.
         let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
         order.sort_by_key(|&v| cloth_of[v as usize]);
@@ -74,6 +80,8 @@ impl Sewn {
         pins.iter_mut().for_each(|pin| pin.vertex = place_of[pin.vertex as usize]);
         pins.sort_by(|a, b| a.vertex.cmp(&b.vertex).then(a.start_s.total_cmp(&b.start_s)));
         pins.dedup();
+        let placed = |edge: [u32; 2]| ascending(edge.map(|v| place_of[v as usize]));
+        let folds = listed(folds.into_iter().map(|(edge, angle)| (placed(edge), angle)));
         let parts = 1u32 << (2 * sewing.refine);
         let range = |range: &std::ops::Range<u32>| range.start * parts..range.end * parts;
         let cloths = scene.cloths.iter().enumerate().map(|(number, cloth)| {
@@ -97,6 +105,7 @@ impl Sewn {
             parts: parts as usize,
             hinges_before: edges_of(&scene.mesh),
             hinges_after: edges_of(&mesh),
+            folds: folds.clone(),
         };
         let velocities = sewn.vectors(&sewn.joined_velocities(&scene.velocities));
         let after = Scene {
@@ -111,6 +120,7 @@ impl Sewn {
                 ..scene.settings.clone()
             },
             maps: scene.maps.mapped(|list| sewn.numbers(list)),
+            folds,
             sewing: None,
             mesh,
             ..scene.clone()
@@ -123,6 +133,7 @@ impl Sewn {
         let sewing = Sewing {
             pairs: Vec::new(),
             names: Vec::new(),
+            angles: Vec::new(),
             seam_of_pair: Vec::new(),
             closing: Closing { start_s: 0.0, close_s: 1.0, last_m: 0.0 },
             first_m: None,
@@ -275,32 +286,20 @@ impl Sewn {
         self.vectors(&means).into_iter().map(|value| value.x).collect()
     }
 
-    /// A crease goes on to the parts of its edge; seams start flat.
+    /// A crease goes on to the parts of its edge; all other edges start with their angle at rest.
     fn creases(&self, panels: &[Crease]) -> Vec<Crease> {
         if self.hinges_before.is_empty() {
             return Vec::new();
         }
         let joined = |v: u32| self.vertex_of[v as usize];
-        let mut of_edge: HashMap<[u32; 2], Crease> = HashMap::new();
-        for (&[a, b], &crease) in self.hinges_before.iter().zip(panels) {
-            of_edge.insert(ascending([joined(a), joined(b)]), crease);
-        }
-        let mut middle = self.joined() as u32;
-        for level in &self.halved {
-            for &[a, b] in level {
-                if let Some(&crease) = of_edge.get(&ascending([a, b])) {
-                    of_edge.insert(ascending([a, middle]), crease);
-                    of_edge.insert(ascending([b, middle]), crease);
-                }
-                middle += 1;
-            }
-        }
-        let placed: HashMap<[u32; 2], Crease> = of_edge
-            .into_iter()
-            .map(|([a, b], crease)| (ascending([a, b].map(|v| self.place_of[v as usize])), crease))
-            .collect();
-        let crease = |&edge: &[u32; 2]| placed.get(&ascending(edge)).copied().unwrap_or_default();
-        self.hinges_after.iter().map(crease).collect()
+        let before = self.hinges_before.iter().map(|edge| ascending(edge.map(joined)));
+        let mut of_edge: HashMap<[u32; 2], Crease> = before.zip(panels.iter().copied()).collect();
+        add_parts(&mut of_edge, &self.halved, self.joined() as u32);
+        let placed = |edge: [u32; 2]| ascending(edge.map(|v| self.place_of[v as usize]));
+        let placed: HashMap<[u32; 2], Crease> =
+            of_edge.into_iter().map(|(edge, crease)| (placed(edge), crease)).collect();
+        let at_rest = |edge: [u32; 2]| [Fold::angle_of(&self.folds, edge), 0.0];
+        self.hinges_after.iter().map(|&edge| placed.get(&edge).copied().unwrap_or_else(|| at_rest(edge))).collect()
     }
 
     /// What is let go goes on to every vertex of the edges and triangles around.

@@ -8,8 +8,8 @@ use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::math::{DIM, Vec3};
-use crate::mesh::hinges;
-use crate::scene::{Fabric, Hold, Scene};
+use crate::mesh::{Hinge, hinges};
+use crate::scene::{Fabric, Fold, Hold, Scene};
 
 /// State of the whole cloth, in the mesh's vertex order.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -93,7 +93,7 @@ impl State {
         State {
             positions: scene.mesh.positions.clone(),
             velocities: scene.velocities.clone(),
-            creases: vec![Crease::default(); creases_of(scene)],
+            creases: creases_at_start(scene),
             stretches: vec![UNSTRETCHED; stretches_of(scene)],
             let_go: Vec::new(),
             holds: Vec::new(),
@@ -209,6 +209,15 @@ impl State {
 /// Number of [`State::creases`] of a scene.
 pub(super) fn creases_of(scene: &Scene) -> usize {
     if scene.fabrics.iter().any(Fabric::creases) { hinges(&scene.mesh).len() } else { 0 }
+}
+
+/// [`State::creases`] at the start: the folds of the scene, which have not yielded.
+fn creases_at_start(scene: &Scene) -> Vec<Crease> {
+    if creases_of(scene) == 0 {
+        return Vec::new();
+    }
+    let crease = |hinge: &Hinge| [Fold::angle_of(&scene.folds, [hinge.vertices[0], hinge.vertices[1]]), 0.0];
+    hinges(&scene.mesh).iter().map(crease).collect()
 }
 
 /// Number of [`State::stretches`] of a scene.

@@ -50,6 +50,9 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
             hash_words(&mut hasher, list);
         }
     }
+    if !scene.folds.is_empty() {
+        let _ = write!(TextSink(&mut hasher), "{:?}", scene.folds);
+    }
     // Zero near the world's origin; left out there, so that checkpoints of earlier versions still fit.
     if scene.origin_m != DVec3::ZERO {
         hash_words(
@@ -61,6 +64,10 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
         hash_words(&mut hasher, &sewing.pairs);
         let closing = format!("{:?}", sewing.closing).replace("start_s: 0.0, ", "");
         let _ = write!(TextSink(&mut hasher), "{closing} {} {}", sewing.weld_m, sewing.refine);
+        if sewing.angles.iter().any(|&angle| angle != 0.0) {
+            hash_words(&mut hasher, &sewing.angles);
+            hash_words(&mut hasher, &sewing.seam_of_pair);
+        }
         if let Some(first_m) = &sewing.first_m {
             hash_words(&mut hasher, first_m);
         }

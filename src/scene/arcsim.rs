@@ -137,6 +137,7 @@ fn cloth(
         fabric,
         friction: None,
         pressure_pa: 0.0,
+        wrap: None,
         maps: Vec::new(),
     };
     Ok((UnplacedCloth { source, placement, file: Some(path) }, line))

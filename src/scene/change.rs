@@ -10,6 +10,7 @@ use toml::{Table, Value as TomlValue};
 use super::SceneError;
 use super::cloth_file::{bending, stretching};
 use super::fields::{Fields, Source, Value};
+use super::seam_file::angle;
 use crate::math::Vec3;
 
 /// Tables and fields of a scene, or of a record of changes.
@@ -30,7 +31,7 @@ pub(super) const ROOT_FIELDS: [&str; 13] = [
 ];
 
 /// All fields of a `[[change]]`.
-pub(super) const CHANGE_FIELDS: [&str; 25] = [
+pub(super) const CHANGE_FIELDS: [&str; 26] = [
     "step",
     "do",
     "gravity_m_s2",
@@ -54,6 +55,7 @@ pub(super) const CHANGE_FIELDS: [&str; 25] = [
     "pairs",
     "close_s",
     "weld_m",
+    "angle_deg",
     "times",
     "gaps_m",
 ];
@@ -65,7 +67,7 @@ const FIELDS_OF: [(&str, &[&str]); 10] = [
     ("friction", &["friction", "cloth", "obstacle"]),
     ("fabric", &["cloth", "of_fabric", "fabric", "density_kg_m2", "stretching_n_m", "bending_n_m", "damping_s"]),
     ("unpin", &["pin"]),
-    ("sew", &["name", "a", "b", "cloths", "pairs", "close_s", "weld_m"]),
+    ("sew", &["name", "a", "b", "cloths", "pairs", "close_s", "weld_m", "angle_deg"]),
     ("unsew", &["name"]),
     ("refine", &["times"]),
     ("welded", &[]),
@@ -162,6 +164,8 @@ pub struct SeamEdit {
     pub close_s: Option<f64>,
     /// The gap at which seams count as closed, meters; none: as the scene has it.
     pub weld_m: Option<f64>,
+    /// Dihedral angle at rest of its edges, radians.
+    pub angle: f64,
 }
 
 /// What a seam that is added joins.
@@ -375,6 +379,7 @@ fn seam(fields: &Fields) -> Result<SeamEdit, SceneError> {
         shape,
         close_s: fields.optional("close_s", Value::positive)?,
         weld_m: fields.optional("weld_m", Value::positive)?,
+        angle: fields.or("angle_deg", 0.0, angle)?,
     })
 }
 

@@ -7,7 +7,7 @@ use crate::math::{DQuat, DVec3};
 use crate::mesh::{FileMesh, MaterialSource, Outline};
 
 use super::cloth_source::{
-    ClothSource, GarmentSource, PatternSource, Shape, SheetKind, SheetSource, StartVelocity, UnplacedCloth,
+    ClothSource, GarmentSource, PatternSource, Shape, SheetKind, SheetSource, StartVelocity, UnplacedCloth, Wrap,
 };
 use super::fields::{Fields, Value};
 use super::files::find;
@@ -16,7 +16,7 @@ use super::pattern::{Pattern, is_pattern};
 use super::person::{Garment, KINDS};
 use super::placement::{Placement, unplaced_mesh};
 use super::seam_file::read_seams;
-use super::{Fabric, Plasticity, RESOLUTIONS, SceneError, StrainLimit};
+use super::{Fabric, Obstacle, Plasticity, RESOLUTIONS, SceneError, StrainLimit};
 
 pub(super) const FABRIC_FIELDS: [&str; 11] = [
     "name",
@@ -108,7 +108,7 @@ fn rows<const R: usize, const C: usize>(value: &Value) -> Result<[[f64; C]; R], 
         .map_err(|rows: Vec<_>| value.error(format!("must have {R} rows of {C} numbers, not {} rows", rows.len())))
 }
 
-pub(super) const CLOTH_FIELDS: [&str; 24] = [
+pub(super) const CLOTH_FIELDS: [&str; 25] = [
     "name",
     "sheet",
     "garment",
@@ -121,6 +121,7 @@ pub(super) const CLOTH_FIELDS: [&str; 24] = [
     "origin_m",
     "rotate_deg",
     "scale",
+    "wrap",
     "fabric",
     "thicken",
     "damping_s",
@@ -177,6 +178,18 @@ pub(super) fn sheet_triangles(resolution: u64, cloths: &[Fields], path: &Path) -
     Ok((0..cloths.len()).map(share).collect())
 }
 
+/// Reads `wrap`, which names an obstacle of the scene.
+pub(super) fn wrap(fields: &Fields, obstacles: &[Obstacle]) -> Result<Option<Wrap>, SceneError> {
+    let Some(value) = fields.get("wrap") else { return Ok(None) };
+    let name = value.text()?;
+    let obstacle = obstacles.iter().position(|obstacle| obstacle.name == name).ok_or_else(|| {
+        let known: Vec<&str> = obstacles.iter().map(|obstacle| &obstacle.name[..]).collect();
+        let known = if known.is_empty() { "the scene has none".to_owned() } else { known.join(", ") };
+        value.error(format!("no obstacle is named `{name}` ({known})"))
+    })?;
+    Ok(Some(Wrap { obstacle, at: value.place() }))
+}
+
 /// Lists that collect sentences about files.
 pub(super) struct Remarks<'a> {
     pub warnings: &'a mut Vec<String>,
@@ -202,7 +215,7 @@ pub(super) fn cloth(
         (Some(_), None, None) => Shape::Sheet(sheet(fields, triangles, placement)?),
         (None, Some(_), None) => {
             if let Some(key) =
-                ["material", "weld_m", "plane", "seams"].into_iter().find(|key| fields.get(key).is_some())
+                ["material", "weld_m", "plane", "seams", "wrap"].into_iter().find(|key| fields.get(key).is_some())
             {
                 return Err(fields.error_at(key, "does not belong to a cloth with a `garment`"));
             }
@@ -251,6 +264,7 @@ pub(super) fn cloth(
         friction: fields.optional("friction", Value::not_negative)?,
         pressure_pa: fields.or("pressure_pa", 0.0, Value::number)?,
         maps: maps(fields, path)?,
+        wrap: None,
     };
     Ok(UnplacedCloth { source, placement, file: found })
 }

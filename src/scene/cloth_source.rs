@@ -26,6 +26,16 @@ pub(super) struct ClothSource {
     /// Pressure inside over that outside, Pa.
     pub pressure_pa: f64,
     pub maps: Vec<MapSource>,
+    /// The body that flat panels are bent about.
+    pub wrap: Option<Wrap>,
+}
+
+/// The obstacle that a cloth's panels are bent about.
+#[derive(Clone, Debug)]
+pub(super) struct Wrap {
+    /// Index into the obstacles.
+    pub obstacle: usize,
+    pub at: Place,
 }
 
 /// Geometry of a piece of cloth.

@@ -5,7 +5,7 @@ use std::path::Path;
 use toml::de::DeTable;
 
 use super::change::{ROOT_FIELDS, changes};
-use super::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, Remarks, cloth, fabric, sheet_triangles};
+use super::cloth_file::{CLOTH_FIELDS, FABRIC_FIELDS, Remarks, cloth, fabric, sheet_triangles, wrap};
 use super::cloth_source::place_cloths;
 use super::fields::{Fields, Source};
 use super::model::RESOLUTIONS;
@@ -61,7 +61,7 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
             &mut Remarks { warnings: &mut warnings, left_out: &mut left_out },
         )?);
     }
-    let (cloths, origin_m) = place_cloths(cloths)?;
+    let (mut cloths, origin_m) = place_cloths(cloths)?;
     let settings = settings(&root, origin_m, &mut warnings)?;
     let mut obstacles = Vec::new();
     let mut from_file = Vec::new();
@@ -69,6 +69,9 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<ParsedScene, SceneError> 
         from_file.push(is_from_file(fields));
         let mut remarks = Remarks { warnings: &mut warnings, left_out: &mut left_out };
         obstacles.push(obstacle(fields, i, settings.friction, path, origin_m, &mut remarks)?);
+    }
+    for (cloth, fields) in cloths.iter_mut().zip(&tables) {
+        cloth.wrap = wrap(fields, &obstacles)?;
     }
     let (mut pins, mut paths) = (Vec::new(), Paths::default());
     for fields in root.tables("pin", &PIN_FIELDS)? {

@@ -58,6 +58,7 @@ impl Scene {
             fabric: self.fabrics.first().cloned().unwrap_or_else(|| Fabric::uniform("", 1.0, [1.0; 4], 1.0)),
             friction: None,
             pressure_pa: 0.0,
+            wrap: None,
             maps: Vec::new(),
         };
         let mut mesh = FileMesh::from(self.mesh.clone());
@@ -67,7 +68,8 @@ impl Scene {
             triangles: cloth.triangles.clone(),
         };
         mesh.parts = self.parts.iter().cloned().chain(self.cloths.iter().map(of_cloth)).collect();
-        let joints = joints_of_one(Piece::of_mesh(&whole, mesh), SeamSource { name: name.clone(), shape, at });
+        let joints =
+            joints_of_one(Piece::of_mesh(&whole, mesh), SeamSource { name: name.clone(), shape, angle: None, at });
         let JointsOfOne { ends, cuts, edges } = joints.map_err(|error| error.what())?;
         if let Some((sewing, (seam, [a, b]))) = self.sewing.as_ref().and_then(|s| Some((s, self.taken(s, &edges)?))) {
             let other = &sewing.names[seam as usize];
@@ -109,6 +111,7 @@ impl Scene {
         let mut sewing = self.sewing.take().unwrap_or_else(|| Sewing {
             pairs: Vec::new(),
             names: Vec::new(),
+            angles: Vec::new(),
             seam_of_pair: Vec::new(),
             closing: Closing { start_s, close_s: default.close_s, last_m: LAST_LENGTH * default.weld_m },
             first_m: None,
@@ -123,6 +126,7 @@ impl Scene {
         both.sort_unstable();
         both.dedup_by_key(|(pair, _)| *pair);
         sewing.names.push(name);
+        sewing.angles.push(seam.angle as f32);
         (sewing.pairs, sewing.seam_of_pair) = both.into_iter().unzip();
         self.check_seams(&sewing, positions)?;
         sewing.weld_m = seam.weld_m.unwrap_or(sewing.weld_m);

@@ -59,6 +59,7 @@ mod start;
 mod substeps;
 mod time_table;
 mod usd;
+mod wrap;
 
 use std::path::Path;
 
@@ -74,7 +75,7 @@ pub use grip::{Grip, Hold};
 pub use handles::{Handles, PinGroup};
 pub use live_seam::AddedSeam;
 pub use maps::Maps;
-pub use model::{Cloth, DEFAULT_THICKNESS_M, Overrides, Pin, RESOLUTIONS, Scene, Settings, SettingsOverTime};
+pub use model::{Cloth, DEFAULT_THICKNESS_M, Fold, Overrides, Pin, RESOLUTIONS, Scene, Settings, SettingsOverTime};
 pub use motion::{Keyframe, Motion};
 pub use obstacle::{Movement, Obstacle, ObstacleHeader, Obstacles};
 pub use over_time::{Between, OverTime};

@@ -63,6 +63,8 @@ pub struct Scene {
     pub maps: Maps,
     /// Objects and groups of the pieces' mesh files, as triangles of the scene, ascending.
     pub parts: Vec<Part>,
+    /// Edges that are not flat at rest, ascending.
+    pub folds: Vec<Fold>,
     /// What its seams sew; none if it has no seams, or once they are sewn.
     pub sewing: Option<Sewing>,
     /// Settings of the run.
@@ -71,6 +73,23 @@ pub struct Scene {
     pub warnings: Vec<String>,
     /// One sentence for every feature of an imported scene that is left out.
     pub left_out: Vec<String>,
+}
+
+/// An edge that is not flat at rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fold {
+    /// Vertices of the scene's mesh, ascending.
+    pub edge: [u32; 2],
+    /// Dihedral angle at rest, radians; positive if the edge stands out on the outside, where its triangles run
+    /// counter-clockwise.
+    pub angle: f32,
+}
+
+impl Fold {
+    /// The angle at rest of an edge, whose vertices ascend, radians. `folds`: ascending.
+    pub fn angle_of(folds: &[Fold], edge: [u32; 2]) -> f32 {
+        folds.binary_search_by(|fold| fold.edge.cmp(&edge)).map_or(0.0, |place| folds[place].angle)
+    }
 }
 
 /// A piece of cloth: its vertices and triangles in the scene's mesh, and its friction.

@@ -163,6 +163,14 @@ impl ParsedScene {
         let factor = self.resolution_factor(overrides.resolution)?;
         let piece = |cloth| Piece::new(cloth, factor, coarsenings);
         let mut pieces: Vec<Piece<'_>> = self.cloths.iter().map(piece).collect::<Result<_, _>>()?;
+        for (piece, wrap) in pieces.iter_mut().zip(&self.cloths).filter_map(|(p, c)| Some((p, c.wrap.as_ref()?))) {
+            if coarsenings > 0 {
+                return Err(wrap.at.error("cloth that is bent about a body has no coarser level (--segments)"));
+            }
+            piece
+                .wrap(&self.obstacles[wrap.obstacle], self.settings.thickness_m)
+                .map_err(|what| wrap.at.error(what))?;
+        }
         let joints = if self.seams.is_empty() { Joints::default() } else { sew(&mut pieces, &self.seams)? };
         Ok((pieces, joints))
     }
@@ -228,6 +236,7 @@ impl ParsedScene {
             obstacles: self.obstacles.clone(),
             maps: merged_maps(pieces)?,
             parts: merged.parts,
+            folds: Vec::new(),
             sewing,
             settings,
             warnings: self.warnings.clone(),
@@ -302,7 +311,9 @@ impl ParsedScene {
         let close_s = close_speed_m_s.map_or(close_s, |speed| (longest_m / speed).max(self.settings.step_s));
         let closing = Closing { start_s: 0.0, close_s, last_m: LAST_LENGTH * weld_m };
         let names = joints.names.clone();
-        let sewing = Sewing { pairs, names, seam_of_pair, closing, first_m: None, weld_m, refine, gravity_m_s2 };
+        let angles = joints.angles.iter().map(|angle| angle.unwrap_or(self.sewing.angle) as f32).collect();
+        let sewing =
+            Sewing { pairs, names, angles, seam_of_pair, closing, first_m: None, weld_m, refine, gravity_m_s2 };
         Ok((Some(sewing), left_out))
     }
 

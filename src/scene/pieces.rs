@@ -6,8 +6,10 @@ use crate::math::{DVec2, DVec3, Vec3};
 use crate::mesh::{EdgeCut, FileMesh, NestedSheet, Outline, Part, Refinement, TriangleMesh, validate};
 
 use super::cloth_source::{ClothSource, GarmentSource, PatternSource, Shape, SheetKind, SheetSource, StartVelocity};
+use super::seam_fault::panel_of;
 use super::sheet::SheetMesh;
-use super::{Cloth, Fabric, SceneError, sheet_cells};
+use super::wrap::{Body, wrap};
+use super::{Cloth, Fabric, Obstacle, Obstacles, SceneError, sheet_cells};
 
 /// One piece of cloth in its start state.
 pub(super) struct Piece<'a> {
@@ -18,6 +20,8 @@ pub(super) struct Piece<'a> {
     pub sheet: Option<SheetMesh>,
     /// True if seams have added vertices.
     is_cut: bool,
+    /// True if its panels are bent about a body.
+    is_bent: bool,
     /// From this piece to the one that no coarsening was asked for.
     pub refinement: Refinement,
 }
@@ -51,13 +55,13 @@ impl<'a> Piece<'a> {
                 (Cow::Owned(FileMesh::from(mesh)), Some(cells), refinement)
             }
         };
-        Ok(Piece { source, cloth, sheet, is_cut: false, refinement })
+        Ok(Piece { source, cloth, sheet, is_cut: false, is_bent: false, refinement })
     }
 
     /// A mesh that is there already.
     pub(super) fn of_mesh(source: &'a ClothSource, mesh: FileMesh) -> Piece<'a> {
         let refinement = Refinement::none(mesh.mesh.positions.len(), mesh.mesh.triangles.len());
-        Piece { source, cloth: Cow::Owned(mesh), sheet: None, is_cut: false, refinement }
+        Piece { source, cloth: Cow::Owned(mesh), sheet: None, is_cut: false, is_bent: false, refinement }
     }
 
     /// Adds vertices on edges of the piece, which has no coarser level from then on.
@@ -69,15 +73,38 @@ impl<'a> Piece<'a> {
         added
     }
 
+    /// Bends its panels about the limbs of an obstacle where that is at the start. They keep two thicknesses from it.
+    ///
+    /// # Errors
+    /// Half a sentence: a panel is not flat, or does not hang before the obstacle.
+    pub(super) fn wrap(&mut self, obstacle: &Obstacle, thickness_m: f64) -> Result<(), String> {
+        let alone = Obstacles::new(std::slice::from_ref(obstacle));
+        let mut values = Vec::new();
+        alone.positions_at(0.0, &mut values);
+        let body = Body {
+            name: &obstacle.name,
+            positions: bytemuck::cast_slice(&values),
+            triangles: alone.triangles(),
+            gap_m: 2.0 * thickness_m,
+        };
+        let FileMesh { mesh, parts, .. } = self.cloth.to_mut();
+        self.is_bent = true;
+        let name = |triangle: u32| match parts.iter().any(|part| part.triangles.contains(&triangle)) {
+            true => panel_of(parts, &[], triangle),
+            false => format!("`{}`", self.source.name),
+        };
+        wrap(mesh, &body, name)
+    }
+
     /// True for a sheet of which every vertex lies exactly in one plane.
     pub(super) fn is_flat(&self) -> bool {
-        self.sheet.is_some() && !self.is_cut
+        self.sheet.is_some() && !self.is_cut && !self.is_bent
     }
 
     /// The mesh that pins select vertices of: a mesh from a file as the file has it, however coarse the piece is.
     pub(super) fn selected_from(&self) -> &FileMesh {
         match &self.source.shape {
-            Shape::Mesh(mesh) if !self.is_cut => mesh,
+            Shape::Mesh(mesh) if !self.is_cut && !self.is_bent => mesh,
             Shape::Mesh(_) | Shape::Sheet(_) | Shape::Garment(_) | Shape::Pattern(_) => &self.cloth,
         }
     }

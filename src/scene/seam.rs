@@ -15,6 +15,8 @@ use super::seam_chords::chords;
 pub(super) struct SeamSource {
     pub name: String,
     pub shape: SeamShape,
+    /// Dihedral angle at rest of its edges, radians; none: as `[sewing]` has it.
+    pub angle: Option<f64>,
     pub at: Place,
 }
 
@@ -61,6 +63,8 @@ pub(super) struct Joint {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Joints {
     pub names: Vec<String>,
+    /// By seam: [`SeamSource::angle`].
+    pub angles: Vec<Option<f64>>,
     pub joints: Vec<Joint>,
     /// By seam: whether it is left out if it does not make cloth.
     pub lenient: Vec<bool>,
@@ -149,6 +153,7 @@ fn work<'p, 's>(pieces: &'p mut [Piece<'s>], seams: &[SeamSource]) -> Result<Wor
         cuts: BTreeMap::new(),
         ends: Vec::new(),
         names: Vec::new(),
+        angles: Vec::new(),
         lenient: Vec::new(),
         left_out: Vec::new(),
     };
@@ -167,6 +172,7 @@ fn work<'p, 's>(pieces: &'p mut [Piece<'s>], seams: &[SeamSource]) -> Result<Wor
             SeamShape::Pairs(cloths, pairs) => {
                 let number = work.names.len() as u32;
                 work.names.push(seam.name.clone());
+                work.angles.push(seam.angle);
                 for pair in pairs {
                     let mut ends = [End::Vertex(0, 0); 2];
                     for i in 0..2 {
@@ -199,6 +205,7 @@ fn work<'p, 's>(pieces: &'p mut [Piece<'s>], seams: &[SeamSource]) -> Result<Wor
                         let why = error.what();
                         work.left_out.push(format!("seam `{name}` of `{piece}` is not sewn: {why}"));
                         work.names.truncate(given);
+                        work.angles.truncate(given);
                     }
                     work.lenient.resize(work.names.len(), false);
                     work.lenient[given..].fill(*lenient);
@@ -218,6 +225,7 @@ struct Work<'p, 's> {
     cuts: BTreeMap<usize, Vec<EdgeCut>>,
     ends: Vec<(u32, [End; 2])>,
     names: Vec<String>,
+    angles: Vec<Option<f64>>,
     lenient: Vec<bool>,
     left_out: Vec<String>,
 }
@@ -299,6 +307,7 @@ impl Work<'_, '_> {
     fn join(&mut self, seam: &SeamSource, name: String, sides: [Side; 2]) -> Result<(), SceneError> {
         let number = self.names.len() as u32;
         self.names.push(name);
+        self.angles.push(seam.angle);
         let name = |seam: u32| format!("seam `{}`", self.names[seam as usize]);
         let mut taken = Vec::new();
         for side in &sides {
@@ -345,7 +354,6 @@ impl Work<'_, '_> {
         Ok(())
     }
 
-    /// Adds the vertices.
     /// Adds vertices within panels where seams would lay two edges on each other.
     fn cut_chords(&mut self) {
         let vertex = |end: &End| match *end {
@@ -363,6 +371,7 @@ impl Work<'_, '_> {
         }
     }
 
+    /// Adds the vertices of all cuts.
     fn finish(self) -> Joints {
         let mut added: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
         for (cloth, cuts) in self.cuts {
@@ -375,6 +384,6 @@ impl Work<'_, '_> {
         let joints = self.ends.iter().map(|&(seam, ends)| Joint { seam, ends: ends.map(vertex) }).collect();
         let mut lenient = self.lenient;
         lenient.resize(self.names.len(), false);
-        Joints { names: self.names, joints, lenient, left_out: self.left_out }
+        Joints { names: self.names, angles: self.angles, joints, lenient, left_out: self.left_out }
     }
 }

@@ -9,9 +9,9 @@ use super::files::read_text;
 use super::json::{Json, parse_json};
 use super::seam::{SeamShape, SeamSource, SideSelection, SideSource};
 
-pub(super) const SEAM_FIELDS: [&str; 5] = ["name", "a", "b", "cloths", "pairs"];
+pub(super) const SEAM_FIELDS: [&str; 6] = ["name", "a", "b", "cloths", "pairs", "angle_deg"];
 pub(super) const SIDE_FIELDS: [&str; 3] = ["cloth", "vertices", "edge"];
-pub(super) const SEWING_FIELDS: [&str; 5] = ["close_s", "close_speed_m_s", "weld_m", "refine", "gravity"];
+pub(super) const SEWING_FIELDS: [&str; 6] = ["close_s", "close_speed_m_s", "weld_m", "refine", "gravity", "angle_deg"];
 
 /// Most times that the triangles of sewn cloth are divided into four.
 const REFINE_MOST: u64 = 5;
@@ -26,11 +26,13 @@ pub(super) struct SewingSource {
     pub refine: u32,
     /// Whether panels have weight while they are sewn.
     pub gravity: bool,
+    /// Dihedral angle at rest of seams that have none of their own, radians.
+    pub angle: f64,
 }
 
 impl Default for SewingSource {
     fn default() -> SewingSource {
-        SewingSource { close_s: 0.6, close_speed_m_s: None, weld_m: 0.001, refine: 0, gravity: false }
+        SewingSource { close_s: 0.6, close_speed_m_s: None, weld_m: 0.001, refine: 0, gravity: false, angle: 0.0 }
     }
 }
 
@@ -50,7 +52,17 @@ pub(super) fn sewing(root: &Fields, any: bool) -> Result<SewingSource, SceneErro
         weld_m: fields.or("weld_m", default.weld_m, Value::positive)?,
         refine: fields.or("refine", 0, |value| value.whole(0..=REFINE_MOST))? as u32,
         gravity: fields.or("gravity", default.gravity, Value::boolean)?,
+        angle: fields.or("angle_deg", default.angle, angle)?,
     })
+}
+
+/// A dihedral angle in degrees, as radians. A seam that is folded by half a turn would lie on itself.
+pub(super) fn angle(value: &Value) -> Result<f64, SceneError> {
+    let degrees = value.number()?;
+    match degrees.abs() < 180.0 {
+        true => Ok(degrees.to_radians()),
+        false => Err(value.error(format!("must be above -180 and below 180 degrees, not {degrees}"))),
+    }
 }
 
 /// The seams that the file of a cloth has.
@@ -67,7 +79,8 @@ pub(super) fn seams_of_cloth(
     let at = fields.place_at(if fields.get("seams").is_some() { "seams" } else { "mesh" });
     // The stitches of a garment may also make pleats, which no mesh without seams can show.
     let lenient = matches!(cloth.shape, Shape::Mesh(_)) && fields.get("seams").is_some_and(|value| !value.is_text());
-    let of_cloth = SeamSource { name: cloth.name.clone(), shape: SeamShape::OfCloth { cloth: index, lenient }, at };
+    let of_cloth =
+        SeamSource { name: cloth.name.clone(), shape: SeamShape::OfCloth { cloth: index, lenient }, angle: None, at };
     Ok(any.then_some(of_cloth))
 }
 
@@ -112,7 +125,7 @@ pub(super) fn seam(fields: &Fields, index: usize, cloths: &[ClothSource]) -> Res
             SeamShape::Sides([side(&fields.required("a")?, cloths)?, side(&fields.required("b")?, cloths)?])
         }
     };
-    Ok(SeamSource { name, shape, at })
+    Ok(SeamSource { name, shape, angle: fields.optional("angle_deg", angle)?, at })
 }
 
 fn vertex(value: &Value) -> Result<u32, SceneError> {

@@ -11,6 +11,8 @@ pub struct Sewing {
     pub pairs: Vec<[u32; 2]>,
     /// Names of the seams.
     pub names: Vec<String>,
+    /// Dihedral angle at rest that the edges of each seam get, radians ([`super::Fold::angle`]).
+    pub angles: Vec<f32>,
     /// The seam of every pair; of several the first.
     pub seam_of_pair: Vec<u32>,
     /// How the pairs are closed.

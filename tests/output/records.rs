@@ -229,6 +229,7 @@ fn scene() -> Scene {
         settings,
         maps: Default::default(),
         parts: Vec::new(),
+        folds: Vec::new(),
         sewing: None,
         warnings: Vec::new(),
         left_out: Vec::new(),

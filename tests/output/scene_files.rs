@@ -320,8 +320,8 @@ fn mistakes_name_line_and_field() {
     assert_eq!(
         with("\ncolour = 1"),
         "line 4: field `cloth.colour`: unknown field; known here: name, sheet, garment, mesh, material, \
-         weld_m, subdivide, seams, plane, origin_m, rotate_deg, scale, fabric, thicken, damping_s, yield_curvature, \
-         yield_strain, hardening, weakening, strain_limit, velocity_m_s, friction, pressure_pa, maps"
+         weld_m, subdivide, seams, plane, origin_m, rotate_deg, scale, wrap, fabric, thicken, damping_s, \
+         yield_curvature, yield_strain, hardening, weakening, strain_limit, velocity_m_s, friction, pressure_pa, maps"
     );
     assert_eq!(
         with("fabric = \"coton\""),

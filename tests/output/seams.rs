@@ -167,6 +167,95 @@ fn merging_and_refining_keep_mass_and_momentum() {
     }
 }
 
+/// Two sheets side by side, sewn along their sides.
+fn two_sheets(seam: &str, sewing: &str, fabric: &str) -> Scene {
+    let sheet = |name: &str, x: f64| {
+        format!(
+            "[[cloth]]\nname = \"{name}\"\nsheet = {{ size_m = [0.2, 0.2], triangles = 128, mesh = \"grid\" }}\n\
+             origin_m = [{x}, 0, 0]\n{fabric}"
+        )
+    };
+    let sides = "a = { cloth = \"one\", edge = \"right\" }\nb = { cloth = \"other\", edge = \"left\" }\n";
+    let text = format!("[sewing]\n{sewing}{}{}[[seam]]\n{sides}{seam}", sheet("one", 0.0), sheet("other", 0.25));
+    scene_of(&text, None).unwrap()
+}
+
+/// The edges of a seam, and no others, have its angle at rest, on all parts once they are divided; the field of a seam
+/// counts before that of `[sewing]`.
+#[test]
+fn edges_of_seams_have_their_angle_at_rest() {
+    let plastic = "yield_curvature = 30.0\n";
+    for (seam, sewing, fabric, degrees) in [
+        ("angle_deg = 90.0\n", "", "", 90.0f32),
+        ("", "angle_deg = -60.0\nrefine = 1\n", "", -60.0),
+        ("angle_deg = 45.0\n", "angle_deg = 10.0\nrefine = 2\n", plastic, 45.0),
+        ("", "", "", 0.0),
+    ] {
+        let panels = two_sheets(seam, sewing, fabric);
+        let (sewn, way) = Sewn::of(&panels).unwrap();
+        // 8 edges of a side of a grid of 8 x 8 cells.
+        let parts = 8 << panels.sewing.as_ref().unwrap().refine;
+        let at_rest: Vec<f32> = GlobalModel::new(&sewn).hinges.iter().map(|hinge| hinge.rest_angle).collect();
+        let folded = at_rest.iter().filter(|angle| (**angle - degrees.to_radians()).abs() < 1e-6).count();
+        let flat = at_rest.iter().filter(|angle| **angle == 0.0).count();
+        match degrees {
+            0.0 => assert_eq!(flat, at_rest.len()),
+            _ => assert_eq!((folded, flat), (parts, at_rest.len() - parts), "{seam}{sewing}"),
+        }
+        for fold in &sewn.folds {
+            let [a, b] = fold.edge.map(|v| sewn.mesh.positions[v as usize]);
+            assert!((a.x - 0.225).abs() < 1e-6 && (b.x - 0.225).abs() < 1e-6, "{a} {b}");
+        }
+        // Of a plastic fabric the state holds them.
+        let start = State::start_of(&sewn);
+        let reached = way.state(&State::start_of(&panels), &panels.mesh.positions);
+        for state in [start, reached] {
+            let folded = state.creases.iter().filter(|crease| (crease[0] - degrees.to_radians()).abs() < 1e-6).count();
+            assert_eq!(folded, if fabric.is_empty() { 0 } else { parts });
+        }
+    }
+}
+
+/// The panels of the T-shirt bent about the person: none crosses anything, triangles keep their shape, sleeves lie
+/// around the arms, and the gaps that threads have to close are shorter.
+#[test]
+fn panels_are_bent_about_the_limbs_of_a_body() {
+    let text = fs::read_to_string("scenes/tshirt.toml").unwrap();
+    let wrapped = text.replace("fabric = \"cotton\"", "fabric = \"cotton\"\nwrap = \"person\"");
+    assert_ne!(text, wrapped);
+    let [flat, bent] = [&text, &wrapped].map(|text| scene_of(text, Some(1_200)).unwrap());
+    assert_eq!(flat.mesh.triangles, bent.mesh.triangles);
+    let gaps = |scene: &Scene| -> f64 {
+        let at = |v: u32| scene.mesh.positions[v as usize].as_dvec3();
+        let pairs = &scene.sewing.as_ref().unwrap().pairs;
+        pairs.iter().map(|&[a, b]| at(a).distance(at(b))).sum::<f64>() / pairs.len() as f64
+    };
+    assert!(gaps(&bent) < 0.9 * gaps(&flat), "{} m, {} m without", gaps(&bent), gaps(&flat));
+    for [a, b, c] in &bent.mesh.triangles {
+        for [p, q] in [[a, b], [b, c], [c, a]] {
+            let length = |scene: &Scene| scene.mesh.positions[*p as usize].distance(scene.mesh.positions[*q as usize]);
+            let ratio = length(&bent) / length(&flat);
+            assert!((0.98..1.0001).contains(&ratio), "{ratio}");
+        }
+    }
+    for (field, sentence) in [
+        ("wrap = \"nobody\"", "field `cloth.wrap`: no obstacle is named `nobody` (person)"),
+        ("wrap = \"person\"\norigin_m = [2, 0, 0]", "field `cloth.wrap`: no part of obstacle `person` lies before or"),
+    ] {
+        let fault = scene_of(&wrapped.replace("wrap = \"person\"", field), Some(1_200)).unwrap_err();
+        assert!(fault.contains(sentence), "{fault}");
+    }
+}
+
+/// The limits of the angle, and its sentence.
+#[test]
+fn a_seam_is_not_folded_onto_itself() {
+    let text = "[[cloth]]\nsheet = { size_m = [0.2, 0.2], triangles = 128 }\n[[seam]]\na = { edge = \"left\" }\n\
+                b = { edge = \"right\" }\nangle_deg = 180\n";
+    let fault = scene_of(text, None).unwrap_err();
+    assert!(fault.contains("field `seam.angle_deg`: must be above -180 and below 180 degrees, not 180"), "{fault}");
+}
+
 #[test]
 fn a_codim_ipc_garment_brings_its_seams() {
     let Some(folder) = test_data("garments/codim_ipc_dress") else { return };

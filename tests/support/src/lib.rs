@@ -101,6 +101,7 @@ pub fn scene(mesh: TriangleMesh, fabric: Fabric, pinned: &[u32], step_s: f64, gr
         },
         maps: Maps::default(),
         parts: Vec::new(),
+        folds: Vec::new(),
         sewing: None,
         warnings: Vec::new(),
         left_out: Vec::new(),
@@ -198,6 +199,7 @@ pub fn sewn_sheets(n: usize, closing: Closing) -> Scene {
     scene.sewing = Some(Sewing {
         pairs: (0..n).map(|j| [row(j) + n as u32 - 1, first + row(j)]).collect(),
         names: vec!["middle".into()],
+        angles: vec![0.0],
         seam_of_pair: vec![0; n],
         closing,
         first_m: None,
