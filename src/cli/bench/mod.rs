@@ -11,6 +11,7 @@ mod matrix_free;
 mod ranks;
 mod runs;
 mod scaling;
+mod sewn;
 mod spmv;
 mod step;
 mod strain;

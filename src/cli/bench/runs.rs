@@ -9,7 +9,7 @@ use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
 use crate::interconnect::{KernelTimes, Replay, ScheduleKind, Topology, plan};
 use crate::os::console::note;
 use crate::output::{Existing, Report, StepRecord};
-use crate::scene::PreconditionerKind;
+use crate::scene::{PreconditionerKind, Scene};
 use crate::solver::ExchangeMode;
 
 /// Arguments of benchmarks of whole steps.
@@ -82,6 +82,7 @@ impl ScenesBench {
             suffix: if scenes > 1 { format!("_{}", stems[i]) } else { String::new() },
             settings: settings.clone(),
             launch: launch.clone(),
+            sewn: None,
         };
         Ok(self.scene.iter().enumerate().map(one).collect())
     }
@@ -102,6 +103,8 @@ pub(super) struct SceneBench {
     pub settings: Settings,
     /// Who starts the workers.
     launch: Launch,
+    /// The scene once its seams are closed, in place of that of the file.
+    sewn: Option<Scene>,
 }
 
 /// The numbers of workers that `ranks` processes of a launcher allow.
@@ -171,7 +174,8 @@ impl SceneBench {
         if let Some(ranks) = launch.ranks() {
             settings.workers = within(&settings.workers, ranks)?;
         }
-        Ok(SceneBench { scene, skip: Some(skip), suffix: String::new(), step_s, settings, launch: launch.clone() })
+        let (skip, suffix, launch) = (Some(skip), String::new(), launch.clone());
+        Ok(SceneBench { scene, skip, suffix, step_s, settings, launch, sewn: None })
     }
 
     /// Length of a step, seconds.
@@ -229,6 +233,11 @@ impl SceneBench {
         Ok(steps.iter().filter(|step| step.step > skip).map(|step| step.total_s).collect())
     }
 
+    /// The benchmark of `scene`, if there is one, in place of that of the file.
+    pub(super) fn in_place(self, scene: Option<Scene>) -> SceneBench {
+        SceneBench { sewn: scene, ..self }
+    }
+
     fn run_once(&self, runs: &mut Runs) -> Result<Size, CliError> {
         let (skip, steps) = self.steps();
         let Launched { size, wall_s, mut report, .. } = self.launch(runs.workers, 0)?;
@@ -256,7 +265,10 @@ impl SceneBench {
             trace_steps,
             ..RunOptions::default()
         };
-        let mut plan = RunPlan::new(&self.scene, &options).map_err(CliError::bad_input)?;
+        let mut plan = match &self.sewn {
+            Some(scene) => RunPlan::of_scene(scene.clone(), &options).map_err(CliError::bad_input)?,
+            None => RunPlan::new(&self.scene, &options).map_err(CliError::bad_input)?,
+        };
         // One frame at the end, so that frames are not part of what is measured.
         plan.scene.settings.steps_per_frame = self.steps().1;
         plan.scene.settings.step_s = self.step_s.unwrap_or(plan.scene.settings.step_s);

@@ -7,9 +7,11 @@ use std::path::PathBuf;
 
 use super::common::{Common, machine, median, worker_counts};
 use super::runs::{SceneBench, Settings};
+use super::sewn::sewn;
 use super::table::FigureTable;
 use crate::cli::CliError;
 use crate::coordinator::Launch;
+use crate::interconnect::Topology;
 use crate::os::console::note;
 use crate::scene::PreconditionerKind;
 use crate::solver::ExchangeMode;
@@ -132,15 +134,49 @@ pub(super) fn run(bench: &Table1Bench, launch: &Launch) -> Result<(), CliError> 
         device.name()
     );
     let mut table = FigureTable::mixed("table1", title, COLUMNS.to_vec()).with_names("benchmark");
-    for benchmark in chosen {
-        let scene = bench.scenes.join(benchmark.scene).with_extension("toml");
+    let path = |benchmark: &Benchmark| bench.scenes.join(benchmark.scene).with_extension("toml");
+    for benchmark in &chosen {
+        crate::scene::read(&path(benchmark)).map_err(CliError::bad_input)?;
+    }
+    let mut without = Vec::new();
+    for benchmark in &chosen {
+        let scene = path(benchmark);
         note(format_args!("{}: {}", benchmark.name, scene.display()));
-        let one = bench.of(benchmark, scene, launch)?;
-        let (size, all) = one.run()?;
         let mut row = vec![f64::NAN; COLUMNS.len()];
-        (row[0], row[10]) = (size.triangles as f64, benchmark.triangles as f64);
-        (row[1], row[11]) = (one.step_s()? * 1e3, 1e3 / benchmark.steps_per_s);
+        (row[10], row[11]) = (benchmark.triangles as f64, 1e3 / benchmark.steps_per_s);
         row[12..15].copy_from_slice(&benchmark.fps);
+        // Hours may have gone into the rows before this one.
+        if let Err(error) = bench.measure(benchmark, scene, &device, launch, &mut row) {
+            note(format_args!("{}: no figures: {}", benchmark.name, error.message));
+            without.push(benchmark.name);
+        }
+        table.push_named(benchmark.name, row);
+    }
+    table.finish(bench.common.out.as_deref(), None)?;
+    match &without[..] {
+        [] => Ok(()),
+        names => Err(CliError::failed(format!(
+            "{} of {} benchmarks have no figures ({}); the lines above say why",
+            names.len(),
+            chosen.len(),
+            names.join(", ")
+        ))),
+    }
+}
+
+impl Table1Bench {
+    /// Measures one benchmark and models it on `device`; fills its columns of `row`.
+    fn measure(
+        &self,
+        benchmark: &Benchmark,
+        scene: PathBuf,
+        device: &Topology,
+        launch: &Launch,
+        row: &mut [f64],
+    ) -> Result<(), CliError> {
+        let one = self.of(benchmark, scene, launch)?;
+        let (size, all) = one.run()?;
+        (row[0], row[1]) = (size.triangles as f64, one.step_s()? * 1e3);
         for runs in &all {
             let Some(place) = WORKERS.iter().position(|&workers| workers == runs.workers) else { continue };
             row[2 + place] = 1.0 / runs.mean(|step| step.stage_seconds.total);
@@ -153,12 +189,9 @@ pub(super) fn run(bench: &Table1Bench, launch: &Launch) -> Result<(), CliError> 
                 row[7 + place] = if median(&mut seconds) > 0.0 { 1.0 / mean } else { f64::NAN };
             }
         }
-        table.push_named(benchmark.name, row);
+        Ok(())
     }
-    table.finish(bench.common.out.as_deref(), None)
-}
 
-impl Table1Bench {
     fn chosen(&self) -> Result<Vec<&'static Benchmark>, CliError> {
         let is = |benchmark: &Benchmark, name: &str| {
             benchmark.name.eq_ignore_ascii_case(name) || benchmark.scene.eq_ignore_ascii_case(name)
@@ -186,7 +219,8 @@ impl Table1Bench {
             preconditioner: None::<PreconditionerKind>,
         };
         let step_s = (!self.own_steps).then_some(1.0 / benchmark.steps_per_s);
-        SceneBench::alone(scene, self.skip, step_s, settings, launch)
+        let sewn = sewn(&scene, settings.resolution, &self.common, launch)?;
+        Ok(SceneBench::alone(scene, self.skip, step_s, settings, launch)?.in_place(sewn))
     }
 }
 
