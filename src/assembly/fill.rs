@@ -10,6 +10,7 @@ use super::fill_cpu;
 use super::index_fill::{Elements, IndexFill, IndexRows, Kind, Numbering, RowTooLong};
 use super::layout::{LANES, Placement};
 use super::sell::{BLOCK, SellMatrix};
+use crate::forces::fiber::TautFibers;
 use crate::forces::{HINGE_RECORD_FLOATS, HingeElement, TRIANGLE_RECORD_FLOATS, TriangleElement};
 use crate::gpu::{DeviceVec, Executor, GpuExecutor, GpuStruct, KernelSource, gpu_struct};
 
@@ -224,6 +225,7 @@ impl Fill {
         elements: &DeviceVec<TriangleElement>,
         triangle_records: &DeviceVec<f32>,
         hinge_records: &DeviceVec<f32>,
+        fibers: &TautFibers,
         masses: &DeviceVec<f32>,
         pinned: &DeviceVec<f32>,
         contacts: Option<ContactSums<'_>>,
@@ -247,6 +249,7 @@ impl Fill {
                     elements: elements.as_slice(),
                     triangle_records: triangle_records.as_slice(),
                     hinge_records: hinge_records.as_slice(),
+                    fibers,
                     masses: masses.as_slice(),
                     pinned: pinned.as_slice(),
                     contact_slots: contacts.slots.as_slice(),

@@ -10,6 +10,7 @@ use super::contact_fill::SUMS;
 use super::contact_rows::NO_SLOT;
 use super::fill::FillParams;
 use super::sell::{BLOCK, value_index};
+use crate::forces::fiber::TautFibers;
 use crate::forces::{HINGE_RECORD_FLOATS, TRIANGLE_RECORD_FLOATS, TriangleElement};
 use crate::gpu::CpuExecutor;
 use crate::math::{Mat3, Vec3};
@@ -27,6 +28,7 @@ pub(crate) struct FillInputs<'a> {
     pub elements: &'a [TriangleElement],
     pub triangle_records: &'a [f32],
     pub hinge_records: &'a [f32],
+    pub fibers: &'a TautFibers,
     pub masses: &'a [f32],
     /// Negative for a prescribed row, else dt^2 k of its spring, kg.
     pub pinned: &'a [f32],
@@ -189,10 +191,13 @@ pub(crate) fn add_hinge(
     force: &mut Vec3,
 ) {
     let (e, a) = ((entry >> 2) as usize, (entry & 3) as usize);
+    if inputs.fibers.is_slack(e) {
+        return;
+    }
     let r = &inputs.hinge_records[e * HINGE_RECORD_FLOATS..][..HINGE_RECORD_FLOATS];
     let g = |corner: usize| Vec3::new(r[corner * 4], r[corner * 4 + 1], r[corner * 4 + 2]);
     let (stiffness, moment) = (r[3], r[7]);
-    // Most fibers of strain limits are slack. Nothing is added to sums that begin at +0.
+    // Of a slack thread of a seam. Nothing is added to sums that begin at +0.
     if stiffness == 0.0 && moment == 0.0 {
         return;
     }

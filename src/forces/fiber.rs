@@ -17,6 +17,8 @@
 //! fabric there, and their stiffness adds to that of warp, weft and shear in the triangle record. The strain of shear
 //! beyond its limit is (|x_u . x_v| - sin(limit) |x_u| |x_v|) / 2.
 
+use std::sync::atomic::{AtomicU8, Ordering};
+
 use super::element::{FabricTable, HINGE_RECORD_FLOATS, HingeElement, StepParams, TriangleElement};
 use super::stretch::Stretch;
 use super::stretch_cpu;
@@ -41,8 +43,33 @@ pub fn element(triangle: &TriangleElement) -> HingeElement {
     }
 }
 
-/// Fills the records of `elements`, `triangle_records`, and those of their fibers: those of `records` from `first` on,
-/// on a device a multiple of [`crate::gpu::WINDOW_STEP`]; others may follow. Native code does both in one pass over the
+/// Which fibers of a rank resist anything. Native code passes over the others, which are most, without a look at their
+/// records; those are zero. A device reads all records.
+#[derive(Debug, Default)]
+pub struct TautFibers {
+    /// Place of the first fiber among the hinges.
+    first: usize,
+    /// Not 0 where a fiber resists; empty on a device.
+    taut: Vec<AtomicU8>,
+}
+
+impl TautFibers {
+    /// `count` fibers from the place `first` among the hinges on, all slack.
+    pub fn new(executor: &Executor, first: usize, count: usize) -> TautFibers {
+        let count = if executor.native().is_some() { count } else { 0 };
+        TautFibers { first, taut: (0..count).map(|_| AtomicU8::new(0)).collect() }
+    }
+
+    /// True if the hinge at a place is a fiber that resists nothing.
+    #[inline(always)]
+    pub(crate) fn is_slack(&self, hinge: usize) -> bool {
+        // Every flag is written by one thread, and read after the pass.
+        self.taut.get(hinge.wrapping_sub(self.first)).is_some_and(|taut| taut.load(Ordering::Relaxed) == 0)
+    }
+}
+
+/// Fills the records of `elements`, `triangle_records`, and those of their fibers: those of `records` from the first
+/// fiber on, on a device a multiple of [`crate::gpu::WINDOW_STEP`]; others may follow. Native code does both in one pass over the
 /// triangles.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shaders' bindings")]
 pub fn apply(
@@ -54,9 +81,10 @@ pub fn apply(
     positions: &DeviceVec<f32>,
     velocities: &DeviceVec<f32>,
     triangle_records: &mut DeviceVec<f32>,
-    first: usize,
+    taut: &TautFibers,
     records: &mut DeviceVec<f32>,
 ) {
+    let first = taut.first;
     let range = first * HINGE_RECORD_FLOATS..(first + elements.len()) * HINGE_RECORD_FLOATS;
     assert!(range.end <= records.len(), "a record per triangle from the first one on");
     match executor {
@@ -69,6 +97,7 @@ pub fn apply(
             velocities.as_slice(),
             triangle_records.as_mut_slice(),
             &mut records.as_mut_slice()[range],
+            &taut.taut,
         ),
         Executor::Gpu(gpu) => {
             stretch.apply(executor, params, fabrics, elements, positions, velocities, triangle_records);

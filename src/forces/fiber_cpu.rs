@@ -170,7 +170,7 @@ impl MohrCircle {
     }
 }
 
-/// Fills the record of a triangle's fiber (16 floats): what `limit` says at the deformation `now` and its rate.
+/// Fills the record of a triangle's fiber (16 floats), which is taut: what `limit` says at the deformation `now` and its rate.
 pub(super) fn fiber_record(
     params: &StepParams,
     element: &TriangleElement,
@@ -180,9 +180,6 @@ pub(super) fn fiber_record(
 ) {
     record.fill(0.0);
     let &Limit { fiber, direction: d, ahead_s, .. } = limit;
-    if fiber <= 0.0 {
-        return;
-    }
     let f = now[0] * d.x + now[1] * d.y;
     for ([u, v], g) in element.corner_weights().iter().zip(record.chunks_exact_mut(4)) {
         (f * (u * d.x + v * d.y)).write_to_slice(&mut g[..3]);

@@ -4,6 +4,8 @@
 //! that is interpolated in the measured table [Wang et al. 2011]. The stiffness is frozen within a step (its own
 //! derivative is not in the Jacobian).
 
+use std::sync::atomic::{AtomicU8, Ordering};
+
 use super::element::{FabricTable, HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement, vertex};
 use super::fiber_cpu::{Limit, deformation, fiber_record, limit};
 use crate::gpu::CpuExecutor;
@@ -78,7 +80,8 @@ pub(super) fn stretch(
 }
 
 /// As [`stretch`] for cloth with strain limits, and the records of its fibers, `fibers` (16 floats per triangle; layout
-/// in `fiber`): 64 bytes more written per triangle.
+/// in `fiber`), with a flag in `taut` for each that is not zero. 64 bytes more are written per fiber that is taut or was
+/// in the pass before.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shaders' bindings")]
 pub(super) fn stretch_and_fibers(
     cpu: &CpuExecutor,
@@ -89,14 +92,21 @@ pub(super) fn stretch_and_fibers(
     velocities: &[f32],
     records: &mut [f32],
     fibers: &mut [f32],
+    taut: &[AtomicU8],
 ) {
     let widths = [TRIANGLE_RECORD_FLOATS, HINGE_RECORD_FLOATS];
     cpu.for_range_pairs_mut([records, fibers], widths, 64, |range, [records, fibers]| {
         let records = records.chunks_exact_mut(widths[0]).zip(fibers.chunks_exact_mut(widths[1]));
-        for (element, (record, fiber)) in elements[range].iter().zip(records) {
+        for ((element, taut), (record, fiber)) in elements[range.clone()].iter().zip(&taut[range]).zip(records) {
             let (now, rate) = motion(element, positions, velocities);
             let limit = stretch_record(params, &fabrics[element.fabric as usize], element, now, rate, record);
-            fiber_record(params, element, &limit, [now, rate.of_shape], fiber);
+            let is_taut = limit.fiber > 0.0;
+            if is_taut {
+                fiber_record(params, element, &limit, [now, rate.of_shape], fiber);
+            } else if taut.load(Ordering::Relaxed) != 0 {
+                fiber.fill(0.0);
+            }
+            taut.store(u8::from(is_taut), Ordering::Relaxed);
         }
     });
 }

@@ -9,7 +9,7 @@ use super::own_state::StateVectors;
 use super::span::Span;
 use crate::forces::bend::Bend;
 use crate::forces::crease;
-use crate::forces::fiber;
+use crate::forces::fiber::{self, TautFibers};
 use crate::forces::plastic_stretch::{self, NO_HINGE, PlasticTriangle};
 use crate::forces::stitch::{self, RECORDS_STITCH, StitchElement, StitchParams};
 use crate::forces::stretch::Stretch;
@@ -27,7 +27,7 @@ pub(super) struct Elements {
     stiffened: f32,
     /// Local vertices.
     pub triangles: DeviceVec<TriangleElement>,
-    /// Local vertices: the hinges, from `first_fiber` on a fiber per triangle if a fabric has a strain limit, and from
+    /// Local vertices: the hinges, then a fiber per triangle if a fabric has a strain limit, and from
     /// `first_stitch` on three per thread of a seam.
     pub hinges: DeviceVec<HingeElement>,
     /// As `forces::stretch` lays them out.
@@ -38,9 +38,10 @@ pub(super) struct Elements {
     bend: Bend,
     /// Hinges without fibers.
     bends: usize,
-    /// First fiber in `hinges`; as many as there are if no fabric has a strain limit.
-    first_fiber: usize,
-    fibers: usize,
+    /// Fibers in `hinges`; none if no fabric has a strain limit.
+    pub fibers: TautFibers,
+    /// True if a fabric has a strain limit that fibers keep.
+    is_limited: bool,
     stitches: DeviceVec<StitchElement>,
     first_stitch: usize,
     closing: Option<Closing>,
@@ -76,8 +77,8 @@ impl Elements {
         let first_stitch = hinges.len() - RECORDS_STITCH * arrays.stitches.len();
         let mut elements = Elements {
             bends,
-            first_fiber,
-            fibers,
+            fibers: TautFibers::new(executor, first_fiber, fibers),
+            is_limited,
             stitches: DeviceVec::upload(executor, &arrays.stitches),
             first_stitch,
             closing,
@@ -118,9 +119,9 @@ impl Elements {
         let (x, v) = (&state.positions, &state.velocities);
         let (triangles, hinges) = (params(self.triangles.len()), params(self.bends));
         let (fabrics, stretched, bent) = (&self.fabrics, &mut self.triangle_records, &mut self.hinge_records);
-        if self.fibers > 0 {
-            let (stretch, first) = (&self.stretch, self.first_fiber);
-            fiber::apply(executor, stretch, &triangles, fabrics, &self.triangles, x, v, stretched, first, bent);
+        if self.is_limited {
+            let (stretch, fibers) = (&self.stretch, &self.fibers);
+            fiber::apply(executor, stretch, &triangles, fabrics, &self.triangles, x, v, stretched, fibers, bent);
         } else {
             self.stretch.apply(executor, &triangles, fabrics, &self.triangles, x, v, stretched);
         }

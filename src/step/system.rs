@@ -202,7 +202,7 @@ impl StepMatrix for Assembled {
         let start = rank.recorder.before_kernels();
         let System { contacts, masses, pinned, rhs, inverse_diagonal } = system;
         contacts.fill(rank.executor);
-        let Elements { triangles, triangle_records, hinge_records, .. } = elements;
+        let Elements { triangles, triangle_records, hinge_records, fibers, .. } = elements;
         self.fill.apply(
             rank.executor,
             params,
@@ -210,6 +210,7 @@ impl StepMatrix for Assembled {
             triangles,
             triangle_records,
             hinge_records,
+            fibers,
             masses,
             pinned,
             contacts.sums(),

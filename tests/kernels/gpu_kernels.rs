@@ -5,7 +5,7 @@ use loomtree::assembly::fill::{Fill, FillParams, FillTables};
 use loomtree::assembly::{ElementRows, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
 use loomtree::forces::crease;
-use loomtree::forces::fiber;
+use loomtree::forces::fiber::{self, TautFibers};
 use loomtree::forces::plastic_stretch::{self, NO_HINGE, PlasticTriangle};
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{HINGE_RECORD_FLOATS, StepParams, TRIANGLE_RECORD_FLOATS, TriangleElement};
@@ -130,6 +130,7 @@ fn assemble(executor: &Executor, part: &RankModel) -> Assembled {
             &triangles,
             &triangle_records,
             &hinge_records,
+            &TautFibers::default(),
             &masses,
             &pinned,
             None,
@@ -291,7 +292,8 @@ fn limits(executor: &Executor, part: &RankModel, along: bool) -> (Vec<f32>, Vec<
         StepParams { step_s: 0.004, air_density: 1.2, air_drag: 0.1, count, wind: [3.0, -1.0, 2.0], ahead_s: 0.004 };
     let stretch = Stretch::new(executor);
     let (of_triangles, of_fibers) = (&mut triangle_records, &mut records);
-    fiber::apply(executor, &stretch, &params, &fabrics, &triangles, &x, &v, of_triangles, 192, of_fibers);
+    let taut = TautFibers::new(executor, 192, triangles.len());
+    fiber::apply(executor, &stretch, &params, &fabrics, &triangles, &x, &v, of_triangles, &taut, of_fibers);
     let (triangle_records, mut records) = (triangle_records.read(executor), records.read(executor));
     assert_eq!(executor.take_fault(), None);
     let fibers = records.split_off(192 * HINGE_RECORD_FLOATS);

@@ -7,6 +7,7 @@ use loomtree::assembly::sell::value_index;
 use loomtree::assembly::{ContactSystem, ElementRows, LANES, NO_ROW, Numbering, SellMatrix};
 use loomtree::forces::bend::Bend;
 use loomtree::forces::contact::ContactStep;
+use loomtree::forces::fiber::TautFibers;
 use loomtree::forces::stretch::Stretch;
 use loomtree::forces::{
     ContactElement, HINGE_RECORD_FLOATS, LEAST_GAP, NO_VERTEX, STICK_SPEED_M_S, StepParams, TRIANGLE_RECORD_FLOATS,
@@ -260,6 +261,7 @@ fn rank_rows(model: &GlobalModel, part: &RankModel, contacts: &[ContactElement])
         &triangles,
         &triangle_records,
         &hinge_records,
+        &TautFibers::default(),
         &masses,
         &pinned,
         system.sums(),

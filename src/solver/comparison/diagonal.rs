@@ -5,6 +5,7 @@ use super::diagonal_cpu;
 use super::element_matrix::ElementMatrix;
 use crate::assembly::contact_fill::ContactSums;
 use crate::assembly::fill::{FillInputs, FillParams};
+use crate::forces::fiber::TautFibers;
 use crate::gpu::{DeviceVec, Executor};
 
 /// Fills `rhs` (xyz per own row) and `inverse_diagonal` (6 per own row; zero for pinned rows). `contacts` are added to
@@ -37,6 +38,8 @@ pub fn fill_diagonal(
         elements: matrix.triangles.as_slice(),
         triangle_records: matrix.triangle_records.as_slice(),
         hinge_records: matrix.hinge_records.as_slice(),
+        // It has hinge records of all kinds, and reads them all.
+        fibers: &TautFibers::default(),
         masses: matrix.masses.as_slice(),
         pinned: pinned.as_slice(),
         contact_slots: contacts.map_or(&[], |contacts| contacts.slots.as_slice()),
