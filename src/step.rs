@@ -349,8 +349,8 @@ impl RankCloth {
         self.state.advance(rank, span, &self.solver.vectors.x, &targets);
         clock.lap_kernels(rank.executor, &mut stats.seconds.advance);
         if let Some(before) = before {
-            self.solve_again(rank, span, &before, &targets, stats)?;
-            self.keep_limits(rank, span, &before, &targets, stats)?;
+            let solved_again = self.solve_again(rank, span, &before, &targets, stats)?;
+            self.keep_limits(rank, span, &before, &targets, solved_again, stats)?;
         }
 
         // 7. Continuous collision detection over the step and impact zones until nothing penetrates.

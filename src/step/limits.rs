@@ -30,6 +30,8 @@ use crate::transport::TransportError;
 
 /// Strain beyond a limit from which on a step is solved once more.
 const SOLVED_AGAIN_FROM: f64 = 0.02;
+/// The same where contacts have had a second solve already, which was linearized at the end of the first one as well.
+const SOLVED_ONCE_MORE_FROM: f64 = 0.04;
 /// Strain beyond a limit from which on a triangle that stays there is counted.
 const COUNTED_FROM: f32 = 0.005;
 /// Fastest change of strain by which a triangle is pulled back, 1/s: 4 % in a step of 4 ms. Without a bound the speed
@@ -53,13 +55,15 @@ struct Beyond {
 }
 
 impl RankCloth {
-    /// Brings the state at the end of `span` within the strain limits; `start`: the state at its start.
+    /// Brings the state at the end of `span` within the strain limits; `start`: the state at its start, `solved_again`:
+    /// whether the step has had a second solve ([`RankCloth::solve_again`]).
     pub(super) fn keep_limits(
         &mut self,
         rank: &mut RankContext<'_>,
         span: Span,
         start: &RankState,
         targets: &PinTargets,
+        solved_again: bool,
         stats: &mut StepStats,
     ) -> Result<(), Failure> {
         if self.limited.is_none() {
@@ -70,7 +74,8 @@ impl RankCloth {
         let mut beyond = self.measure_limits(rank, span)?;
         clock.lap_kernels(rank.executor, &mut stats.seconds.elements);
         rank.recorder.end(EventName::Elements, Activity::Compute, began, 0, 0);
-        if beyond.worst > SOLVED_AGAIN_FROM {
+        let again_from = if solved_again { SOLVED_ONCE_MORE_FROM } else { SOLVED_AGAIN_FROM };
+        if beyond.worst > again_from {
             let end = self.state.recorded(rank);
             let changes: Vec<f32> = end.velocities.iter().zip(&start.velocities).map(|(v1, v0)| v1 - v0).collect();
             let changes = DeviceVec::upload(rank.executor, &changes);

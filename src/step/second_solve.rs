@@ -31,7 +31,7 @@ impl RankCloth {
     }
 
     /// Stages 2 to 6 once more from `start`, linearized at the end that the state holds, if contacts or stiff cloth
-    /// need it.
+    /// need it. True if they do.
     pub(super) fn solve_again(
         &mut self,
         rank: &mut RankContext<'_>,
@@ -39,18 +39,19 @@ impl RankCloth {
         start: &RankState,
         targets: &PinTargets,
         stats: &mut StepStats,
-    ) -> Result<(), Failure> {
+    ) -> Result<bool, Failure> {
         if let Some(collisions) = &mut self.collisions {
             let end = self.state.recorded(rank);
             let (found, count) = collisions.contacts_again(rank, &end.positions, span, stats)?;
             if count == 0 && stats.contacts == 0 && !self.stiff {
-                return Ok(());
+                return Ok(false);
             }
             self.take_contacts(rank, found, stats)?;
         } else if !self.stiff {
-            return Ok(());
+            return Ok(false);
         }
-        self.solve_from_end(rank, span, start, targets, None, stats)
+        self.solve_from_end(rank, span, start, targets, None, stats)?;
+        Ok(true)
     }
 
     /// Stages 3 to 6 once more, with the contacts as they are. `changes`: the velocity changes of the own rows that all
