@@ -211,6 +211,60 @@ fn drape_is_measured_for_every_cloth_of_a_run() {
     }
 }
 
+/// Two panels that are sewn side by side and divided once.
+const PANELS: &str = r#"
+resolution = 400
+[sewing]
+close_s = 0.04
+refine = 1
+[simulation]
+step_s = 0.004
+steps_per_frame = 2
+frames = 4
+[[cloth]]
+name = "one"
+sheet = { size_m = [0.2, 0.2], mesh = "grid" }
+[[cloth]]
+name = "other"
+sheet = { size_m = [0.2, 0.2], mesh = "grid" }
+origin_m = [0.21, 0, 0]
+[[seam]]
+a = { cloth = "one", edge = "right" }
+b = { cloth = "other", edge = "left" }
+"#;
+
+/// A benchmark that cannot start costs its own row alone, and one with seams is measured as the garment.
+#[test]
+fn table_1_has_a_row_for_every_benchmark() {
+    let place = place();
+    place.write("ruffles.toml", PANELS);
+    // A sheet through another.
+    let sheet = "[[cloth]]\nsheet = { size_m = [1, 1] }\n";
+    place.write("kimono.toml", format!("{sheet}{sheet}plane = \"xz\"\norigin_m = [0, 0.5, 0.5]\n"));
+    let flags = "--scenes . --resolution 400 --workers 1,2 --steps 2 --skip 1 --out out";
+    let ended = place.run(&format!("bench table1 --only Miku,flag,Kimono {flags}")).expect(1);
+    assert!(ended.error().contains("1 of 3 benchmarks have no figures (Kimono)"), "{}", ended.story);
+    assert!(ended.story.contains("Kimono: no figures: ") && ended.story.contains("cross"), "{}", ended.story);
+    let rows = table(&place, "table1", "measured and modelled");
+    assert_eq!(
+        rows.iter().map(|row| row["benchmark"].as_str().unwrap()).collect::<Vec<_>>(),
+        ["Miku", "Flag", "Kimono"]
+    );
+    for row in &rows[..2] {
+        positive(row, &["triangles", "measured_fps_1", "measured_fps_2", "modelled_fps_1", "modelled_fps_2"]);
+        assert!(row["measured_fps_4"].is_null() && number(row, "paper_fps_4") > 0.0, "{row}");
+    }
+    assert_eq!(number(&rows[0], "triangles") as usize % 4, 0, "divided once: {}", rows[0]);
+    assert!(
+        rows[2]["triangles"].is_null()
+            && rows[2]["measured_fps_1"].is_null()
+            && number(&rows[2], "paper_fps_1") == 0.24
+    );
+    // Nothing is measured when a file cannot be read.
+    let ended = place.run(&format!("bench table1 --only Flag,Sphere {flags}")).expect(2);
+    assert!(ended.error().contains("sphere.toml"), "{}", ended.story);
+}
+
 #[test]
 fn what_cannot_be_measured_is_said_in_one_sentence() {
     let place = place();
