@@ -270,6 +270,7 @@ impl SceneBench {
             None => RunPlan::new(&self.scene, &options).map_err(CliError::bad_input)?,
         };
         // One frame at the end, so that frames are not part of what is measured.
+        plan.scene.settings.frames = 1;
         plan.scene.settings.steps_per_frame = self.steps().1;
         plan.scene.settings.step_s = self.step_s.unwrap_or(plan.scene.settings.step_s);
         let size = Size { triangles: plan.scene.mesh.triangles.len(), vertices: plan.scene.mesh.positions.len() };
