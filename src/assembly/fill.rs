@@ -15,7 +15,7 @@ use crate::forces::{HINGE_RECORD_FLOATS, HingeElement, TRIANGLE_RECORD_FLOATS, T
 use crate::gpu::{DeviceVec, Executor, GpuExecutor, GpuStruct, KernelSource, gpu_struct};
 
 pub use super::fill_cpu::inverse_symmetric;
-pub(crate) use super::fill_cpu::{FillInputs, add_contacts, add_hinge, add_triangle};
+pub(crate) use super::fill_cpu::{BlockRows, FillInputs, add_contacts, add_hinge, add_triangle};
 
 static FILL: KernelSource = KernelSource::new::<FillPass>("assembly/fill.wgsl", include_str!("fill.wgsl"), "fill")
     .with_libraries(&[include_str!("../forces/element.wgsl")])

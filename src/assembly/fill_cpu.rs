@@ -13,7 +13,7 @@ use super::sell::{BLOCK, value_index};
 use crate::forces::fiber::TautFibers;
 use crate::forces::{HINGE_RECORD_FLOATS, TRIANGLE_RECORD_FLOATS, TriangleElement};
 use crate::gpu::CpuExecutor;
-use crate::math::{Mat3, Vec3};
+use crate::math::{Mat3, Vec3, Vec4};
 
 /// Inputs of the fill, in the order of the shader's bindings.
 pub(crate) struct FillInputs<'a> {
@@ -35,6 +35,45 @@ pub(crate) struct FillInputs<'a> {
     /// Per own row its number among the rows with contacts; empty without contacts.
     pub contact_slots: &'a [u32],
     pub contact_sums: &'a [f32],
+}
+
+/// A block while contributions are added to it: its rows, of which the fourth entry is not used, so that a row is one
+/// vector register. Every entry is summed up on its own, in the order of the shader.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct BlockRows([Vec4; 3]);
+
+impl BlockRows {
+    /// Its entries, row by row.
+    #[inline(always)]
+    pub(crate) fn entries(&self) -> [f32; BLOCK] {
+        let [a, b, c] = self.0;
+        [a.x, a.y, a.z, b.x, b.y, b.z, c.x, c.y, c.z]
+    }
+
+    /// Adds a multiple of the identity.
+    #[inline(always)]
+    pub(crate) fn add_identity(&mut self, factor: f32) {
+        self.0[0].x += factor;
+        self.0[1].y += factor;
+        self.0[2].z += factor;
+    }
+
+    /// Adds the symmetric block xx, xy, xz, yy, yz, zz.
+    fn add_symmetric(&mut self, [xx, xy, xz, yy, yz, zz]: [f32; 6]) {
+        let rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
+        self.0.iter_mut().zip(rows).for_each(|(row, [x, y, z])| *row += Vec4::new(x, y, z, 0.0));
+    }
+
+    /// Adds left x0' + right x1' + third x2' + identity I.
+    #[inline(always)]
+    fn add(&mut self, [left, right, third]: [Vec3; 3], [x0, x1, x2]: [Vec3; 3], identity: f32) {
+        let (l, m, n) = (left.to_array(), right.to_array(), third.to_array());
+        let [p, q, s] = [x0.extend(0.0), x1.extend(0.0), x2.extend(0.0)];
+        for i in 0..3 {
+            self.0[i] += p * l[i] + q * m[i] + s * n[i];
+        }
+        self.add_identity(identity);
+    }
 }
 
 /// Outputs that several threads write at disjoint positions: `values` at the addresses of the own rows' blocks.
@@ -66,13 +105,13 @@ pub(super) fn fill(
     let shared = Values(values.as_mut_ptr(), values.len());
     let rhs_shared = Values(rhs.as_mut_ptr(), rhs.len());
     cpu.for_ranges_mut(inverse_diagonal, 6, 64, |range, inverse| {
-        let mut blocks: Vec<[f32; BLOCK]> = Vec::new();
+        let mut blocks: Vec<BlockRows> = Vec::new();
         for (row, inverse) in range.zip(inverse.chunks_exact_mut(6)) {
             let first = inputs.row_offsets[row] as usize;
             let length = inputs.row_offsets[row + 1] as usize - first;
             blocks.clear();
-            blocks.resize(length, [0.0; BLOCK]);
-            let mut absolute = [0.0; BLOCK];
+            blocks.resize(length, BlockRows::default());
+            let mut absolute = BlockRows::default();
             let mut force = Vec3::from(params.gravity) * inputs.masses[row];
             let mut diagonal = 0;
             for i in inputs.triangle_offsets[row] as usize..inputs.triangle_offsets[row + 1] as usize {
@@ -84,10 +123,8 @@ pub(super) fn fill(
                 add_hinge(inputs, inputs.hinge_entries[i], inputs.hinge_positions[i], &mut blocks, &mut force);
             }
             let mass_and_spring = inputs.masses[row] + inputs.pinned[row].max(0.0);
-            for c in [0, 4, 8] {
-                blocks[diagonal][c] += mass_and_spring;
-                absolute[c] += mass_and_spring;
-            }
+            blocks[diagonal].add_identity(mass_and_spring);
+            absolute.add_identity(mass_and_spring);
             let mut impulse = (force * params.step_s).to_array();
             if let Some(&slot) = inputs.contact_slots.get(row)
                 && slot != NO_SLOT
@@ -96,16 +133,20 @@ pub(super) fn fill(
             }
             let whole = std::mem::replace(&mut blocks[diagonal], absolute);
             for (k, block) in blocks.iter().enumerate() {
-                for (c, value) in block.iter().enumerate() {
+                for (c, value) in block.entries().into_iter().enumerate() {
                     // SAFETY: addresses of this row's blocks.
-                    unsafe { shared.set(value_index(inputs.block_address[first + k], c), *value) };
+                    unsafe { shared.set(value_index(inputs.block_address[first + k], c), value) };
                 }
             }
             for (c, value) in impulse.into_iter().enumerate() {
                 // SAFETY: the row's own entries.
                 unsafe { rhs_shared.set(row * 3 + c, value) };
             }
-            inverse.copy_from_slice(&if inputs.pinned[row] < 0.0 { [0.0; 6] } else { inverse_symmetric(&whole) });
+            inverse.copy_from_slice(&if inputs.pinned[row] < 0.0 {
+                [0.0; 6]
+            } else {
+                inverse_symmetric(&whole.entries())
+            });
         }
     });
 }
@@ -114,12 +155,12 @@ pub(super) fn fill(
 pub(crate) fn add_contacts<const N: usize>(
     inputs: &FillInputs,
     slot: usize,
-    diagonals: [&mut [f32; BLOCK]; N],
+    diagonals: [&mut BlockRows; N],
     impulse: &mut [f32; 3],
 ) {
     let [xx, xy, xz, yy, yz, zz, x, y, z] = inputs.contact_sums.as_chunks::<SUMS>().0[slot];
     for diagonal in diagonals {
-        diagonal.iter_mut().zip([xx, xy, xz, xy, yy, yz, xz, yz, zz]).for_each(|(to, value)| *to += value);
+        diagonal.add_symmetric([xx, xy, xz, yy, yz, zz]);
     }
     impulse.iter_mut().zip([x, y, z]).for_each(|(to, value)| *to += value);
 }
@@ -130,8 +171,8 @@ pub(crate) fn add_triangle(
     inputs: &FillInputs,
     entry: u32,
     positions: [u16; 4],
-    blocks: &mut [[f32; BLOCK]],
-    absolute: &mut [f32; BLOCK],
+    blocks: &mut [BlockRows],
+    absolute: &mut BlockRows,
     force: &mut Vec3,
 ) {
     let (e, a) = ((entry >> 2) as usize, (entry & 3) as usize);
@@ -145,7 +186,7 @@ pub(crate) fn add_triangle(
     *force += Vec3::new(r[15], r[19], r[23]);
     let normal = xu.cross(xv);
     let n = normal * (1.0 / normal.length().max(1e-30));
-    add_block(absolute, Vec3::ZERO, xu, Vec3::ZERO, xv, n * (3.0 * (r[13] - r[14])), n, 3.0 * r[14]);
+    absolute.add([Vec3::ZERO, Vec3::ZERO, n * (3.0 * (r[13] - r[14]))], [xu, xv, n], 3.0 * r[14]);
     for b in 0..3 {
         let [ub, vb] = weights[b];
         let (uu, uv, vu, vv) = (ua * ub, ua * vb, va * ub, va * vb);
@@ -155,30 +196,7 @@ pub(crate) fn add_triangle(
         let right = xu * (uv * cross + vu * shear) + xv * (uu * shear + vv * weft);
         let air = n * (r[13] - r[14]);
         let identity = uu * suu + (uv + vu) * suv + vv * svv + r[14];
-        add_block(&mut blocks[positions[b] as usize], left, xu, right, xv, air, n, identity);
-    }
-}
-
-/// block += left x0' + right x1' + third x2' + identity I
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "the vectors of one formula")]
-fn add_block(
-    block: &mut [f32; BLOCK],
-    left: Vec3,
-    x0: Vec3,
-    right: Vec3,
-    x1: Vec3,
-    third: Vec3,
-    x2: Vec3,
-    identity: f32,
-) {
-    let (l, m, n) = (left.to_array(), right.to_array(), third.to_array());
-    let (p, q, s) = (x0.to_array(), x1.to_array(), x2.to_array());
-    for i in 0..3 {
-        for j in 0..3 {
-            block[i * 3 + j] += l[i] * p[j] + m[i] * q[j] + n[i] * s[j];
-        }
-        block[i * 4] += identity;
+        blocks[positions[b] as usize].add([left, right, air], [xu, xv, n], identity);
     }
 }
 
@@ -187,7 +205,7 @@ pub(crate) fn add_hinge(
     inputs: &FillInputs,
     entry: u32,
     positions: [u16; 4],
-    blocks: &mut [[f32; BLOCK]],
+    blocks: &mut [BlockRows],
     force: &mut Vec3,
 ) {
     let (e, a) = ((entry >> 2) as usize, (entry & 3) as usize);
@@ -205,12 +223,10 @@ pub(crate) fn add_hinge(
     *force -= ga * moment;
     let scaled = (ga * stiffness).to_array();
     for b in 0..4 {
-        let gb = g(b).to_array();
+        let gb = g(b).extend(0.0);
         let block = &mut blocks[positions[b] as usize];
         for i in 0..3 {
-            for j in 0..3 {
-                block[i * 3 + j] += scaled[i] * gb[j];
-            }
+            block.0[i] += gb * scaled[i];
         }
     }
 }
