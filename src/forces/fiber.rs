@@ -69,8 +69,8 @@ impl TautFibers {
 }
 
 /// Fills the records of `elements`, `triangle_records`, and those of their fibers: those of `records` from the first
-/// fiber on, on a device a multiple of [`crate::gpu::WINDOW_STEP`]; others may follow. Native code does both in one pass over the
-/// triangles.
+/// fiber on, on a device a multiple of [`crate::gpu::WINDOW_STEP`]; others may follow. Native code does both in one
+/// pass over the triangles.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shaders' bindings")]
 pub fn apply(
     executor: &Executor,

@@ -170,7 +170,8 @@ impl MohrCircle {
     }
 }
 
-/// Fills the record of a triangle's fiber (16 floats), which is taut: what `limit` says at the deformation `now` and its rate.
+/// Fills the record of a triangle's fiber (16 floats), which is taut: what `limit` says at the deformation `now` and
+/// its rate.
 pub(super) fn fiber_record(
     params: &StepParams,
     element: &TriangleElement,

@@ -80,8 +80,8 @@ pub(super) fn stretch(
 }
 
 /// As [`stretch`] for cloth with strain limits, and the records of its fibers, `fibers` (16 floats per triangle; layout
-/// in `fiber`), with a flag in `taut` for each that is not zero. 64 bytes more are written per fiber that is taut or was
-/// in the pass before.
+/// in `fiber`), with a flag in `taut` for each that is not zero. 64 bytes more are written per fiber that is taut or
+/// was in the pass before.
 #[expect(clippy::too_many_arguments, reason = "buffers in the order of the shaders' bindings")]
 pub(super) fn stretch_and_fibers(
     cpu: &CpuExecutor,

@@ -245,7 +245,8 @@ fn pieces_that_cross(mesh: &TriangleMesh, body: &Body, piece_of: &[u32]) -> Vec<
 }
 
 /// Bends a panel about a limb. Its middle keeps its distance from the axis, unless the limb is thicker or the panel
-/// would meet itself on the other side. With a `share` of the curvature below 1 it is bent about a line behind the axis.
+/// would meet itself on the other side. With a `share` of the curvature below 1 it is bent about a line behind the
+/// axis.
 fn bend(flat: &[Vec3], bent: &mut [Vec3], panel: &[u32], plane: &Plane, limb: &Limb, gap_m: f64, share: f64) {
     let across = limb.axis.perp();
     let aside = |p: DVec2| (p - limb.at).dot(across);

@@ -14,8 +14,8 @@ use crate::scene::{Obstacles, Scene};
 /// Time given to the seams over the time in which their threads shorten. Threads are at their firmest after 1.25 of it.
 const TIME: f64 = 1.5;
 
-/// The scene of the file `path` as it is once its seams are closed, with about `resolution` triangles; none if it has no
-/// seams. It starts at that moment, with its obstacles where they are at the start.
+/// The scene of the file `path` as it is once its seams are closed, with about `resolution` triangles; none if it has
+/// no seams. It starts at that moment, with its obstacles where they are at the start.
 ///
 /// # Errors
 /// The scene cannot start, its seams do not close, or its obstacles have moved by then.
