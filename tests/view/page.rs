@@ -166,8 +166,10 @@ fn a_live_run_is_steered_from_the_page() {
     let (frame, before) = (status(&mut page, "frame").as_u64().unwrap(), page.value(height).as_f64().unwrap());
     // Gravity the other way round, and no wind: the flag rises.
     for (name, values) in [("gravity", "['0', '30', '0']"), ("wind", "['0', '0', '0']")] {
+        // As typed values do, they stay when the page is told those of the run.
         page.value(&format!(
-            "{values}.forEach((value, i) => (loomtree.dock.sheets.Live.vectors.{name}[i].value = value))"
+            "{values}.forEach((value, i) => {{ const input = loomtree.dock.sheets.Live.vectors.{name}[i]; \
+             input.value = value; input.onchange(); }})"
         ));
         click(&mut page, name);
     }
