@@ -21,8 +21,5 @@ for scene in "$@"; do
     number=${frame[$scene]}
     out=out/gallery_$scene
     "$program" run "scenes/$scene.toml" --workers 2 --frames "$number" --out "$out" --overwrite
-    # A dressed person is shown whole; of the others the cloth fills the picture.
-    case "$scene" in dress | karate | princess | tshirt) target=all ;; *) target=cloth ;; esac
-    "$program" render "$out" --frames "$number..$number" --size 480x360 --executor cpu --target "$target" \
-        --out "docs/pictures/$scene.png"
+    "$program" render "$out" --frames "$number..$number" --size 480x360 --executor cpu --out "docs/pictures/$scene.png"
 done

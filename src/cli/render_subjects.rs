@@ -212,6 +212,7 @@ pub(super) fn recorded_up(directory: &RunDirectory) -> UpAxis {
 /// The target that is not a name; none for a name.
 fn plain_target(text: &str) -> Result<Option<Target>, CliError> {
     match text {
+        "auto" => return Ok(Some(Target::Auto)),
         "cloth" => return Ok(Some(Target::Cloth)),
         "all" => return Ok(Some(Target::All)),
         _ => {}

@@ -104,6 +104,27 @@ fn parts_are_hidden_and_looked_at_by_name() {
     }
 }
 
+/// A sheet 0.85 m from corner to corner over a ball, which is 1.6 times as large with a radius of 0.4 m.
+#[test]
+fn an_obstacle_within_the_cloth_is_shown_whole_unless_it_is_much_larger() {
+    let place = Place::new();
+    let shots = [(0.4, "--target all"), (1.0, "--target cloth")].map(|(radius_m, same)| {
+        let middle_m = -0.1 - radius_m;
+        let scene = format!(
+            "[simulation]\nsteps_per_frame = 5\nframes = 2\n[[cloth]]\nsheet = {{ size_m = [0.6, 0.6], triangles = 128 }}\n\
+             plane = \"xz\"\norigin_m = [-0.3, 0, 0.3]\n[[obstacle]]\n\
+             sphere = {{ center_m = [0, {middle_m}, 0], radius_m = {radius_m} }}\n"
+        );
+        place.write("scene.toml", &scene);
+        place.run("run scene.toml --executor cpu --out run --overwrite").expect(0);
+        let shown = draw(&place, "");
+        assert!(shown.rgb == draw(&place, same).rgb, "a ball of radius {radius_m} m");
+        assert!(shown.share(orange) > 0.02);
+        shown.share(orange) / draw(&place, "--target cloth").share(orange)
+    });
+    assert!(shots[0] < 0.8 && shots[1] == 1.0, "{shots:?}");
+}
+
 #[test]
 fn colors_that_need_the_scene_are_those_of_the_page() {
     let place = place();

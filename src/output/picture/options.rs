@@ -117,8 +117,10 @@ impl FromStr for Ground {
 /// What the camera looks at.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub enum Target {
-    /// All cloth that is drawn.
+    /// The cloth, and obstacles that stand within it: a wearer is shown whole.
     #[default]
+    Auto,
+    /// All cloth that is drawn.
     Cloth,
     /// The cloth, and obstacles near it.
     All,
@@ -177,7 +179,7 @@ impl Default for PictureOptions {
             up: UpAxis::Z,
             azimuth_deg: None,
             elevation_deg: None,
-            target: Target::Cloth,
+            target: Target::Auto,
             zoom: 1.0,
             lens_mm: LENS_MM,
             camera: None,

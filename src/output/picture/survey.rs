@@ -21,6 +21,9 @@ use crate::output::FrameMesh;
 const MARGIN: f32 = 0.25;
 /// Size of an obstacle, in diameters of the cloth, from which on it counts neither for the view nor for the ground.
 const HUGE: f32 = 6.0;
+/// Size of an obstacle, in diameters of the cloth, up to which it is shown whole where it stands within the cloth: a
+/// T-shirt is half as large as who wears it.
+const WORN: f32 = 2.5;
 /// Largest distance of a floor from its plane, in diameters of the cloth.
 const FLAT: f32 = 1e-4;
 /// How far cloth and obstacles may reach below a floor, in diameters of the cloth.
@@ -108,8 +111,9 @@ pub(super) fn survey(
     };
     let seen = match &options.target {
         Target::Cloth | Target::Point(_) => cloth.clone(),
-        Target::All => {
-            let mut all = range_fit(&|frame, fit| surroundings.add_near(subjects, frame, fit))?;
+        Target::Auto | Target::All => {
+            let which = if options.target == Target::All { &surroundings.near } else { &surroundings.worn };
+            let mut all = range_fit(&|frame, fit| add_obstacles(subjects, which, frame, fit))?;
             all.merge(&cloth);
             all
         }
@@ -179,6 +183,8 @@ struct Surroundings {
     lowest_m: f32,
     /// By subject: for each vertex of the obstacles whether it belongs to one near the cloth.
     near: Vec<Vec<bool>>,
+    /// The same for those near the cloth that stand within it, as who wears it does.
+    worn: Vec<Vec<bool>>,
 }
 
 /// A connected part of the obstacles: all places where it is in the sequence.
@@ -196,17 +202,24 @@ impl Surroundings {
         let [low, high] = cloth.bounds();
         let margin = Vec3::splat(MARGIN * extent_m);
         let mut lowest_m = cloth.heights_m().0;
-        let (mut floors, mut near, mut heights) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut floors, mut near, mut worn, mut heights) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for subject in subjects {
             let Some(mesh) = numbers.first().map(|frame| subject.obstacle(*frame)).transpose()?.flatten() else {
                 floors.push(Vec::new());
                 near.push(Vec::new());
+                worn.push(Vec::new());
                 continue;
             };
             let root = pieces(mesh.positions.len(), &mesh.triangles);
             let boxes = boxes(subject, numbers, options.threads, &root)?;
             let is_near = |[a, b]: &[Vec3; 2]| {
                 (*b - *a).length() <= HUGE * extent_m && a.cmple(high + margin).all() && b.cmpge(low - margin).all()
+            };
+            let is_worn = |[a, b]: &[Vec3; 2]| {
+                // Heights do not matter: a head and feet are above and below the cloth.
+                let middle = 0.5 * (*a + *b);
+                let middle = middle + (cloth.middle() - middle).dot(up) * up;
+                (*b - *a).length() <= WORN * extent_m && middle.cmpge(low).all() && middle.cmple(high).all()
             };
             let is_floor = |part: u32, [a, b]: &[Vec3; 2]| {
                 (*b - *a).dot(up) <= FLAT * extent_m
@@ -223,6 +236,7 @@ impl Surroundings {
             }
             floors.push(root.iter().map(|part| floor_parts.contains(part)).collect());
             let is_near = |part: &u32| !floor_parts.contains(part) && boxes.get(part).is_some_and(is_near);
+            worn.push(root.iter().map(|part| is_near(part) && boxes.get(part).is_some_and(is_worn)).collect());
             near.push(root.iter().map(is_near).collect());
         }
         let floor_m = heights.iter().copied().reduce(f32::max);
@@ -232,7 +246,7 @@ impl Surroundings {
         if floor_m.is_none() {
             floors.iter_mut().for_each(|floor| floor.fill(false));
         }
-        Ok(Surroundings { floors, floor_m, lowest_m, near })
+        Ok(Surroundings { floors, floor_m, lowest_m, near, worn })
     }
 
     fn ground_m(&self, options: &PictureOptions) -> Option<f32> {
@@ -242,16 +256,17 @@ impl Surroundings {
             Ground::Auto => Some(self.floor_m.unwrap_or(self.lowest_m)),
         }
     }
+}
 
-    fn add_near(&self, subjects: &[Subject<'_>], frame: u32, fit: &mut Fit) -> Result<(), PictureError> {
-        for (subject, near) in subjects.iter().zip(&self.near) {
-            if let Some(mesh) = subject.obstacle(frame)? {
-                let points = mesh.positions.iter().zip(near).filter(|(_, near)| **near);
-                fit.add(&points.map(|(point, _)| *point).collect::<Vec<_>>());
-            }
+/// Adds the obstacles' vertices of a frame for which `which` is true. `which`: by subject.
+fn add_obstacles(subjects: &[Subject<'_>], which: &[Vec<bool>], frame: u32, fit: &mut Fit) -> Result<(), PictureError> {
+    for (subject, which) in subjects.iter().zip(which) {
+        if let Some(mesh) = subject.obstacle(frame)? {
+            let points = mesh.positions.iter().zip(which).filter(|(_, taken)| **taken);
+            fit.add(&points.map(|(point, _)| *point).collect::<Vec<_>>());
         }
-        Ok(())
     }
+    Ok(())
 }
 
 /// Where every part of a subject's obstacles is over all frames. `root`: the part of every vertex.
