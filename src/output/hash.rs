@@ -39,6 +39,11 @@ pub fn scene_fingerprint(scene: &Scene) -> u64 {
     hash_words(&mut hasher, triangles);
     let frictions: Vec<f64> = scene.cloths.iter().map(|cloth| cloth.friction).collect();
     let _ = write!(TextSink(&mut hasher), "{:?} {frictions:?}", obstacles.header());
+    // Left out where no cloth has any, so that checkpoints of earlier versions still fit.
+    if scene.cloths.iter().any(|cloth| cloth.pressure_pa != 0.0) {
+        let pressures: Vec<f64> = scene.cloths.iter().map(|cloth| cloth.pressure_pa).collect();
+        let _ = write!(TextSink(&mut hasher), "{pressures:?}");
+    }
     for (name, list) in [
         ("density", &scene.maps.density),
         ("stiffness", &scene.maps.stiffness),

@@ -8,7 +8,7 @@ use loomtree::math::{DVec3, Vec2, Vec3};
 use loomtree::mesh::TriangleMesh;
 use loomtree::model::{LetGo, PlasticCounts, State};
 use loomtree::output::*;
-use loomtree::scene::{Fabric, Pin, Scene, Settings};
+use loomtree::scene::{Cloth, Fabric, Pin, Scene, Settings};
 use loomtree::step::{QueryStats, StageSeconds};
 use proptest::prelude::*;
 
@@ -160,7 +160,9 @@ fn a_report_is_valid_from_the_start_and_resumes() {
 
 #[test]
 fn the_fingerprint_covers_what_decides_the_future() {
-    let base = scene();
+    let mut base = scene();
+    base.cloths =
+        vec![Cloth { name: "sheet".to_string(), vertices: 0..4, triangles: 0..2, friction: 0.3, pressure_pa: 0.0 }];
     let hash = scene_fingerprint(&base);
     let changed = |change: fn(&mut Scene)| {
         let mut scene = base.clone();
@@ -169,13 +171,15 @@ fn the_fingerprint_covers_what_decides_the_future() {
     };
     assert_eq!(changed(|s| s.settings.frames = 900), hash, "a run may be prolonged");
     assert_eq!(changed(|s| s.name = "other".to_string()), hash);
-    let changes: [fn(&mut Scene); 6] = [
+    let changes: [fn(&mut Scene); 8] = [
         |s| s.settings.step_s *= 1.0 + f64::EPSILON,
         |s| s.mesh.triangles[1] = [2, 3, 0],
         |s| s.mesh.material_uv[0][1].x = 1.5,
         |s| s.fabrics[0].stretching_n_m[5][3] = 1.0,
         |s| s.fabric_of_triangle[1] = 1,
         |s| s.pins[0].end_s = 2.0,
+        |s| s.cloths[0].friction = 0.2,
+        |s| s.cloths[0].pressure_pa = 5.0,
     ];
     for (i, change) in changes.into_iter().enumerate() {
         assert_ne!(changed(change), hash, "change {i} is not noticed");
