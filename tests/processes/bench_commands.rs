@@ -1,6 +1,6 @@
-//! `loomtree bench assembly`, `scaling`, `spmv`, `matrix-free` and `interconnect` on tiny cloth: tables as valid JSON with their
-//! pictures, and measured figures never under the name of modelled ones. What the figures are is the machine's affair; only
-//! what must hold anywhere is asked for.
+//! `loomtree bench assembly`, `scaling`, `spmv`, `matrix-free`, `interconnect` and `time` on tiny cloth: tables as valid
+//! JSON with their pictures, and measured figures never under the name of modelled ones. What the figures are is the
+//! machine's affair; only what must hold anywhere is asked for.
 
 use loomtree::partition::RowPartition;
 use serde_json::Value;
@@ -263,6 +263,31 @@ fn table_1_has_a_row_for_every_benchmark() {
     // Nothing is measured when a file cannot be read.
     let ended = place.run(&format!("bench table1 --only Flag,Sphere {flags}")).expect(2);
     assert!(ended.error().contains("sphere.toml"), "{}", ended.story);
+}
+
+#[test]
+fn a_split_in_time_is_played_for_meshes_of_several_sizes() {
+    let place = place();
+    let flags =
+        "bench time --scene flag.toml --resolution 2048 --measured-steps 8 --steps 1000 --processes 2,8 --out out";
+    let ended = place.run(&format!("{flags} --sweep resolution --json")).expect(0);
+    let rows = table(&place, "time_resolution", "modelled");
+    let sizes: Vec<f64> = rows.iter().map(|row| number(row, "triangles")).collect();
+    assert!(sizes.len() == 3 && sizes.windows(2).all(|pair| (3.0..5.0).contains(&(pair[1] / pair[0]))), "{sizes:?}");
+    for row in &rows {
+        positive(row, &["segments", "workers", "levels", "speedup", "eq6", "eq16"]);
+        assert_eq!(number(row, "processes"), 8.0);
+        // Eq. 6 bounds what is played, and the extra steps and the moving of states only cost.
+        assert!(number(row, "speedup") < 8.0, "{row}");
+    }
+    picture(&place, "time_resolution");
+    // The object on stdout has the rows by processes, and the swept ones under the name of their table.
+    let answer: Value = serde_json::from_str(&ended.stdout).expect("valid JSON");
+    assert_eq!(answer["rows"].as_array().map(Vec::len), Some(2));
+    assert_eq!(answer["time_resolution"]["rows"].as_array(), Some(&rows));
+    place.run("run flag.toml --frames 1 --out run").expect(0);
+    let ended = place.run(&format!("{flags} --fine run --coarse run --sweep resolution")).expect(2);
+    assert!(ended.error().contains("--sweep resolution makes its runs itself"), "{}", ended.story);
 }
 
 #[test]

@@ -47,6 +47,11 @@ impl FigureTable {
         FigureTable { name: name.into(), ..self }
     }
 
+    /// Name of its files.
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
     /// Head of the first column.
     pub(super) fn first_column(&self) -> &'static str {
         self.columns.first().copied().unwrap_or("")
@@ -104,7 +109,7 @@ impl FigureTable {
     }
 
     /// The table as JSON.
-    fn document(&self) -> Value {
+    pub(super) fn document(&self) -> Value {
         let row = |(i, row): (usize, &Vec<f64>)| -> Value {
             let name = self.names.iter().map(|(head, names)| (head.to_string(), json!(names[i])));
             let cells = self.columns.iter().zip(row).map(|(head, &v)| (head.to_string(), json!(v)));

@@ -11,6 +11,7 @@ use super::common::{machine, positive};
 use super::table::FigureTable;
 use super::time_hybrid;
 use super::time_levels::{Level, Recorded};
+use super::time_sweep::{self, Sweep};
 use crate::cli::{CliError, count, print};
 use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
 use crate::output::Existing;
@@ -47,13 +48,13 @@ pub(super) struct TimeBench {
     /// Fine steps of the shot that is played; the recorded costs are repeated to its end
     #[arg(long, value_name = "N", default_value_t = 10_000,
         value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
-    steps: u32,
+    pub(super) steps: u32,
     /// Numbers of processes
     #[arg(long, value_delimiter = ',', default_value = "2,4,8,16,32,64,128,256,512", value_parser = processes)]
-    processes: Vec<usize>,
+    pub(super) processes: Vec<usize>,
     /// Rule for the cuts
     #[arg(long, value_enum, default_value = "profile")]
-    partition: Rule,
+    pub(super) partition: Rule,
     /// Steps that recover detail at the start of every segment
     #[arg(long, value_name = "R", default_value_t = 5)]
     recovery_steps: u32,
@@ -83,7 +84,7 @@ pub(super) struct TimeBench {
 
 /// Rules for cuts, by their names on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Rule {
+pub(super) enum Rule {
     /// Equal lengths (Eq. 3)
     Uniform,
     /// Eq. 5 with the mean ratio
@@ -108,17 +109,6 @@ impl Rule {
     }
 }
 
-/// What varies.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Sweep {
-    /// Length of the shot: 1/8 to 8 times --steps
-    Seconds,
-    /// Length of a coarse step: 1/2 to 8 times the recorded one, if its cost did not change with it
-    StepRatio,
-    /// The rules for the cuts
-    Partition,
-}
-
 fn processes(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(n) if (1..=4096).contains(&n) => Ok(n),
@@ -133,24 +123,33 @@ pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
             let runs = [Some(fine), Some(coarse), bench.coarsest.as_ref()];
             runs.into_iter().flatten().map(|run| Level::read(run)).collect::<Result<Vec<_>, _>>()?
         }
-        _ => measure(bench, launch)?,
+        _ => measure(bench, bench.resolution, launch)?,
     };
     let recorded = Recorded::of(&levels, &machine)?;
-    if bench.json {
-        return print_json(bench, &recorded);
-    }
-    let table = match bench.sweep {
+    let first = match bench.sweep {
         None => by_processes(bench, &recorded),
-        Some(sweep) => swept(bench, &recorded, sweep),
+        Some(Sweep::Resolution) => {
+            if bench.fine.is_some() {
+                let what = "--sweep resolution makes its runs itself, from --scene; leave out --fine and --coarse";
+                return Err(CliError::bad_input(what));
+            }
+            let mut by_size = Vec::new();
+            for resolution in time_sweep::coarser_resolutions(bench.resolution) {
+                by_size.push(Recorded::of(&measure(bench, resolution, launch)?, &machine)?);
+            }
+            by_size.push(recorded.clone());
+            time_sweep::by_resolution(bench, &by_size)
+        }
+        Some(sweep) => time_sweep::table(bench, &recorded, sweep),
     };
-    table.finish_curves(bench.out.as_deref(), Some((table.first_column(), &CURVES)))?;
+    let mut tables = vec![(first, Some(&CURVES[..]))];
     if !bench.ranks.is_empty() {
         let shot = time_hybrid::Shot {
             costs: recorded.shot(u64::from(bench.steps), 1.0),
             method: bench.method(&recorded),
             ranks: &bench.processes,
         };
-        time_hybrid::table(&shot, &recorded.title, &machine, &bench.ranks)?.finish(bench.out.as_deref(), None)?;
+        tables.push((time_hybrid::table(&shot, &recorded.title, &machine, &bench.ranks)?, None));
     }
     if let Some(ratio) = bench.paper {
         let steps = u64::from(bench.steps);
@@ -159,16 +158,28 @@ pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
             coarse_state_s: 0.0,
             fine_state_s: 0.0,
             title: format!("constant costs with the paper's K = {ratio}, states move in no time, {steps} steps"),
+            triangles: recorded.triangles,
         };
-        let table = by_processes(bench, &constant).named("time_paper");
-        table.finish_curves(bench.out.as_deref(), Some(("processes", &CURVES)))?;
+        tables.push((by_processes(bench, &constant).named("time_paper"), Some(&CURVES[..])));
+    }
+    if bench.json {
+        // One document: what is asked for besides the numbers of processes stands beside their rows.
+        print_json(bench, &recorded, tables.iter().map(|(table, _)| table).filter(|table| table.name() != "time"))?;
+    }
+    for (table, curves) in &tables {
+        if !bench.json {
+            table.print()?;
+        }
+        if let Some(folder) = &bench.out {
+            table.write(folder, curves.map(|curves| (table.first_column(), curves)))?;
+        }
     }
     Ok(())
 }
 
 /// Columns that the picture shows as curves.
 const CURVES: [&str; 3] = ["speedup", "eq6", "eq16"];
-const COLUMNS: [&str; 10] = [
+pub(super) const COLUMNS: [&str; 10] = [
     "processes",
     "segments",
     "workers",
@@ -186,7 +197,7 @@ impl TimeBench {
         self.method_with(recorded, self.partition)
     }
 
-    fn method_with(&self, recorded: &Recorded, rule: Rule) -> Method {
+    pub(super) fn method_with(&self, recorded: &Recorded, rule: Rule) -> Method {
         Method {
             partition: rule.partition(),
             recovery_steps: u64::from(self.recovery_steps),
@@ -198,7 +209,7 @@ impl TimeBench {
     }
 
     /// The figures of [`COLUMNS`] for a shot.
-    fn row(&self, costs: &Costs, processes: usize, method: &Method) -> (Played, Vec<f64>) {
+    pub(super) fn row(&self, costs: &Costs, processes: usize, method: &Method) -> (Played, Vec<f64>) {
         let played = costs.play(processes, method);
         let balanced = speedup_balanced(costs.ratio(), processes);
         let extra = method.recovery_steps + method.handover_steps;
@@ -232,7 +243,7 @@ fn by_processes(bench: &TimeBench, recorded: &Recorded) -> FigureTable {
     table
 }
 
-fn title(bench: &TimeBench, recorded: &Recorded, costs: &Costs) -> String {
+pub(super) fn title(bench: &TimeBench, recorded: &Recorded, costs: &Costs) -> String {
     format!(
         "modelled, not measured: a shot of {} steps split in time, from measured steps of {}; K = {:.1}, cuts: {:?}",
         costs.fine.len(),
@@ -242,47 +253,12 @@ fn title(bench: &TimeBench, recorded: &Recorded, costs: &Costs) -> String {
     )
 }
 
-fn swept(bench: &TimeBench, recorded: &Recorded, sweep: Sweep) -> FigureTable {
-    let processes = bench.processes.iter().copied().max().unwrap_or(2);
-    let steps = u64::from(bench.steps);
-    let costs = recorded.shot(steps, 1.0);
-    let (head, name) = match sweep {
-        Sweep::Seconds => ("steps", "time_seconds"),
-        Sweep::StepRatio => ("step_ratio", "time_step_ratio"),
-        Sweep::Partition => ("rule", "time_partition"),
-    };
-    let columns = [&[head][..], &COLUMNS].concat();
-    let rules = Rule::value_variants();
-    let note = if sweep == Sweep::Partition {
-        let names = rules.iter().enumerate().map(|(i, rule)| format!("{i} = {rule:?}").to_lowercase());
-        format!("; rules: {}", names.collect::<Vec<_>>().join(", "))
-    } else {
-        String::new()
-    };
-    let mut table = FigureTable::modeled(name, title(bench, recorded, &costs) + &note, columns);
-    let mut push = |value: f64, costs: &Costs, rule: Rule| {
-        let (_, row) = bench.row(costs, processes, &bench.method_with(recorded, rule));
-        table.push([vec![value], row].concat());
-    };
-    match sweep {
-        Sweep::Seconds => {
-            for power in -3..=3 {
-                let steps = ((steps as f64 * 2f64.powi(power)).round() as u64).max(2);
-                push(steps as f64, &recorded.shot(steps, 1.0), bench.partition);
-            }
-        }
-        Sweep::StepRatio => {
-            for power in -1..=3 {
-                let stretch = 2f64.powi(power);
-                push(recorded.costs.stride as f64 * stretch, &recorded.shot(steps, stretch), bench.partition);
-            }
-        }
-        Sweep::Partition => rules.iter().enumerate().for_each(|(i, &rule)| push(i as f64, &costs, rule)),
-    }
-    table
-}
-
-fn print_json(bench: &TimeBench, recorded: &Recorded) -> Result<(), CliError> {
+/// Prints one JSON object. `others`: tables besides that by numbers of processes, each under its name.
+fn print_json<'a>(
+    bench: &TimeBench,
+    recorded: &Recorded,
+    others: impl Iterator<Item = &'a FigureTable>,
+) -> Result<(), CliError> {
     let costs = recorded.shot(u64::from(bench.steps), 1.0);
     let method = bench.method(recorded);
     let mut rows = Vec::new();
@@ -299,21 +275,25 @@ fn print_json(bench: &TimeBench, recorded: &Recorded) -> Result<(), CliError> {
             rows.push(serde_json::Value::Object(named));
         }
     }
-    let document = json!({
+    let mut document = json!({
         "kind": "modelled", "title": title(bench, recorded, &costs), "steps": costs.fine.len(), "k": costs.ratio(),
         "rows": rows,
     });
+    for table in others {
+        document[table.name()] = table.document();
+    }
     let text = serde_json::to_string_pretty(&document).map_err(CliError::failed)?;
     print(&(text + "\n"))
 }
 
-/// Runs the scene on its levels, one after the other, with one worker of one thread.
-fn measure(bench: &TimeBench, launch: &Launch) -> Result<Vec<Level>, CliError> {
+/// Runs the scene on its levels, one after the other, with one worker of one thread. `resolution`: triangles of the
+/// fine one.
+fn measure(bench: &TimeBench, resolution: u64, launch: &Launch) -> Result<Vec<Level>, CliError> {
     let folder =
         tempfile::tempdir().map_err(|error| CliError::failed(format!("cannot make a temporary folder: {error}")))?;
     let area = bench.coarse_ratio * bench.coarse_ratio;
-    let coarse = (bench.resolution / area).max(32);
-    [(bench.resolution, 1), (coarse, bench.step_ratio)]
+    let coarse = (resolution / area).max(32);
+    [(resolution, 1), (coarse, bench.step_ratio)]
         .into_iter()
         .map(|(triangles, stretch)| {
             let options = RunOptions {

@@ -52,11 +52,14 @@ impl Level {
 }
 
 /// Costs as recorded, and the seconds for moving a coarse and a fine state.
+#[derive(Clone)]
 pub(super) struct Recorded {
     pub(super) costs: Costs,
     pub(super) coarse_state_s: f64,
     pub(super) fine_state_s: f64,
     pub(super) title: String,
+    /// Triangles of the fine mesh.
+    pub(super) triangles: u64,
 }
 
 impl Recorded {
@@ -79,7 +82,8 @@ impl Recorded {
         );
         let [fine_state_s, coarse_state_s] =
             [fine.state_bytes(), coarser[0].state_bytes()].map(|bytes| machine.farthest_s(bytes));
-        Ok(Recorded { costs, coarse_state_s, fine_state_s, title })
+        let triangles = fine.report.header.triangles as u64;
+        Ok(Recorded { costs, coarse_state_s, fine_state_s, title, triangles })
     }
 
     /// The costs repeated to `steps` fine steps; a coarse step is as long as `stretch` recorded ones, at the cost of
