@@ -135,6 +135,17 @@ impl LimitedTriangles {
         }
     }
 
+    /// Lets watched triangles be pulled back as far as it takes that were not farther beyond a limit than `strain` at
+    /// `positions` (xyz of all local vertices).
+    pub(super) fn unbind_within(&mut self, positions: &[f32], strain: f32) {
+        for at in 0..self.watched.len() {
+            let triangle = self.watched[at] as usize;
+            if self.targets[triangle] > PULLED_TO && self.strain(triangle, positions) <= strain {
+                self.targets[triangle] = PULLED_TO;
+            }
+        }
+    }
+
     fn watch(&mut self, triangle: u32) {
         if !std::mem::replace(&mut self.is_watched[triangle as usize], true) {
             self.watched.push(triangle);

@@ -10,8 +10,9 @@
 //! wind, meets no resistance until the next one; and a fiber at a point pin, which carries the load of the whole cloth,
 //! gives way as any spring does. In every round each triangle pulls its corners back by the shortest way in the norm of
 //! their masses [Mueller et al. 2007], which keeps the momentum, and vertices go on a part of the way that they went in
-//! the round before [Polyak 1964]. Velocities follow the moves. Each triangle comes back at a bounded rate. What pins
-//! leave no way back for stays where it is and is counted. Collisions come after this and have the last word.
+//! the round before [Polyak 1964]. Velocities follow the moves. A triangle that was beyond its limit before the step
+//! comes back at a bounded rate. What pins leave no way back for stays where it is and is counted. Collisions come after
+//! this and have the last word.
 
 use std::ops::Range;
 use std::rc::Rc;
@@ -34,9 +35,10 @@ const SOLVED_AGAIN_FROM: f64 = 0.02;
 const SOLVED_ONCE_MORE_FROM: f64 = 0.04;
 /// Strain beyond a limit from which on a triangle that stays there is counted.
 const COUNTED_FROM: f32 = 0.005;
-/// Fastest change of strain by which a triangle is pulled back, 1/s: 4 % in a step of 4 ms. Without a bound the speed
-/// that a triangle springs back with grows as steps get shorter; cloth that is tangled with itself, which impact zones
-/// stretch again, was thrown to six times the speed of the wind.
+/// Fastest change of strain by which a triangle is pulled back that was beyond its limit at the start of the step
+/// already, 1/s: 4 % in a step of 4 ms. Without a bound the speed that a triangle springs back with grows as steps get
+/// shorter; cloth that is tangled with itself, which impact zones stretch again, was thrown to six times the speed of
+/// the wind. One that was within its limit has no such speed: it is put back where this step took it from.
 const PULLED_1_S: f64 = 10.0;
 /// Maximum number of rounds, and rounds between two looks at what all ranks have.
 const ROUNDS_MOST: u32 = 60;
@@ -85,6 +87,13 @@ impl RankCloth {
             beyond = self.measure_limits(rank, span)?;
         }
         let began = rank.recorder.now();
+        if beyond.worst > span.length_s * PULLED_1_S {
+            let at_start = self.of_local_rows(rank, &start.positions)?;
+            if let Some(limited) = &mut self.limited {
+                limited.unbind_within(&at_start, COUNTED_FROM);
+            }
+            beyond = self.compare_limits(rank)?;
+        }
         stats.limits.pulled += beyond.pulled;
         stats.limits.beyond = beyond.counted;
         if beyond.excess > f64::from(EXCESS) {
@@ -196,17 +205,22 @@ impl RankCloth {
 
     /// 1 / mass of every local row, 1/kg; 0 where a pin holds it.
     fn inverse_masses(&mut self, rank: &mut RankContext<'_>) -> Result<Vec<f32>, TransportError> {
+        let masses = self.system.masses.host(rank.executor);
+        let pinned = self.system.pinned.host(rank.executor);
+        let inverse = |(mass, pinned): (&f32, &f32)| if *pinned == PRESCRIBED { 0.0 } else { 1.0 / mass };
+        let own: Vec<f32> = masses.iter().zip(pinned.iter()).flat_map(|row| [inverse(row); DIM]).collect();
+        Ok(self.of_local_rows(rank, &own)?.chunks_exact(DIM).map(|row| row[0]).collect())
+    }
+
+    /// Three values for every local row, from those that each rank has for its own.
+    fn of_local_rows(&mut self, rank: &mut RankContext<'_>, own: &[f32]) -> Result<Vec<f32>, TransportError> {
         let executor: &Executor = rank.executor;
         let halo = self.solver.spmv.halo();
         let (first, rows) = (halo.plan().own.start, halo.plan().local_rows);
         let mut of_rows = DeviceVec::zeros(executor, rows * DIM);
-        let masses = self.system.masses.host(executor);
-        let pinned = self.system.pinned.host(executor);
-        let inverse = |(mass, pinned): (&f32, &f32)| if *pinned == PRESCRIBED { 0.0 } else { 1.0 / mass };
-        let own: Vec<f32> = masses.iter().zip(pinned.iter()).flat_map(|row| [inverse(row); DIM]).collect();
-        of_rows.write_range(executor, first * DIM, &own);
+        of_rows.write_range(executor, first * DIM, own);
         self.state.exchange_values(rank, halo, &mut of_rows)?;
-        Ok(of_rows.host(rank.executor).chunks_exact(DIM).map(|row| row[0]).collect())
+        Ok(of_rows.host(rank.executor).into_owned())
     }
 }
 
