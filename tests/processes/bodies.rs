@@ -1,7 +1,16 @@
-//! Skinned bodies in runs of processes: the same bits for any number of workers and after a resume within the clip, and
-//! frames that hold the body as it was, with the vertices of its file.
+//! Skinned bodies in runs of processes: the same bits for any number of workers and after a resume within the clip, frames
+//! that hold the body as it was, with the vertices of its file, and garments worn by it.
 
+use std::fs;
+
+use loomtree::collision::elementary::{CandidateKind, closest_points};
+use loomtree::math::Vec3;
+use loomtree::output::Checkpoint;
+use loomtree::scene::{Obstacles, Overrides, load};
+use support::numpy::test_data;
 use support::process::Place;
+
+use crate::sewing::assert_free;
 
 /// A plate of two triangles below the cloth whose half at x > 0 hangs on a joint that turns up, and back; its vertices
 /// are split along the seam, as exporters do.
@@ -118,6 +127,56 @@ fn cloth_that_follows_the_body_stays_on_it_with_the_same_bits_for_any_number_of_
         let expected = [-1.0 + along * (1.0 + cos) - y * sin / length, along * sin + y * (1.0 + cos) / length, z];
         assert!((0..3).all(|i| (end[v][i] - expected[i]).abs() < 1e-6), "vertex {v}: {:?}, not {expected:?}", end[v]);
     }
+}
+
+/// A tunic and a skirt of other people on a body of other people that kicks, up to where the body begins to cross itself
+/// (its `self_crossings.json`: 0.5 s).
+#[test]
+fn worn_garments_cross_neither_each_other_nor_the_body_and_the_waist_stays_on_it() {
+    let Some(garments) = test_data("garments") else { return };
+    let at = |file: &str| garments.join(file).display().to_string();
+    let place = Place::new();
+    let (tunic, skirt) = (at("worn/tunic_6k.obj"), at("worn/skirt_long_6k.obj"));
+    let text = format!(
+        "[simulation]\nstep_s = 0.004\nsteps_per_frame = 10\nframes = 11\n\
+         [[cloth]]\nname = \"tunic\"\nmesh = \"{tunic}\"\n[[cloth]]\nname = \"skirt\"\nmesh = \"{skirt}\"\n\
+         [[obstacle]]\nname = \"body\"\ngltf = \"{}\"\nclip = \"kick\"\n\
+         [[pin]]\ncloth = \"skirt\"\nbox_m = [[-1, 1.03, -1], [1, 1.2, 1]]\nfollow = \"body\"\n",
+        at("human/human.glb")
+    );
+    place.write("worn.toml", &text);
+    place.run("run worn.toml --executor cpu --out out --keep-states 10").expect(0);
+    let scene = load(&place.path("worn.toml"), &Overrides { resolution: None, frames: None }).unwrap();
+    let obstacles = Obstacles::new(&scene.obstacles);
+    let waist: Vec<usize> = scene.pins.iter().map(|pin| pin.vertex as usize).collect();
+    assert!(waist.len() > 20, "{}", waist.len());
+    // Distances of the waist from the body.
+    let distances = |positions: &[Vec3], time_s: f64| -> Vec<f32> {
+        let mut values = Vec::new();
+        obstacles.positions_at(time_s, &mut values);
+        let body: &[Vec3] = bytemuck::cast_slice(&values);
+        let to = |p: Vec3, corners: &[u32; 3]| {
+            let [a, b, c] = corners.map(|v| body[v as usize]);
+            closest_points(CandidateKind::VertexFace, [p, a, b, c]).distance_squared.sqrt()
+        };
+        let nearest = |v: &usize| obstacles.triangles().iter().map(|t| to(positions[*v], t)).fold(f32::MAX, f32::min);
+        waist.iter().map(nearest).collect()
+    };
+    let start = distances(&scene.mesh.positions, 0.0);
+    let mut looked_at = 0;
+    for entry in fs::read_dir(place.path("out/states")).unwrap() {
+        let kept = Checkpoint::from_bytes(&fs::read(entry.unwrap().path()).unwrap()).unwrap();
+        let (positions, time_s) = (&kept.state.positions, kept.time_s);
+        assert_free(&scene, positions, time_s, &format!("the state at {time_s} s"));
+        for (now, start) in distances(positions, time_s).iter().zip(&start) {
+            assert!(
+                (now - start).abs() < 1e-3,
+                "the waist is {now} m from the body at {time_s} s, {start} m at the start"
+            );
+        }
+        looked_at += 1;
+    }
+    assert!(looked_at >= 11, "{looked_at}");
 }
 
 #[test]

@@ -127,7 +127,7 @@ fn seams_that_do_not_close_are_said_and_a_split_shot_has_none() {
 }
 
 /// Checks that nothing crosses in a state of a scene.
-fn assert_free(scene: &Scene, positions: &[Vec3], time_s: f64, what: &str) {
+pub(crate) fn assert_free(scene: &Scene, positions: &[Vec3], time_s: f64, what: &str) {
     let obstacles = Obstacles::new(&scene.obstacles);
     let mut values = Vec::new();
     obstacles.positions_at(time_s, &mut values);
