@@ -5,6 +5,9 @@ use super::elementary::{CandidateKind, closest_offset};
 use crate::math::{DVec3, Vec3};
 use crate::mesh::{edge_crosses_triangle, triangles_meet};
 
+/// How far beyond a surface counts as its other side, meters.
+const BEYOND_M: f64 = 1e-6;
+
 /// The surface of an obstacle at some time.
 #[derive(Clone, Copy)]
 pub struct Body<'a> {
@@ -80,6 +83,13 @@ impl<'a> Body<'a> {
         angle.abs() > std::f64::consts::TAU
     }
 
+    /// Whether `point` is inside and still is where it leaves through the surface that is nearest to it, `nearest`:
+    /// where parts of a closed body overlap, the surface of each is within the other.
+    pub fn buries(&self, point: DVec3, nearest: &Nearest) -> bool {
+        let way = (nearest.point - point).try_normalize();
+        self.holds(point) && way.is_some_and(|way| self.holds(nearest.point + BEYOND_M * way))
+    }
+
     /// The nearest point of the surface, the first of several; none of a surface without triangles.
     pub fn nearest(&self, point: DVec3) -> Option<Nearest> {
         let mut nearest: Option<Nearest> = None;
@@ -101,20 +111,32 @@ impl<'a> Body<'a> {
     }
 
     /// Where triangles of this surface and another cross that reach into the box from `low` to `high`.
-    pub fn crossings(&self, other: &Body, [low, high]: [DVec3; 2]) -> Vec<Crossing> {
-        let inside = |body: &Body<'a>| -> Vec<[u32; 3]> { body.reaching_into([low, high]).collect() };
+    pub fn crossings(&self, other: &Body, region: [DVec3; 2]) -> Vec<Crossing> {
+        let others: Vec<[u32; 3]> = other.reaching_into(region).collect();
+        let own = self.reaching_into(region);
+        own.flat_map(|one| others.iter().filter_map(move |&another| self.crossing(one, other, another))).collect()
+    }
+
+    /// Where triangles of this surface that have no corner in common cross, as of [`Body::crossings`].
+    pub fn crossings_with_itself(&self, region: [DVec3; 2]) -> Vec<Crossing> {
+        let triangles: Vec<[u32; 3]> = self.reaching_into(region).collect();
         let mut found = Vec::new();
-        let others: Vec<[u32; 3]> = other.reaching_into([low, high]).collect();
-        for one in inside(self) {
-            for &another in &others {
-                let x = [one.map(|v| self.at(v)), another.map(|v| other.at(v))];
-                // Numbers that two surfaces have in common mean nothing.
-                if triangles_meet([[0, 1, 2], [3, 4, 5]], x) {
-                    found.extend(shared(x).map(|ends| Crossing { ends, corners: [one, another] }));
+        for (i, &one) in triangles.iter().enumerate() {
+            for &another in &triangles[i + 1..] {
+                if !one.iter().any(|&v| another.iter().any(|&w| self.at(v) == self.at(w))) {
+                    found.extend(self.crossing(one, self, another));
                 }
             }
         }
         found
+    }
+
+    /// Where a triangle of this surface and one of another cross.
+    fn crossing(&self, one: [u32; 3], other: &Body, another: [u32; 3]) -> Option<Crossing> {
+        let x = [one.map(|v| self.at(v)), another.map(|v| other.at(v))];
+        // Numbers that two surfaces have in common mean nothing.
+        let meet = triangles_meet([[0, 1, 2], [3, 4, 5]], x);
+        meet.then(|| shared(x)).flatten().map(|ends| Crossing { ends, corners: [one, another] })
     }
 
     /// Triangles whose box shares a point with the box from `low` to `high`.
@@ -188,6 +210,35 @@ mod tests {
             assert!((nearest.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
             assert_eq!(ball.bounds()[0].y, -0.5);
         }
+    }
+
+    #[test]
+    fn a_body_buries_what_is_where_its_parts_overlap() {
+        let ball = shapes::sphere(0.5, 6);
+        let count = ball.positions.len() as u32;
+        let both = |apart: f32| -> Vec<f32> {
+            let moved = ball.positions.iter().map(|p| *p + Vec3::X * apart);
+            body(&ball.positions.iter().copied().chain(moved).collect::<Vec<_>>())
+        };
+        let second = ball.triangles.iter().map(|t| t.map(|v| v + count));
+        let triangles: Vec<[u32; 3]> = ball.triangles.iter().copied().chain(second).collect();
+        let buries = |x: &[f32], point: DVec3| {
+            let two = Body { x, triangles: &triangles };
+            two.buries(point, &two.nearest(point).unwrap())
+        };
+        let all = [DVec3::splat(-2.0), DVec3::splat(2.0)];
+        // The middle of the overlap, which is 0.2 thick; inside of one ball alone; outside.
+        let overlapping = both(0.8);
+        assert!(buries(&overlapping, DVec3::X * 0.4));
+        assert!(!buries(&overlapping, DVec3::new(-0.3, 0.1, 0.0)) && !buries(&overlapping, DVec3::new(0.4, 0.5, 0.0)));
+        let two = Body { x: &overlapping, triangles: &triangles };
+        let [one, other] = [0..ball.triangles.len(), ball.triangles.len()..triangles.len()]
+            .map(|range| Body { x: &overlapping, triangles: &triangles[range] });
+        assert_eq!(two.crossings_with_itself(all).len(), one.crossings(&other, all).len());
+        // Balls that only come near each other.
+        let near = both(1.001);
+        assert!(!buries(&near, DVec3::X * 0.499) && !buries(&near, DVec3::X * 0.5005));
+        assert!(Body { x: &near, triangles: &triangles }.crossings_with_itself(all).is_empty());
     }
 
     #[test]

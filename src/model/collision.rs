@@ -27,11 +27,14 @@ pub struct PinSpan {
     pub end_s: f64,
     /// True if the row is held only while it is one of those that touch ([`CollisionModel::inverse_masses`]).
     pub on_touch: bool,
+    /// True if what moves the row is an obstacle.
+    pub follows: bool,
 }
 
 impl PinSpan {
     fn of(pin: &RankPin) -> PinSpan {
-        PinSpan { row: pin.row, start_s: pin.start_s, end_s: pin.end_s, on_touch: pin.on_touch }
+        let follows = pin.grip.is_some() || pin.surface.is_some();
+        PinSpan { row: pin.row, start_s: pin.start_s, end_s: pin.end_s, on_touch: pin.on_touch, follows }
     }
 }
 

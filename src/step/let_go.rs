@@ -8,7 +8,10 @@
 //!
 //! A pair is let go where two obstacles press a vertex from opposite sides and the surface of each is beyond that of
 //! the other at the end of the step; and where zones have given up on a step, or on a part of one, and obstacles
-//! overlap at that place. Every rank comes to the same pairs from the same positions.
+//! overlap at that place. Parts of one closed obstacle, as a thigh and a belly, count as two: there the surface that is
+//! nearest to a vertex is itself inside, and the vertex lets go of the whole obstacle. Where zones have given up on
+//! vertices that follow an obstacle by a pin, they and what they press let go of the obstacle that comes upon them,
+//! since nothing else can give way. Every rank comes to the same pairs from the same positions.
 //!
 //! A vertex inside the obstacle that it has let go of stays on the other one. Where that has gone, a contact leads it
 //! to the nearest surface and keeps it from going back in, so that an arm that leaves does not take cloth along within
@@ -122,7 +125,7 @@ impl Collisions {
         let count = self.obstacles.len();
         for x in &times {
             let boxes: Vec<[DVec3; 2]> = (0..count).map(|obstacle| self.body(obstacle, x).bounds()).collect();
-            for (a, b) in (0..count).flat_map(|b| (0..b).map(move |a| (a, b))) {
+            for (a, b) in (0..count).flat_map(|b| (0..=b).map(move |a| (a, b))) {
                 let [low, high] = [boxes[a][0].max(boxes[b][0]), boxes[a][1].min(boxes[b][1])];
                 if (named.contains(&a) || named.contains(&b)) && low.cmple(high).all() {
                     fresh.extend(self.let_go_between([a, b], x, &faces, at_last));
@@ -132,7 +135,25 @@ impl Collisions {
                 break;
             }
         }
+        if fresh.is_empty() && (at_last || impossible.vertices.is_empty()) {
+            fresh = self.let_go_followers(impossible, &named);
+        }
         self.let_go_more(fresh, stats)
+    }
+
+    /// Pairs to let go of vertices that follow an obstacle by a pin, and of those that they press, with the obstacles
+    /// `named` that have come upon them.
+    fn let_go_followers(&mut self, impossible: &Impossible, named: &BTreeSet<usize>) -> Vec<LetGo> {
+        let follows = |v: &u32| self.model.pins.iter().any(|pin| pin.row == *v && pin.follows);
+        let followers: Vec<u32> = impossible.imposed.iter().copied().filter(follows).collect();
+        if followers.is_empty() {
+            return Vec::new();
+        }
+        let closed: Vec<usize> = named.iter().copied().filter(|&obstacle| self.is_closed(obstacle)).collect();
+        let vertices = || followers.iter().chain(&impossible.vertices);
+        let pairs = closed.iter().flat_map(|&obstacle| vertices().map(move |&vertex| (vertex, obstacle)));
+        let pairs = pairs.filter(|&(vertex, obstacle)| !self.let_go.holds(vertex, [obstacle; 2]));
+        pairs.map(|(vertex, obstacle)| self.pair(vertex, obstacle)).collect()
     }
 
     /// Number of the pairs, each once.
@@ -148,10 +169,10 @@ impl Collisions {
         fresh.len()
     }
 
-    /// Places of the cloth that two obstacles press from opposite sides, each beyond the other one at the end of the
-    /// step unless the cloth moves. `elements` are the contacts of the own rows; what is found belongs to own vertices.
+    /// Places of the cloth that two obstacles, or two parts of one, press from opposite sides, each beyond the other one at
+    /// the end of the step unless the cloth moves. `elements` are the contacts of the own rows; what is found belongs to own vertices.
     pub(super) fn pressed_from_both_sides(&self, elements: &[ContactElement]) -> Vec<Pressed> {
-        if self.obstacles.len() < 2 {
+        if self.obstacles.is_empty() {
             return Vec::new();
         }
         let own = self.partition.rows_of(self.plan.rank);
@@ -161,7 +182,7 @@ impl Collisions {
         let mut found = Vec::new();
         for of_vertex in touches.chunk_by(|one, other| one.vertex == other.vertex) {
             for (i, one) in of_vertex.iter().enumerate() {
-                for other in of_vertex[i + 1..].iter().filter(|other| other.obstacle != one.obstacle) {
+                for other in &of_vertex[i + 1..] {
                     let cosine = one.normal.dot(other.normal);
                     let no_room = one.gap_m < cosine * other.gap_m && other.gap_m < cosine * one.gap_m;
                     if cosine < OPPOSITE && no_room {
@@ -261,14 +282,15 @@ impl Collisions {
 
     /// The pairs of pinched vertices and the one of two obstacles that moves in.
     fn pairs_of(&self, two: [usize; 2], closed: [bool; 2], pinched: &[Pinched]) -> Vec<LetGo> {
-        let moves_in = self.moves_in(two, closed, pinched);
-        let start = self.body(two[moves_in], &self.x_t0[3 * self.partition.rows()..]);
-        let let_go = |one: &Pinched| LetGo {
-            vertex: one.vertex,
-            obstacle: two[moves_in] as u32,
-            inside: u32::from(start.holds(self.cloth_at(one.vertex).as_dvec3())),
-        };
-        pinched.iter().map(let_go).collect()
+        let moves_in = two[self.moves_in(two, closed, pinched)];
+        pinched.iter().map(|one| self.pair(one.vertex, moves_in)).collect()
+    }
+
+    /// A vertex that lets go of an obstacle, on its side of it at the start of the span.
+    fn pair(&self, vertex: u32, obstacle: usize) -> LetGo {
+        let start = self.body(obstacle, &self.x_t0[3 * self.partition.rows()..]);
+        let inside = u32::from(start.holds(self.cloth_at(vertex).as_dvec3()));
+        LetGo { vertex, obstacle: obstacle as u32, inside }
     }
 
     /// Position of a vertex of the cloth at the start of the span.
@@ -277,7 +299,7 @@ impl Collisions {
     }
 
     /// Corners of `faces` that have no room: the surface of either obstacle is nearest where it is on the far side of
-    /// the other one, as the vertex sees it. Where only the middle of a face has none, its nearest corner.
+    /// the other one, as the vertex sees it; that of one obstacle where it is inside of it. Where only the middle of a face has none, its nearest corner.
     fn without_room(&self, two: [usize; 2], closed: [bool; 2], x: &[f32], faces: &[[u32; 3]]) -> Vec<Pinched> {
         let corners: BTreeSet<u32> = faces.iter().flatten().copied().collect();
         let places: Vec<(u32, DVec3)> = corners.iter().map(|&v| (v, self.cloth_at(v).as_dvec3())).collect();
@@ -298,6 +320,11 @@ impl Collisions {
         let ends = two.map(|obstacle| self.body(obstacle, x));
         let at_start = two.map(|obstacle| self.body(obstacle, starts));
         let look = |&(vertex, place): &(u32, DVec3)| -> Option<Pinched> {
+            if two[0] == two[1] {
+                let nearest = ends[0].nearest(place)?;
+                let way_m = self.way_m(nearest.corners, nearest.weights);
+                return ends[0].buries(place, &nearest).then_some(Pinched { vertex, ways_m: [way_m; 2] });
+            }
             let [Some(one), Some(other)] = ends.map(|body| body.nearest(place)) else { return None };
             let start = self.cloth_at(vertex).as_dvec3();
             let beyond = |of: usize, nearest: &Nearest| {
@@ -330,7 +357,10 @@ impl Collisions {
         let all = faces.iter().flat_map(corners);
         let [low, high] = all.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], p| [low.min(p), high.max(p)]);
         let region = [low - thickness_m, high + thickness_m];
-        let crossings = self.body(two[0], x).crossings(&self.body(two[1], x), region);
+        let crossings = match two.map(|obstacle| self.body(obstacle, x)) {
+            [one, _] if two[0] == two[1] => one.crossings_with_itself(region),
+            [one, other] => one.crossings(&other, region),
+        };
         let look = |face: &[u32; 3]| -> Option<Pinched> {
             let x = corners(face);
             let near = |crossing: &&Crossing| segment_triangle_m(crossing.ends, x) <= thickness_m;

@@ -11,8 +11,8 @@
 //! gives way as any spring does. In every round each triangle pulls its corners back by the shortest way in the norm of
 //! their masses [Mueller et al. 2007], which keeps the momentum, and vertices go on a part of the way that they went in
 //! the round before [Polyak 1964]. Velocities follow the moves. A triangle that was beyond its limit before the step
-//! comes back at a bounded rate. What pins leave no way back for stays where it is and is counted. Collisions come after
-//! this and have the last word.
+//! comes back at a bounded rate. What pins leave no way back for stays where it is and is counted. Collisions come
+//! after this and have the last word.
 
 use std::ops::Range;
 use std::rc::Rc;

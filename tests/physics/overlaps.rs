@@ -2,11 +2,12 @@
 //! there is room again. Every step is looked at by the exact check of `mesh`.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use loomtree::math::{DVec3, Vec3};
 use loomtree::mesh::{Group, GroupKind, crossings};
 use loomtree::model::GlobalModel;
-use loomtree::scene::{Keyframe, Motion, Obstacles, Pin, Scene};
+use loomtree::scene::{Keyframe, Motion, Movement, Obstacle, Obstacles, Pin, Scene};
 use loomtree::solver::ExchangeMode;
 use loomtree::step::{Failure, Imposed};
 use support::contact::{Watched, assert_free, ball, between_balls, contact_scene, obstacle, there_and_back, watch};
@@ -89,6 +90,57 @@ fn a_sheet_between_two_balls_is_pinched_and_released() {
     let last = run.positions.last().unwrap();
     let farthest = last.iter().map(|x| x.y.abs()).fold(0.0, f32::max);
     assert!(farthest < 0.02, "{farthest} m from its plane");
+}
+
+/// The two balls as one obstacle, as a thigh and a belly are parts of one body.
+#[test]
+fn a_sheet_between_two_parts_of_a_body_is_pinched_and_released() {
+    let depth_m = 0.006;
+    let mut scene = between_balls(depth_m, TIMES_S);
+    let [left, right] = [0, 1].map(|i| scene.obstacles[i].clone());
+    let first = left.positions.len() as u32;
+    let triangles = left.triangles.iter().copied().chain(right.triangles.iter().map(|t| t.map(|v| v + first)));
+    let at = |share: f32| -> Vec<Vec3> {
+        let moved = |ball: &Obstacle, side: f32| {
+            let by = Vec3::Y * (-side * share * (0.01 + 0.5 * depth_m as f32));
+            ball.positions.iter().map(|p| *p + by).collect::<Vec<_>>()
+        };
+        [moved(&left, -1.0), moved(&right, 1.0)].concat()
+    };
+    scene.obstacles = vec![Obstacle {
+        name: "body".into(),
+        friction: 0.3,
+        positions: at(0.0),
+        triangles: triangles.collect(),
+        movement: Movement::Sequence { frames_per_s: 1.0 / TIMES_S[1], later: Arc::new(vec![at(1.0), at(0.0)]) },
+    }];
+    let run = check("body", &scene, 30);
+    let most = run.let_go.iter().map(Vec::len).max().unwrap();
+    assert!((2..=25).contains(&most), "{most} vertices");
+    assert!(run.let_go.iter().flatten().all(|one| (one.obstacle, one.inside) == (0, 0)));
+    assert!(run.let_go[..7].iter().all(Vec::is_empty), "before its parts meet");
+    assert!(run.let_go.last().unwrap().is_empty(), "after they have parted: {:?}", run.let_go.last());
+    let last = run.positions.last().unwrap();
+    let farthest = last.iter().map(|x| x.y.abs()).fold(0.0, f32::max);
+    assert!(farthest < 0.02, "{farthest} m from its plane");
+}
+
+/// Vertices of the sheet follow the left ball, a centimeter before it. The balls do not overlap, but the right one
+/// comes to where the held vertices are.
+#[test]
+fn cloth_that_follows_a_body_lets_go_of_what_comes_upon_it() {
+    let mut scene = between_balls(-3e-4, TIMES_S);
+    scene.followed = vec![0];
+    let middle = Vec3::new(0.004, 0.0, -0.03);
+    let near = (0..17 * 17).filter(|&v: &u32| scene.mesh.positions[v as usize].distance(middle) < 0.02);
+    let held: Vec<u32> = near.collect();
+    assert!(held.len() > 4);
+    scene.pins.extend(held.iter().map(|&vertex| Pin::new(vertex, Some(0), 0.0, f64::INFINITY)));
+    let run = check("followers", &scene, 30);
+    let let_go: BTreeSet<u32> = run.let_go.iter().flatten().map(|one| one.vertex).collect();
+    assert!(held.iter().any(|vertex| let_go.contains(vertex)), "{let_go:?}");
+    assert!(run.let_go.iter().flatten().all(|one| one.obstacle == 1), "not the ball that they follow");
+    assert!(run.let_go.last().unwrap().is_empty(), "after they have parted: {:?}", run.let_go.last());
 }
 
 #[test]

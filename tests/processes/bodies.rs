@@ -1,5 +1,5 @@
-//! Skinned bodies in runs of processes: the same bits for any number of workers and after a resume within the clip, frames
-//! that hold the body as it was, with the vertices of its file, and garments worn by it.
+//! Skinned bodies in runs of processes: the same bits for any number of workers and after a resume within the clip,
+//! frames that hold the body as it was, with the vertices of its file, and garments worn by it.
 
 use std::fs;
 
@@ -129,8 +129,8 @@ fn cloth_that_follows_the_body_stays_on_it_with_the_same_bits_for_any_number_of_
     }
 }
 
-/// A tunic and a skirt of other people on a body of other people that kicks, up to where the body begins to cross itself
-/// (its `self_crossings.json`: 0.5 s).
+/// A tunic and a skirt of other people on a body of other people that kicks, up to where the body begins to cross
+/// itself (its `self_crossings.json`: 0.5 s).
 #[test]
 fn worn_garments_cross_neither_each_other_nor_the_body_and_the_waist_stays_on_it() {
     let Some(garments) = test_data("garments") else { return };
