@@ -20,6 +20,7 @@ mod table1;
 mod time;
 mod time_hybrid;
 mod time_levels;
+mod time_play;
 mod time_sweep;
 
 use clap::Subcommand;

@@ -4,19 +4,18 @@
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
 use serde_json::json;
 
 use super::common::{machine, positive};
 use super::table::FigureTable;
 use super::time_hybrid;
 use super::time_levels::{Level, Recorded};
+use super::time_play::{COLUMNS, ShotArgs};
 use super::time_sweep::{self, Sweep};
 use crate::cli::{CliError, count, print};
 use crate::coordinator::{Launch, RunOptions, RunPlaces, RunPlan};
 use crate::output::Existing;
-use crate::time_parallel::partition::{speedup_balanced, speedup_with_extra_steps};
-use crate::time_parallel::{Costs, Method, Partition, Played};
+use crate::time_parallel::Costs;
 
 /// Arguments of `loomtree bench time`.
 #[derive(Clone, Debug, clap::Args)]
@@ -45,22 +44,8 @@ pub(super) struct TimeBench {
     /// Fine steps that the runs of --scene make
     #[arg(long, value_name = "N", default_value_t = 240, value_parser = clap::value_parser!(u32).range(8..))]
     measured_steps: u32,
-    /// Fine steps of the shot that is played; the recorded costs are repeated to its end
-    #[arg(long, value_name = "N", default_value_t = 10_000,
-        value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
-    pub(super) steps: u32,
-    /// Numbers of processes
-    #[arg(long, value_delimiter = ',', default_value = "2,4,8,16,32,64,128,256,512", value_parser = processes)]
-    pub(super) processes: Vec<usize>,
-    /// Rule for the cuts
-    #[arg(long, value_enum, default_value = "profile")]
-    pub(super) partition: Rule,
-    /// Steps that recover detail at the start of every segment
-    #[arg(long, value_name = "R", default_value_t = 5)]
-    recovery_steps: u32,
-    /// Steps at the start of every segment that are made again from the end of the one before
-    #[arg(long, value_name = "B", default_value_t = 5)]
-    handover_steps: u32,
+    #[command(flatten)]
+    shot: ShotArgs,
     /// Machine whose links move the states [default: a balanced tree of PCIe 3 x16 links]
     #[arg(long, value_name = "FILE")]
     topology: Option<PathBuf>,
@@ -80,40 +65,6 @@ pub(super) struct TimeBench {
     /// Also write the table as JSON and SVG into this folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-}
-
-/// Rules for cuts, by their names on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum Rule {
-    /// Equal lengths (Eq. 3)
-    Uniform,
-    /// Eq. 5 with the mean ratio
-    Static,
-    /// Algorithm 1 with the seconds of the steps
-    Clock,
-    /// All segments end together if fine steps cost what the finished coarse run says
-    Profile,
-    /// All segments end together, from fine costs that nobody knows beforehand: the bound
-    Known,
-}
-
-impl Rule {
-    fn partition(self) -> Partition {
-        match self {
-            Rule::Uniform => Partition::Uniform,
-            Rule::Static => Partition::Static,
-            Rule::Clock => Partition::Adaptive,
-            Rule::Profile => Partition::Profile,
-            Rule::Known => Partition::Known,
-        }
-    }
-}
-
-fn processes(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(n) if (1..=4096).contains(&n) => Ok(n),
-        _ => Err("expected numbers of processes from 1 to 4096, separated by commas".to_string()),
-    }
 }
 
 pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
@@ -138,21 +89,21 @@ pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
                 by_size.push(Recorded::of(&measure(bench, resolution, launch)?, &machine)?);
             }
             by_size.push(recorded.clone());
-            time_sweep::by_resolution(bench, &by_size)
+            time_sweep::by_resolution(&bench.shot, &by_size)
         }
-        Some(sweep) => time_sweep::table(bench, &recorded, sweep),
+        Some(sweep) => time_sweep::table(&bench.shot, &recorded, sweep),
     };
     let mut tables = vec![(first, Some(&CURVES[..]))];
     if !bench.ranks.is_empty() {
         let shot = time_hybrid::Shot {
-            costs: recorded.shot(u64::from(bench.steps), 1.0),
-            method: bench.method(&recorded),
-            ranks: &bench.processes,
+            costs: recorded.shot(u64::from(bench.shot.steps), 1.0),
+            method: bench.shot.method(&recorded),
+            ranks: &bench.shot.processes,
         };
         tables.push((time_hybrid::table(&shot, &recorded.title, &machine, &bench.ranks)?, None));
     }
     if let Some(ratio) = bench.paper {
-        let steps = u64::from(bench.steps);
+        let steps = u64::from(bench.shot.steps);
         let constant = Recorded {
             costs: Costs { fine: vec![1.0], coarse: vec![vec![1.0 / ratio]], stride: 1 },
             coarse_state_s: 0.0,
@@ -179,78 +130,17 @@ pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
 
 /// Columns that the picture shows as curves.
 const CURVES: [&str; 3] = ["speedup", "eq6", "eq16"];
-pub(super) const COLUMNS: [&str; 10] = [
-    "processes",
-    "segments",
-    "workers",
-    "levels",
-    "speedup",
-    "eq6",
-    "eq16",
-    "idle_share",
-    "recovery_steps",
-    "handover_steps",
-];
-
-impl TimeBench {
-    fn method(&self, recorded: &Recorded) -> Method {
-        self.method_with(recorded, self.partition)
-    }
-
-    pub(super) fn method_with(&self, recorded: &Recorded, rule: Rule) -> Method {
-        Method {
-            partition: rule.partition(),
-            recovery_steps: u64::from(self.recovery_steps),
-            handover_steps: u64::from(self.handover_steps),
-            coarse_state_s: recorded.coarse_state_s,
-            fine_state_s: recorded.fine_state_s,
-            coarse_to_end: true,
-        }
-    }
-
-    /// The figures of [`COLUMNS`] for a shot.
-    pub(super) fn row(&self, costs: &Costs, processes: usize, method: &Method) -> (Played, Vec<f64>) {
-        let played = costs.play(processes, method);
-        let balanced = speedup_balanced(costs.ratio(), processes);
-        let extra = method.recovery_steps + method.handover_steps;
-        let eq16 = speedup_with_extra_steps(costs.fine.len() as u64, extra, balanced);
-        let row = vec![
-            processes as f64,
-            played.starts.len() as f64,
-            1.0,
-            1.0 + costs.coarse.len() as f64,
-            played.speedup,
-            balanced,
-            eq16,
-            played.idle_share,
-            method.recovery_steps as f64,
-            method.handover_steps as f64,
-        ];
-        (played, row)
-    }
-}
-
 fn by_processes(bench: &TimeBench, recorded: &Recorded) -> FigureTable {
-    let costs = recorded.shot(u64::from(bench.steps), 1.0);
-    let method = bench.method(recorded);
-    let mut table = FigureTable::modeled("time", title(bench, recorded, &costs), COLUMNS.to_vec());
-    for &processes in &bench.processes {
+    let costs = recorded.shot(u64::from(bench.shot.steps), 1.0);
+    let method = bench.shot.method(recorded);
+    let mut table = FigureTable::modeled("time", bench.shot.title(recorded, &costs), COLUMNS.to_vec());
+    for &processes in &bench.shot.processes {
         for levels in 1..=costs.coarse.len() {
             let costs = Costs { coarse: costs.coarse[..levels].to_vec(), ..costs.clone() };
-            table.push(bench.row(&costs, processes, &method).1);
+            table.push(bench.shot.row(&costs, processes, &method).1);
         }
     }
     table
-}
-
-pub(super) fn title(bench: &TimeBench, recorded: &Recorded, costs: &Costs) -> String {
-    format!(
-        "modelled, not measured: a shot of {} steps split in time, from measured steps of {}; K = {:.1}, cuts: {:?}",
-        costs.fine.len(),
-        recorded.title,
-        costs.ratio(),
-        bench.partition,
-    )
 }
 
 /// Prints one JSON object. `others`: tables besides that by numbers of processes, each under its name.
@@ -259,13 +149,13 @@ fn print_json<'a>(
     recorded: &Recorded,
     others: impl Iterator<Item = &'a FigureTable>,
 ) -> Result<(), CliError> {
-    let costs = recorded.shot(u64::from(bench.steps), 1.0);
-    let method = bench.method(recorded);
+    let costs = recorded.shot(u64::from(bench.shot.steps), 1.0);
+    let method = bench.shot.method(recorded);
     let mut rows = Vec::new();
-    for &processes in &bench.processes {
+    for &processes in &bench.shot.processes {
         for levels in 1..=costs.coarse.len() {
             let costs = Costs { coarse: costs.coarse[..levels].to_vec(), ..costs.clone() };
-            let (played, row) = bench.row(&costs, processes, &method);
+            let (played, row) = bench.shot.row(&costs, processes, &method);
             let named = COLUMNS.iter().zip(row).map(|(name, value)| {
                 let whole = !matches!(*name, "speedup" | "eq6" | "eq16" | "idle_share");
                 (name.to_string(), if whole { json!(value as u64) } else { json!(value) })
@@ -276,7 +166,7 @@ fn print_json<'a>(
         }
     }
     let mut document = json!({
-        "kind": "modelled", "title": title(bench, recorded, &costs), "steps": costs.fine.len(), "k": costs.ratio(),
+        "kind": "modelled", "title": bench.shot.title(recorded, &costs), "steps": costs.fine.len(), "k": costs.ratio(),
         "rows": rows,
     });
     for table in others {

@@ -3,8 +3,8 @@
 use clap::ValueEnum;
 
 use super::table::FigureTable;
-use super::time::{COLUMNS, Rule, TimeBench, title};
 use super::time_levels::Recorded;
+use super::time_play::{COLUMNS, Rule, ShotArgs};
 use crate::time_parallel::Costs;
 
 /// What varies.
@@ -26,61 +26,61 @@ pub(super) fn coarser_resolutions(finest: u64) -> impl Iterator<Item = u64> {
 }
 
 /// A table with the columns of the one by processes, after a first one with what varies.
-fn empty(bench: &TimeBench, recorded: &Recorded, [name, head]: [&'static str; 2], note: &str) -> FigureTable {
-    let costs = recorded.shot(u64::from(bench.steps), 1.0);
-    FigureTable::modeled(name, title(bench, recorded, &costs) + note, [&[head][..], &COLUMNS].concat())
+fn empty(shot: &ShotArgs, recorded: &Recorded, [name, head]: [&'static str; 2], note: &str) -> FigureTable {
+    let costs = recorded.shot(u64::from(shot.steps), 1.0);
+    FigureTable::modeled(name, shot.title(recorded, &costs) + note, [&[head][..], &COLUMNS].concat())
 }
 
 /// Adds the row of a value: the shot with the largest number of processes.
-fn push(table: &mut FigureTable, bench: &TimeBench, value: f64, (recorded, costs): (&Recorded, &Costs), rule: Rule) {
-    let processes = bench.processes.iter().copied().max().unwrap_or(2);
-    let (_, row) = bench.row(costs, processes, &bench.method_with(recorded, rule));
+fn push(table: &mut FigureTable, shot: &ShotArgs, value: f64, (recorded, costs): (&Recorded, &Costs), rule: Rule) {
+    let processes = shot.processes.iter().copied().max().unwrap_or(2);
+    let (_, row) = shot.row(costs, processes, &shot.method_with(recorded, rule));
     table.push([vec![value], row].concat());
 }
 
 /// The table of what follows from one recorded pair of runs.
-pub(super) fn table(bench: &TimeBench, recorded: &Recorded, sweep: Sweep) -> FigureTable {
-    let steps = u64::from(bench.steps);
+pub(super) fn table(shot: &ShotArgs, recorded: &Recorded, sweep: Sweep) -> FigureTable {
+    let steps = u64::from(shot.steps);
     match sweep {
         Sweep::Seconds => {
-            let mut table = empty(bench, recorded, ["time_seconds", "steps"], "");
+            let mut table = empty(shot, recorded, ["time_seconds", "steps"], "");
             for power in -3..=3 {
                 let steps = ((steps as f64 * 2f64.powi(power)).round() as u64).max(2);
-                push(&mut table, bench, steps as f64, (recorded, &recorded.shot(steps, 1.0)), bench.partition);
+                push(&mut table, shot, steps as f64, (recorded, &recorded.shot(steps, 1.0)), shot.partition);
             }
             table
         }
         Sweep::StepRatio => {
-            let mut table = empty(bench, recorded, ["time_step_ratio", "step_ratio"], "");
+            let mut table = empty(shot, recorded, ["time_step_ratio", "step_ratio"], "");
             for power in -1..=3 {
                 let stretch = 2f64.powi(power);
                 let ratio = recorded.costs.stride as f64 * stretch;
-                push(&mut table, bench, ratio, (recorded, &recorded.shot(steps, stretch)), bench.partition);
+                push(&mut table, shot, ratio, (recorded, &recorded.shot(steps, stretch)), shot.partition);
             }
             table
         }
-        Sweep::Resolution => by_resolution(bench, std::slice::from_ref(recorded)),
+        Sweep::Resolution => by_resolution(shot, std::slice::from_ref(recorded)),
         Sweep::Partition => {
             let rules = Rule::value_variants();
             let names = rules.iter().enumerate().map(|(i, rule)| format!("{i} = {rule:?}").to_lowercase());
             let note = format!("; rules: {}", names.collect::<Vec<_>>().join(", "));
-            let mut table = empty(bench, recorded, ["time_partition", "rule"], &note);
+            let mut table = empty(shot, recorded, ["time_partition", "rule"], &note);
             let costs = recorded.shot(steps, 1.0);
-            rules.iter().enumerate().for_each(|(i, &rule)| push(&mut table, bench, i as f64, (recorded, &costs), rule));
+            rules.iter().enumerate().for_each(|(i, &rule)| push(&mut table, shot, i as f64, (recorded, &costs), rule));
             table
         }
     }
 }
 
 /// The table of runs on meshes of several sizes. `by_size`: at least one pair of runs, ascending.
-pub(super) fn by_resolution(bench: &TimeBench, by_size: &[Recorded]) -> FigureTable {
-    let shots: Vec<Costs> = by_size.iter().map(|recorded| recorded.shot(u64::from(bench.steps), 1.0)).collect();
+pub(super) fn by_resolution(shot: &ShotArgs, by_size: &[Recorded]) -> FigureTable {
+    let shots: Vec<Costs> = by_size.iter().map(|recorded| recorded.shot(u64::from(shot.steps), 1.0)).collect();
     let ratios: Vec<String> = shots.iter().map(|costs| format!("{:.1}", costs.ratio())).collect();
     let finest = by_size.last().expect("a pair of runs");
     let note = format!("; K from the coarsest on: {}", ratios.join(", "));
-    let mut table = empty(bench, finest, ["time_resolution", "triangles"], &note);
+    let mut table = empty(shot, finest, ["time_resolution", "triangles"], &note);
     for (recorded, costs) in by_size.iter().zip(&shots) {
-        push(&mut table, bench, recorded.triangles as f64, (recorded, costs), bench.partition);
+        push(&mut table, shot, recorded.triangles as f64, (recorded, costs), shot.partition);
     }
     table
 }
