@@ -154,7 +154,7 @@ fn a_sheet_that_the_wind_throws_taut_stays_near_its_limits() {
     }
     println!("{least} to {most}, {solved_again} steps solved again, {pulled} triangles pulled back");
     assert!(cloth.fastest_m_s() > 1.0);
-    assert!(most < 1.09 && least > 0.93, "{least} to {most}");
+    assert!(most < 1.09 && least > 0.945, "{least} to {most}");
     assert!(solved_again > 0 && pulled > 0);
 }
 
