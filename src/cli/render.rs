@@ -51,8 +51,8 @@ pub struct RenderArgs {
     /// Leave out a piece of cloth or an obstacle, by its name in the scene
     #[arg(long, value_name = "NAME")]
     pub hide: Vec<String>,
-    /// What fills the picture: auto (the cloth, and who wears it), cloth, all (cloth and the obstacles near it), a piece
-    /// or obstacle by name, or a point
+    /// What fills the picture: auto (the cloth, and who wears it), cloth, all (cloth and the obstacles near it), a
+    /// piece or obstacle by name, or a point
     #[arg(long, value_name = "NAME|X,Y,Z", default_value = "auto", allow_hyphen_values = true)]
     pub target: String,
     /// Draw everything F times as large

@@ -169,8 +169,9 @@ impl Collisions {
         fresh.len()
     }
 
-    /// Places of the cloth that two obstacles, or two parts of one, press from opposite sides, each beyond the other one at
-    /// the end of the step unless the cloth moves. `elements` are the contacts of the own rows; what is found belongs to own vertices.
+    /// Places of the cloth that two obstacles, or two parts of one, press from opposite sides, each beyond the other
+    /// one at the end of the step unless the cloth moves. `elements` are the contacts of the own rows; what is found
+    /// belongs to own vertices.
     pub(super) fn pressed_from_both_sides(&self, elements: &[ContactElement]) -> Vec<Pressed> {
         if self.obstacles.is_empty() {
             return Vec::new();
@@ -299,7 +300,8 @@ impl Collisions {
     }
 
     /// Corners of `faces` that have no room: the surface of either obstacle is nearest where it is on the far side of
-    /// the other one, as the vertex sees it; that of one obstacle where it is inside of it. Where only the middle of a face has none, its nearest corner.
+    /// the other one, as the vertex sees it; that of one obstacle where it is inside of it. Where only the middle of a
+    /// face has none, its nearest corner.
     fn without_room(&self, two: [usize; 2], closed: [bool; 2], x: &[f32], faces: &[[u32; 3]]) -> Vec<Pinched> {
         let corners: BTreeSet<u32> = faces.iter().flatten().copied().collect();
         let places: Vec<(u32, DVec3)> = corners.iter().map(|&v| (v, self.cloth_at(v).as_dvec3())).collect();

@@ -1,6 +1,6 @@
-//! `loomtree bench assembly`, `scaling`, `spmv`, `matrix-free`, `interconnect` and `time` on tiny cloth: tables as valid
-//! JSON with their pictures, and measured figures never under the name of modelled ones. What the figures are is the
-//! machine's affair; only what must hold anywhere is asked for.
+//! `loomtree bench assembly`, `scaling`, `spmv`, `matrix-free`, `interconnect` and `time` on tiny cloth: tables as
+//! valid JSON with their pictures, and measured figures never under the name of modelled ones. What the figures are is
+//! the machine's affair; only what must hold anywhere is asked for.
 
 use loomtree::partition::RowPartition;
 use serde_json::Value;

@@ -111,9 +111,10 @@ fn an_obstacle_within_the_cloth_is_shown_whole_unless_it_is_much_larger() {
     let shots = [(0.4, "--target all"), (1.0, "--target cloth")].map(|(radius_m, same)| {
         let middle_m = -0.1 - radius_m;
         let scene = format!(
-            "[simulation]\nsteps_per_frame = 5\nframes = 2\n[[cloth]]\nsheet = {{ size_m = [0.6, 0.6], triangles = 128 }}\n\
-             plane = \"xz\"\norigin_m = [-0.3, 0, 0.3]\n[[obstacle]]\n\
-             sphere = {{ center_m = [0, {middle_m}, 0], radius_m = {radius_m} }}\n"
+            "[simulation]\nsteps_per_frame = 5\nframes = 2\n\
+             [[cloth]]\nsheet = {{ size_m = [0.6, 0.6], triangles = 128 }}\n\
+             plane = \"xz\"\norigin_m = [-0.3, 0, 0.3]\n\
+             [[obstacle]]\nsphere = {{ center_m = [0, {middle_m}, 0], radius_m = {radius_m} }}\n"
         );
         place.write("scene.toml", &scene);
         place.run("run scene.toml --executor cpu --out run --overwrite").expect(0);

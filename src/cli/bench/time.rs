@@ -68,6 +68,10 @@ pub(super) struct TimeBench {
 }
 
 pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
+    if bench.sweep == Some(Sweep::Resolution) && bench.fine.is_some() {
+        let what = "--sweep resolution makes its runs itself, from --scene; leave out --fine and --coarse";
+        return Err(CliError::bad_input(what));
+    }
     let machine = machine(bench.topology.as_deref(), 8)?;
     let levels = match (&bench.fine, &bench.coarse) {
         (Some(fine), Some(coarse)) => {
@@ -79,19 +83,16 @@ pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
     let recorded = Recorded::of(&levels, &machine)?;
     let first = match bench.sweep {
         None => by_processes(bench, &recorded),
-        Some(Sweep::Resolution) => {
-            if bench.fine.is_some() {
-                let what = "--sweep resolution makes its runs itself, from --scene; leave out --fine and --coarse";
-                return Err(CliError::bad_input(what));
-            }
+        Some(sweep) => {
             let mut by_size = Vec::new();
-            for resolution in time_sweep::coarser_resolutions(bench.resolution) {
-                by_size.push(Recorded::of(&measure(bench, resolution, launch)?, &machine)?);
+            if sweep == Sweep::Resolution {
+                for resolution in time_sweep::coarser_resolutions(bench.resolution) {
+                    by_size.push(Recorded::of(&measure(bench, resolution, launch)?, &machine)?);
+                }
             }
             by_size.push(recorded.clone());
-            time_sweep::by_resolution(&bench.shot, &by_size)
+            time_sweep::table(&bench.shot, &by_size, sweep)
         }
-        Some(sweep) => time_sweep::table(&bench.shot, &recorded, sweep),
     };
     let mut tables = vec![(first, Some(&CURVES[..]))];
     if !bench.ranks.is_empty() {
@@ -130,6 +131,7 @@ pub(super) fn run(bench: &TimeBench, launch: &Launch) -> Result<(), CliError> {
 
 /// Columns that the picture shows as curves.
 const CURVES: [&str; 3] = ["speedup", "eq6", "eq16"];
+
 fn by_processes(bench: &TimeBench, recorded: &Recorded) -> FigureTable {
     let costs = recorded.shot(u64::from(bench.shot.steps), 1.0);
     let method = bench.shot.method(recorded);

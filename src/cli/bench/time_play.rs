@@ -76,10 +76,12 @@ pub(super) const COLUMNS: [&str; 10] = [
 ];
 
 impl ShotArgs {
+    /// How the shot is split, by the rule of the command line.
     pub(super) fn method(&self, recorded: &Recorded) -> Method {
         self.method_with(recorded, self.partition)
     }
 
+    /// The same with another rule for the cuts.
     pub(super) fn method_with(&self, recorded: &Recorded, rule: Rule) -> Method {
         Method {
             partition: rule.partition(),
@@ -115,7 +117,8 @@ impl ShotArgs {
     /// Title of a table of shots with these costs.
     pub(super) fn title(&self, recorded: &Recorded, costs: &Costs) -> String {
         format!(
-            "modelled, not measured: a shot of {} steps split in time, from measured steps of {}; K = {:.1}, cuts: {:?}",
+            "modelled, not measured: a shot of {} steps split in time, from measured steps of {}; K = {:.1}, \
+             cuts: {:?}",
             costs.fine.len(),
             recorded.title,
             costs.ratio(),

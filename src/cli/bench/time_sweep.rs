@@ -38,49 +38,47 @@ fn push(table: &mut FigureTable, shot: &ShotArgs, value: f64, (recorded, costs):
     table.push([vec![value], row].concat());
 }
 
-/// The table of what follows from one recorded pair of runs.
-pub(super) fn table(shot: &ShotArgs, recorded: &Recorded, sweep: Sweep) -> FigureTable {
+/// The table of a sweep. `by_size`: pairs of runs on meshes of several sizes, ascending; all sweeps but that by
+/// resolution look at the last one alone.
+pub(super) fn table(shot: &ShotArgs, by_size: &[Recorded], sweep: Sweep) -> FigureTable {
+    let finest = by_size.last().expect("a pair of runs");
     let steps = u64::from(shot.steps);
     match sweep {
         Sweep::Seconds => {
-            let mut table = empty(shot, recorded, ["time_seconds", "steps"], "");
+            let mut table = empty(shot, finest, ["time_seconds", "steps"], "");
             for power in -3..=3 {
                 let steps = ((steps as f64 * 2f64.powi(power)).round() as u64).max(2);
-                push(&mut table, shot, steps as f64, (recorded, &recorded.shot(steps, 1.0)), shot.partition);
+                push(&mut table, shot, steps as f64, (finest, &finest.shot(steps, 1.0)), shot.partition);
             }
             table
         }
         Sweep::StepRatio => {
-            let mut table = empty(shot, recorded, ["time_step_ratio", "step_ratio"], "");
+            let mut table = empty(shot, finest, ["time_step_ratio", "step_ratio"], "");
             for power in -1..=3 {
                 let stretch = 2f64.powi(power);
-                let ratio = recorded.costs.stride as f64 * stretch;
-                push(&mut table, shot, ratio, (recorded, &recorded.shot(steps, stretch)), shot.partition);
+                let ratio = finest.costs.stride as f64 * stretch;
+                push(&mut table, shot, ratio, (finest, &finest.shot(steps, stretch)), shot.partition);
             }
             table
         }
-        Sweep::Resolution => by_resolution(shot, std::slice::from_ref(recorded)),
+        Sweep::Resolution => {
+            let shots: Vec<Costs> = by_size.iter().map(|recorded| recorded.shot(steps, 1.0)).collect();
+            let ratios: Vec<String> = shots.iter().map(|costs| format!("{:.1}", costs.ratio())).collect();
+            let note = format!("; K from the coarsest on: {}", ratios.join(", "));
+            let mut table = empty(shot, finest, ["time_resolution", "triangles"], &note);
+            for (recorded, costs) in by_size.iter().zip(&shots) {
+                push(&mut table, shot, recorded.triangles as f64, (recorded, costs), shot.partition);
+            }
+            table
+        }
         Sweep::Partition => {
             let rules = Rule::value_variants();
             let names = rules.iter().enumerate().map(|(i, rule)| format!("{i} = {rule:?}").to_lowercase());
             let note = format!("; rules: {}", names.collect::<Vec<_>>().join(", "));
-            let mut table = empty(shot, recorded, ["time_partition", "rule"], &note);
-            let costs = recorded.shot(steps, 1.0);
-            rules.iter().enumerate().for_each(|(i, &rule)| push(&mut table, shot, i as f64, (recorded, &costs), rule));
+            let mut table = empty(shot, finest, ["time_partition", "rule"], &note);
+            let costs = finest.shot(steps, 1.0);
+            rules.iter().enumerate().for_each(|(i, &rule)| push(&mut table, shot, i as f64, (finest, &costs), rule));
             table
         }
     }
-}
-
-/// The table of runs on meshes of several sizes. `by_size`: at least one pair of runs, ascending.
-pub(super) fn by_resolution(shot: &ShotArgs, by_size: &[Recorded]) -> FigureTable {
-    let shots: Vec<Costs> = by_size.iter().map(|recorded| recorded.shot(u64::from(shot.steps), 1.0)).collect();
-    let ratios: Vec<String> = shots.iter().map(|costs| format!("{:.1}", costs.ratio())).collect();
-    let finest = by_size.last().expect("a pair of runs");
-    let note = format!("; K from the coarsest on: {}", ratios.join(", "));
-    let mut table = empty(shot, finest, ["time_resolution", "triangles"], &note);
-    for (recorded, costs) in by_size.iter().zip(&shots) {
-        push(&mut table, shot, recorded.triangles as f64, (recorded, costs), shot.partition);
-    }
-    table
 }
