@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use loomtree::collision::elementary::{CandidateKind, closest_points};
+use loomtree::collision::body::Body;
 use loomtree::math::Vec3;
 use loomtree::output::Checkpoint;
 use loomtree::scene::{Obstacles, Overrides, load};
@@ -151,16 +151,11 @@ fn worn_garments_cross_neither_each_other_nor_the_body_and_the_waist_stays_on_it
     let waist: Vec<usize> = scene.pins.iter().map(|pin| pin.vertex as usize).collect();
     assert!(waist.len() > 20, "{}", waist.len());
     // Distances of the waist from the body.
-    let distances = |positions: &[Vec3], time_s: f64| -> Vec<f32> {
-        let mut values = Vec::new();
-        obstacles.positions_at(time_s, &mut values);
-        let body: &[Vec3] = bytemuck::cast_slice(&values);
-        let to = |p: Vec3, corners: &[u32; 3]| {
-            let [a, b, c] = corners.map(|v| body[v as usize]);
-            closest_points(CandidateKind::VertexFace, [p, a, b, c]).distance_squared.sqrt()
-        };
-        let nearest = |v: &usize| obstacles.triangles().iter().map(|t| to(positions[*v], t)).fold(f32::MAX, f32::min);
-        waist.iter().map(nearest).collect()
+    let distances = |positions: &[Vec3], time_s: f64| -> Vec<f64> {
+        let mut x = Vec::new();
+        obstacles.positions_at(time_s, &mut x);
+        let body = Body { x: &x, triangles: obstacles.triangles() };
+        waist.iter().map(|&v| body.nearest(positions[v].as_dvec3()).unwrap().distance_m).collect()
     };
     let start = distances(&scene.mesh.positions, 0.0);
     let mut looked_at = 0;
