@@ -1,6 +1,7 @@
 //! Runs that share a machine: other temp folders, little shared memory, stops before the first step.
 
 use std::fs;
+use std::path::PathBuf;
 use std::process::Command;
 
 use support::process::{Place, Signal, flag, program, repository, signal};
@@ -40,13 +41,16 @@ fn the_next_run_removes_what_a_killed_coordinator_left() {
     place.write("flag.toml", flag(500, 2, 1));
     // It waits for workers that nobody starts: nobody but it is there to clean up.
     let mut running = place.start("coordinator flag.toml --workers 2 --executor cpu --out out");
-    running.wait_for("its run", |_| fs::read_dir(place.path("tmp")).ok()?.next().map(|_| ()));
+    let locks: [PathBuf; 2] = running.wait_for("its locks", |_| {
+        let folder = fs::read_dir(place.path("tmp")).ok()?.flatten().next()?;
+        let id = folder.file_name().to_string_lossy().trim_start_matches("loomtree-").to_string();
+        let locks = [folder.path().join("lock"), format!("/dev/shm/lt{id}_lock").into()];
+        locks.iter().all(|lock| lock.exists()).then_some(locks)
+    });
     signal(running.pid(), Signal::KILL);
     running.wait_for_own_end();
-    let left = fs::read_dir(place.path("tmp")).expect("the temp folder").flatten().next().expect("a folder is left");
     // What is younger than a minute is left alone.
-    let id = left.file_name().to_string_lossy().trim_start_matches("loomtree-").to_string();
-    for lock in [left.path().join("lock"), format!("/dev/shm/lt{id}_lock").into()] {
+    for lock in locks {
         let made = std::time::SystemTime::now() - std::time::Duration::from_secs(120);
         fs::File::options().write(true).open(lock).and_then(|lock| lock.set_modified(made)).expect("an older lock");
     }
