@@ -74,8 +74,8 @@ fn check(name: &str, scene: &Scene, steps: u32) -> Watched {
     one
 }
 
-/// Checks that a sheet between two balls has let go of `obstacle` while they were in each other, and has not been thrown
-/// anywhere.
+/// Checks that a sheet between two balls has let go of `obstacle` while they were in each other, and has not been
+/// thrown anywhere.
 fn assert_pinched_and_released(run: &Watched, obstacle: u32) {
     let most = run.let_go.iter().map(Vec::len).max().unwrap();
     // The balls share a circle of 17 mm around; cells are 12.5 mm.
